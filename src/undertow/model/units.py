@@ -1,0 +1,141 @@
+"""Physical units at the file border; inside undertow every number is in SI.
+
+Unit texts come from files of other people: they must match a small grammar before pint
+sees them, so that ``9^9^9^9`` or a Python expression is refused and never worked out.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import cache
+from typing import TYPE_CHECKING
+
+from undertow.errors import UndertowError
+
+if TYPE_CHECKING:
+    from pint import Unit, UnitRegistry
+
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
+# Names, products, quotients, parentheses and one-digit exponents: nothing that could be a large computation.
+_UNIT = re.compile(
+    r"(?:1(?= ?/|$))?(?:[A-Za-z\u00b5\u03bc\u03a9\u00b0%_]|\^[+-]?\d(?![\d.^])|[*/() ])*", re.ASCII
+)
+_LONGEST = 80
+_PLAIN = str.maketrans({"²": "^2", "³": "^3", "·": " ", "⋅": " "})
+_HOW = "write it like 'kg m^2' or 'N/(m/s)^2'"
+
+
+@cache
+def registry() -> UnitRegistry:
+    """Return the one pint registry of the program (pint is slow to import and comes in here, on first use)."""
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def to_si(value: str | float, unit: str) -> float:
+    """Convert a value from a file to a number in the SI unit wanted.
+
+    Parameters
+    ----------
+    value : str or float
+        ``"7.5 kg"``, or a plain number, which is taken to be in `unit` already.
+    unit : str
+        The SI unit wanted, such as ``"kg m^2"``; ``"1"`` for a pure number.
+
+    Returns
+    -------
+    float
+        The value in `unit`.
+
+    Raises
+    ------
+    UndertowError
+        If the text is not a finite number with a unit, or the unit has another dimension than `unit`.
+    """
+    if isinstance(value, str):
+        number, found = _split(value, unit)
+        scale, offset = scale_offset(found, unit, of=f"{value!r}")
+        return _finite(scale * number + offset, value, unit)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise UndertowError(f"{value!r} is not a quantity: write a number or a text such as '1.5 {unit}'")
+    return _finite(value, value, unit)
+
+
+def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, float]:
+    """Return `scale` and `offset` such that ``in_unit_to = scale * in_unit_from + offset``.
+
+    Parameters
+    ----------
+    unit_from, unit_to : str
+        Unit texts, such as ``"deg"`` and ``"rad"``.
+    of : str
+        What the unit was found in, for the error message.
+
+    Raises
+    ------
+    UndertowError
+        If a unit is not understood, or the two have different dimensions.
+    """
+    source, target = _unit(unit_from), _unit(unit_to)
+    if source.dimensionality != target.dimensionality:
+        found = "no unit" if source.dimensionless else f"the dimension {source.dimensionality}"
+        wanted = "a pure number" if target.dimensionless else f"{unit_to} ({target.dimensionality})"
+        raise UndertowError(
+            f"{of or repr(unit_from)} has {found}, but {wanted} is wanted: use a fitting unit"
+        )
+    return _affine(unit_from, unit_to)
+
+
+def same_dimension(first: str, second: str) -> bool:
+    """Tell whether two unit texts have the same dimension (angles count as pure numbers)."""
+    return bool(_unit(first).dimensionality == _unit(second).dimensionality)
+
+
+@cache
+def _affine(unit_from: str, unit_to: str) -> tuple[float, float]:
+    try:
+        zero, one, two = (
+            float(registry().Quantity(number, _unit(unit_from)).m_as(_unit(unit_to)))
+            for number in (0.0, 1.0, 2.0)
+        )
+    except (
+        Exception
+    ) as error:  # offset and logarithmic units in products; pint has several kinds of complaint
+        raise UndertowError(f"unit {unit_from!r} cannot be converted: give it in {unit_to}") from error
+    # An offset unit (degC) moves zero; any other scale is taken directly, without the rounding of a difference.
+    scale = one - zero if zero else one
+    if not math.isclose(two, 2 * scale + zero, rel_tol=1e-9):
+        raise UndertowError(f"unit {unit_from!r} is not proportional to {unit_to}: give it in {unit_to}")
+    return scale, zero
+
+
+@cache
+def _unit(text: str) -> Unit:
+    plain = re.sub(r"\s*(?:\^|\*\*)\s*", "^", text.strip().translate(_PLAIN))
+    plain = re.sub(r"\bNm\b", "N m", plain)  # pint reads Nm as a textile unit; every log means newton metre
+    if len(plain) > _LONGEST or not _UNIT.fullmatch(plain):
+        raise UndertowError(f"unit {text[:_LONGEST]!r} is not understood: {_HOW}")
+    plain = re.sub(r"^(?:1|$)", "dimensionless", plain)
+    try:
+        return registry().parse_units(plain)
+    except Exception as error:  # pint raises a dozen kinds: undefined names, parentheses, assertions …
+        raise UndertowError(f"unit {text!r} is not understood: {_HOW}") from error
+
+
+def _split(text: str, wanted: str) -> tuple[float, str]:
+    match = _NUMBER.fullmatch(text)
+    if match is None:
+        raise UndertowError(f"{text[:_LONGEST]!r} is not a number with a unit: write it like '1.5 {wanted}'")
+    return float(match[1]), match[2]
+
+
+def _finite(number: float, value: object, unit: str) -> float:
+    if not math.isfinite(number):
+        raise UndertowError(f"{value!r} is not a finite quantity: give a number in {_shown(unit)}")
+    return float(number)
+
+
+def _shown(unit: str) -> str:
+    return "a pure number" if unit.strip() in ("", "1") else unit
