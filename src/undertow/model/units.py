@@ -16,7 +16,7 @@ from undertow.errors import UndertowError
 if TYPE_CHECKING:
     from pint import Unit, UnitRegistry
 
-_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL | re.ASCII)
 # Names, products, quotients, parentheses and one-digit exponents: nothing that could be a large computation.
 _UNIT = re.compile(
     r"(?:1(?= ?/|$))?(?:[A-Za-z\u00b5\u03bc\u03a9\u00b0%_]|\^[+-]?\d(?![\d.^])|[*/() ])*", re.ASCII
@@ -28,7 +28,7 @@ _HOW = "write it like 'kg m^2' or 'N/(m/s)^2'"
 
 @cache
 def registry() -> UnitRegistry:
-    """Return the one pint registry of the program (pint is slow to import and comes in here, on first use)."""
+    """Return the one pint registry of the program; pint is slow to import and comes in on first use."""
     import pint
 
     return pint.UnitRegistry()
@@ -100,11 +100,9 @@ def _affine(unit_from: str, unit_to: str) -> tuple[float, float]:
             float(registry().Quantity(number, _unit(unit_from)).m_as(_unit(unit_to)))
             for number in (0.0, 1.0, 2.0)
         )
-    except (
-        Exception
-    ) as error:  # offset and logarithmic units in products; pint has several kinds of complaint
+    except Exception as error:  # offset units in products: pint has several kinds of complaint
         raise UndertowError(f"unit {unit_from!r} cannot be converted: give it in {unit_to}") from error
-    # An offset unit (degC) moves zero; any other scale is taken directly, without the rounding of a difference.
+    # An offset unit (degC) moves zero; any other scale is taken without the rounding of a difference.
     scale = one - zero if zero else one
     if not math.isclose(two, 2 * scale + zero, rel_tol=1e-9):
         raise UndertowError(f"unit {unit_from!r} is not proportional to {unit_to}: give it in {unit_to}")
@@ -125,17 +123,18 @@ def _unit(text: str) -> Unit:
 
 
 def _split(text: str, wanted: str) -> tuple[float, str]:
-    match = _NUMBER.fullmatch(text)
+    match = _NUMBER.fullmatch(text.strip()[: 2 * _LONGEST])
     if match is None:
         raise UndertowError(f"{text[:_LONGEST]!r} is not a number with a unit: write it like '1.5 {wanted}'")
     return float(match[1]), match[2]
 
 
 def _finite(number: float, value: object, unit: str) -> float:
-    if not math.isfinite(number):
-        raise UndertowError(f"{value!r} is not a finite quantity: give a number in {_shown(unit)}")
-    return float(number)
-
-
-def _shown(unit: str) -> str:
-    return "a pure number" if unit.strip() in ("", "1") else unit
+    wanted = "a pure number" if unit.strip() in ("", "1") else f"a number in {unit}"
+    try:
+        result = float(number)
+    except OverflowError:
+        result = math.inf
+    if not math.isfinite(result):
+        raise UndertowError(f"{str(value)[:_LONGEST]!r} is not a finite quantity: give {wanted}")
+    return result
