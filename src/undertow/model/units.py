@@ -88,6 +88,18 @@ def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, flo
     return _affine(unit_from, unit_to)
 
 
+def si_unit(unit: str) -> str:
+    """Return the SI base unit that a unit converts to: ``"rpm"`` gives ``"rad/s"``, ``"%"`` gives ``"1"``.
+
+    Raises
+    ------
+    UndertowError
+        If the unit is not understood.
+    """
+    base = registry().Quantity(1.0, _unit(unit)).to_base_units().units
+    return f"{base:~C}".replace("**", "^") or "1"
+
+
 def same_dimension(first: str, second: str) -> bool:
     """Tell whether two unit texts have the same dimension (angles count as pure numbers)."""
     return bool(_unit(first).dimensionality == _unit(second).dimensionality)

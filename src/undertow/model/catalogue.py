@@ -1,0 +1,99 @@
+"""Finding effects: the folder of the catalogue, entry points, and files that a user names."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+
+from undertow.errors import UndertowError
+
+from . import effects
+from .effect import Effect
+
+Catalogue = Mapping[str, type[Effect]]
+
+
+@cache
+def catalogue() -> Catalogue:
+    """All effects that the program knows, by id: its own, then those that installed packages add.
+
+    Raises
+    ------
+    UndertowError
+        If two effects have the same id.
+    """
+    modules = (importlib.import_module(f"{effects.__name__}.{m.name}") for m in pkgutil.iter_modules(effects.__path__))
+    own = [cls for module in modules for cls in effects_in(module)]
+    added = [point.load() for point in entry_points(group="undertow.effects")]
+    return MappingProxyType(merge({}, [*own, *added]))
+
+
+def effects_in(module: ModuleType) -> list[type[Effect]]:
+    """Concrete effect classes that a module defines itself."""
+    members = (m for _, m in inspect.getmembers(module, inspect.isclass))
+    return [c for c in members if issubclass(c, Effect) and not inspect.isabstract(c) and c.__module__ == module.__name__]
+
+
+def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Effect]]:
+    """The catalogue with more effects in it; an id that is taken is refused."""
+    result = dict(known)
+    for cls in added:
+        if not isinstance(getattr(cls, "id", None), str):
+            raise UndertowError(f"effect class {cls.__name__} has no id: give it a class attribute id = '...'")
+        if result.get(cls.id, cls) is not cls:
+            raise UndertowError(f"effect id '{cls.id}' of {cls.__name__} is taken already: choose another id")
+        result[cls.id] = cls
+    return result
+
+
+def load_effects(path: Path) -> list[type[Effect]]:
+    """Run a user's effect file and return the effect classes in it.
+
+    The file is Python and is executed: call this only for a file that the user has named on purpose.
+
+    Raises
+    ------
+    UndertowError
+        If the file is missing, cannot be run, or holds no effect.
+    """
+    if not path.is_file():
+        raise UndertowError(f"effect file '{path}' does not exist: check the path")
+    spec = importlib.util.spec_from_file_location(f"undertow_user_effects_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise UndertowError(f"effect file '{path}' is not a Python file: name it *.py")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file raises is the user's to mend
+        raise UndertowError(f"effect file '{path}' cannot be run: {type(error).__name__}: {error}") from error
+    found = effects_in(module)
+    if not found:
+        raise UndertowError(f"effect file '{path}' holds no effect: define a class derived from undertow.Wrench")
+    return found
+
+
+def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
+    """The effect class of this id.
+
+    Raises
+    ------
+    UndertowError
+        If there is none; the nearest known id is named.
+    """
+    if effect_id not in known:
+        raise UndertowError(f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them")
+    return known[effect_id]
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Text ' (did you mean ...?)' for a mistyped word, or nothing."""
+    close = get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f" (did you mean '{close[0]}'?)" if close else ""

@@ -1,0 +1,167 @@
+"""The contract of a physical effect: its parameters and one symbolic statement of its physics."""
+
+from __future__ import annotations
+
+import abc
+from typing import ClassVar
+
+import sympy as sm
+
+from .parameter import Parameter, declared
+from .symbols import Signals, column
+
+
+class Effect(abc.ABC):
+    """One physical effect of a marine vehicle; subclass `Wrench`, `Flow`, `Actuation` or `Measurement`.
+
+    The docstring's first line is the effect's meaning. Parameters are class attributes
+    (`Parameter`, `PerThruster`, `DerivativeMatrix`) and read as symbols on an instance.
+
+    Attributes
+    ----------
+    id : str
+        The name in vehicle files; the module-wide unique id of the catalogue.
+    family : str
+        Group in the catalogue: inertia, damping, statics, water, tether, actuation, measurement, memory.
+    reference : str
+        Book or paper that the statement follows.
+    signature : str
+        What in a log would give the effect away.
+    requires : tuple of str
+        Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
+    built_in : bool
+        True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
+    """
+
+    id: ClassVar[str]
+    family: ClassVar[str]
+    reference: ClassVar[str]
+    signature: ClassVar[str] = ""
+    requires: ClassVar[tuple[str, ...]] = ()
+    built_in: ClassVar[bool] = False
+
+    def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
+        self.thrusters = thrusters
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The scalar parameters of this effect on its vehicle."""
+        return tuple(p for d in declared(type(self)) for p in d.expand(self.thrusters))
+
+    @classmethod
+    def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
+        """Turn other ways to write the parameters in a file (`x_g` for `mx_g`) into the parameters themselves."""
+        return entries
+
+    @classmethod
+    def file_units(cls) -> dict[str, str]:
+        """Units of the keys that `from_file` accepts besides the parameters."""
+        return {}
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states that the effect owns."""
+        return ()
+
+    @property
+    def state_symbols(self) -> sm.Matrix:
+        """Symbols of the effect's own states, shape (n, 1)."""
+        return column(self.states)
+
+    @classmethod
+    def about(cls) -> str:
+        """The meaning of the effect: the first line of its docstring."""
+        return (cls.__doc__ or "").strip().split("\n")[0]
+
+
+class Wrench(Effect):
+    """A force and moment on the vehicle.
+
+    Attributes
+    ----------
+    dissipative : bool
+        Claims that the effect never feeds power into the vehicle in still water.
+    workless : bool
+        Claims that its power is identically zero (Coriolis terms).
+    state_unit : str
+        Unit of the effect's own states, where it has any.
+    """
+
+    dissipative: ClassVar[bool] = False
+    workless: ClassVar[bool] = False
+    state_unit: ClassVar[str] = "1"
+
+    @abc.abstractmethod
+    def wrench(self, s: Signals) -> sm.Matrix:
+        """Force and moment in body axes, shape (6, 1), N and N m."""
+
+    def rates(self, s: Signals) -> sm.Matrix:
+        """Time derivative of the effect's own states, shape (n, 1)."""
+        return sm.zeros(len(self.states), 1)
+
+
+class Flow(Effect):
+    """A motion of the water, felt by every effect that is stated in `nu_r`."""
+
+    family = "water"
+
+    @abc.abstractmethod
+    def velocity(self, s: Signals) -> sm.Matrix:
+        """Velocity of the water where the vehicle is, shape (3, 1), NED, m/s."""
+
+    def acceleration(self, s: Signals) -> sm.Matrix:
+        """Its rate along the vehicle's path, shape (3, 1), NED, m/s^2."""
+        return sm.zeros(3, 1)
+
+
+class Actuation(Effect):
+    """A step on the way from the command to what the thruster delivers.
+
+    Attributes
+    ----------
+    stage : int
+        Place in the chain: 10 wiring and gain, 20 curves and dead bands, 30 limits, 40 dynamics.
+    """
+
+    family = "actuation"
+    stage: ClassVar[int] = 10
+
+    @abc.abstractmethod
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        """What this step hands on, shape (n_thrusters, 1), in units of the command."""
+
+    def rates(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        """Time derivative of the step's own states, shape (n, 1)."""
+        return sm.zeros(len(self.states), 1)
+
+    def rest_state(self, upstream: sm.Matrix) -> sm.Matrix:
+        """States that belong to an `upstream` that has been held for a long time, shape (n, 1)."""
+        return sm.zeros(len(self.states), 1)
+
+    def dead_time(self) -> sm.Expr:
+        """Pure delay of this step, s."""
+        return sm.Integer(0)
+
+
+class Measurement(Effect):
+    """A difference between the true motion and what the sensors report."""
+
+    family = "measurement"
+
+    @abc.abstractmethod
+    def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
+        """Pose and body velocity that the sensors report; affine in `eta` and `nu`."""
+
+
+KINDS: dict[str, type[Effect]] = {
+    "wrench": Wrench,
+    "flow": Flow,
+    "actuation": Actuation,
+    "measurement": Measurement,
+}
+
+
+def kind_of(effect: Effect | type[Effect]) -> str:
+    """Which of the four kinds an effect is."""
+    cls = effect if isinstance(effect, type) else type(effect)
+    return next(kind for kind, base in KINDS.items() if issubclass(cls, base))

@@ -1,0 +1,1 @@
+"""The catalogue: every module in this folder is one effect, found by discovery."""

@@ -1,0 +1,26 @@
+"""Dead time between command and thrust."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Actuation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class ActuationDelay(Actuation):
+    """Pure delay from the logged command to the thrust: network, motor controller, clock offset of the log."""
+
+    id = "actuation_delay"
+    reference = "transport delay; Ljung (1999), System Identification, section 4.2 (dead time)"
+    signature = "the vehicle answers late but then sharply"
+    stage = 50
+
+    delay = Parameter("s", "dead time", (0.0, 5.0), linear=False, starts=(0.05, 0.3, 1.0))
+
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return upstream
+
+    def dead_time(self) -> sm.Expr:
+        return self.delay

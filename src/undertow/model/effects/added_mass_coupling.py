@@ -1,0 +1,31 @@
+"""Off-diagonal added mass with its Coriolis part."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.kinematics import coriolis
+from undertow.model.parameter import UPPER_TRIANGLE, DerivativeMatrix
+from undertow.model.symbols import Signals
+
+
+class AddedMassCoupling(Wrench):
+    """Added mass that couples two motions (Y_rdot and the like), with the Coriolis forces that belong to it."""
+
+    id = "added_mass_coupling"
+    family = "inertia"
+    reference = "Fossen (2021), chapter 6 (M_A symmetric with off-diagonal terms, C_A from the same matrix)"
+    signature = "one motion answers, without delay, to the acceleration of another"
+
+    coefficients = DerivativeMatrix(
+        "{F}_{m}dot",
+        ("m/s^2", "rad/s^2"),
+        UPPER_TRIANGLE,
+        "{force} per {motion} acceleration",
+        symmetric=True,
+    )
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        inertia = -self.coefficients
+        return -(inertia * s.nu_r_dot + coriolis(inertia, s.nu_r) * s.nu_r)

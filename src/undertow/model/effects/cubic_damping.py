@@ -1,0 +1,33 @@
+"""Cubic damping, diagonal."""
+
+from __future__ import annotations
+
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import DIAGONAL, DerivativeMatrix
+from undertow.model.symbols import Signals
+
+
+class CubicDamping(Wrench):
+    """Drag proportional to the third power of the speed, as some basin tests of model ships are fitted with."""
+
+    id = "cubic_damping"
+    family = "damping"
+    reference = "Fossen (2021), chapter 6 (odd-order expansions of damping); Abkowitz (1964) series"
+    signature = "drag grows faster than the square of the speed"
+    dissipative = True
+
+    coefficients = DerivativeMatrix(
+        "{F}_{m}{m}{m}",
+        ("(m/s)^3", "(rad/s)^3"),
+        DIAGONAL,
+        "{force} per cube of the {motion} velocity",
+        bounds=(-inf, 0),
+        directional=True,
+    )
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return self.coefficients * s.nu_r.applyfunc(lambda v: v**3)

@@ -1,0 +1,31 @@
+"""Coulomb friction."""
+
+from __future__ import annotations
+
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import DIAGONAL, DerivativeMatrix, Parameter
+from undertow.model.symbols import VELOCITY, Signals
+
+
+class DryFriction(Wrench):
+    """Friction of constant size against the motion: guides, bearings, a dragging cable on the bottom."""
+
+    id = "dry_friction"
+    family = "damping"
+    reference = "Coulomb friction with the sign function smoothed by tanh; Armstrong-Helouvry et al. (1994), Automatica 30"
+    signature = "the vehicle stops dead instead of creeping, and small thrust does not move it"
+    dissipative = True
+
+    coefficients = DerivativeMatrix(
+        "{F}_sign{m}", ("1", "1"), DIAGONAL, "{force} against {motion}, whatever the speed", bounds=(-inf, 0)
+    )
+    friction_speed = Parameter("m/s", "speed at which friction is fully there", (1e-4, 1.0), linear=False, default=0.02)
+    friction_rate = Parameter("rad/s", "the same for rotations", (1e-4, 1.0), linear=False, default=0.02)
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        scale = [self.friction_speed if i < 3 else self.friction_rate for i in range(len(VELOCITY))]
+        return self.coefficients * sm.Matrix([sm.tanh(v / c) for v, c in zip(s.nu, scale, strict=True)])

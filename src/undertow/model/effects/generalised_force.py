@@ -1,0 +1,21 @@
+"""Forces and moments that the log itself holds."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.symbols import Signals
+
+
+class GeneralisedForce(Wrench):
+    """Known force and moment on the vehicle, read from the log channels tau_X ... tau_N."""
+
+    id = "generalised_force"
+    family = "actuation"
+    reference = "SNAME (1950) notation of forces and moments"
+    signature = "no motion in answer to the force"
+    built_in = True
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return s.generalised_force

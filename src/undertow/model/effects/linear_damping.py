@@ -1,0 +1,33 @@
+"""Linear damping, diagonal."""
+
+from __future__ import annotations
+
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import DIAGONAL, DerivativeMatrix
+from undertow.model.symbols import Signals
+
+
+class LinearDamping(Wrench):
+    """Drag proportional to the speed through the water: skin friction, and wave radiation at low frequency."""
+
+    id = "linear_damping"
+    family = "damping"
+    reference = "Fossen (2021), chapter 6 (linear viscous damping); SNAME (1950) notation"
+    signature = "the vehicle coasts too long at low speed"
+    dissipative = True
+
+    coefficients = DerivativeMatrix(
+        "{F}_{m}",
+        ("m/s", "rad/s"),
+        DIAGONAL,
+        "{force} per {motion} velocity",
+        bounds=(-inf, 0),
+        directional=True,
+    )
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return self.coefficients * s.nu_r

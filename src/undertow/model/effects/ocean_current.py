@@ -1,0 +1,23 @@
+"""A steady current."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Flow
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class OceanCurrent(Flow):
+    """Water that moves steadily and uniformly over ground."""
+
+    id = "ocean_current"
+    reference = "Fossen (2021), chapter 10 (constant irrotational ocean current in NED)"
+    signature = "surge and sway errors that turn with the heading, and drift at zero thrust"
+
+    V_N = Parameter("m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,))
+    V_E = Parameter("m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,))
+
+    def velocity(self, s: Signals) -> sm.Matrix:
+        return sm.Matrix([self.V_N, self.V_E, 0])

@@ -1,0 +1,37 @@
+"""Fluid memory of first order."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import DIAGONAL, DerivativeMatrix, Parameter
+from undertow.model.symbols import VELOCITY, Signals
+
+
+class RadiationMemory(Wrench):
+    """Force from the flow that the vehicle has set going earlier, one exponential kernel for each motion.
+
+    The convolution of the velocity with exp(-t/T_memory) is carried by one state for each motion.
+    """
+
+    id = "radiation_memory"
+    family = "memory"
+    reference = "Cummins (1962) impulse-response equation with a one-state kernel; Fossen (2021), chapter 5"
+    signature = "after a stop or a reversal the force depends on how the vehicle moved before"
+    state_unit = "m"
+
+    coefficients = DerivativeMatrix(
+        "{F}_mem{m}", ("m", "rad"), DIAGONAL, "{force} per remembered {motion} displacement"
+    )
+    T_memory = Parameter("s", "time constant of the memory", (0.05, 200.0), linear=False, starts=(0.5, 2.0, 8.0))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"memory_{v}" for v in VELOCITY)
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return self.coefficients * self.state_symbols
+
+    def rates(self, s: Signals) -> sm.Matrix:
+        return s.nu_r - self.state_symbols / self.T_memory

@@ -1,0 +1,51 @@
+"""Weight and buoyancy with their arms."""
+
+from __future__ import annotations
+
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.kinematics import rotation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+_ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
+
+
+class Restoring(Wrench):
+    """Weight and buoyancy at their centres: net force and righting moment.
+
+    Inside, the moment is stated by the static moments `S_x` = x_g W - x_b B and so on, which is all that motion
+    can show; a vehicle file gives `x_g` ... `z_b`.
+    """
+
+    id = "restoring"
+    family = "statics"
+    reference = "Fossen (2021), chapter 4 (restoring forces of submerged vehicles)"
+    signature = "roll and pitch do not swing back to level, or with the wrong period"
+
+    W = Parameter("N", "weight", (0, inf), required=True)
+    B = Parameter("N", "buoyancy", (0, inf), required=True)
+    S_x = Parameter("N m", "static moment x_g W - x_b B", default=0.0)
+    S_y = Parameter("N m", "static moment y_g W - y_b B", default=0.0)
+    S_z = Parameter("N m", "static moment z_g W - z_b B", default=0.0)
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        down = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, 1])
+        moment = sm.Matrix([self.S_x, self.S_y, self.S_z]).cross(down)
+        return sm.Matrix([*((self.W - self.B) * down), *moment])
+
+    @classmethod
+    def file_units(cls) -> dict[str, str]:
+        return _ARMS
+
+    @classmethod
+    def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
+        base = {k: v for k, v in entries.items() if k not in _ARMS}
+        for axis in "xyz":
+            weight_arm, buoyancy_arm = entries.get(f"{axis}_g", 0.0), entries.get(f"{axis}_b", 0.0)
+            if f"{axis}_g" in entries or f"{axis}_b" in entries:
+                base[f"S_{axis}"] = weight_arm * entries.get("W", 0.0) - buoyancy_arm * entries.get("B", 0.0)
+        return base

@@ -1,0 +1,24 @@
+"""Coriolis and centripetal forces of the rigid body."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.effects.rigid_body import RigidBody
+from undertow.model.kinematics import coriolis
+from undertow.model.symbols import Signals
+
+
+class RigidBodyCoriolis(Wrench):
+    """Forces that the rotating body axes bring in for the vehicle's own inertia; no parameter of its own."""
+
+    id = "rigid_body_coriolis"
+    family = "inertia"
+    reference = "Fossen (2021), chapter 3 (Coriolis and centripetal matrix from a symmetric inertia)"
+    signature = "surge and sway errors in turns that grow with speed times yaw rate"
+    requires = ("rigid_body",)
+    workless = True
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return -coriolis(RigidBody(self.thrusters).matrix(), s.nu) * s.nu

@@ -1,0 +1,29 @@
+"""Dead band of the thrusters."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Actuation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class ThrusterDeadband(Actuation):
+    """Small commands give no thrust; beyond the dead band the thrust starts from zero."""
+
+    id = "thruster_deadband"
+    reference = "dead zone nonlinearity, output c - w sgn(c) outside |c| < w; Khalil (2002), Nonlinear Systems, section 1.2"
+    signature = "no answer at all to small commands, and a constant shortfall at large ones"
+    stage = 20
+
+    deadband_width = Parameter(
+        "command", "commands smaller than this give no thrust", (0, float("inf")), linear=False, starts=(0.05, 0.2)
+    )
+
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return upstream.applyfunc(self._dead_zone)
+
+    def _dead_zone(self, c: sm.Expr) -> sm.Expr:
+        w = self.deadband_width
+        return c - (sm.Abs(c + w) - sm.Abs(c - w)) / 2

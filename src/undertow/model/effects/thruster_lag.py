@@ -1,0 +1,33 @@
+"""Thrusters that need time to spin up."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Actuation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class ThrusterLag(Actuation):
+    """First-order lag from command to thrust, the same for all thrusters."""
+
+    id = "thruster_lag"
+    reference = "first-order propulsor dynamics; Fossen (2021), chapter 9"
+    signature = "the vehicle answers a step of thrust softly and late, with the right final speed"
+    stage = 40
+
+    T_lag = Parameter("s", "time constant", (0.02, 20.0), linear=False, starts=(0.1, 0.4, 1.5))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"lagged_{n}" for n in self.thrusters)
+
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return self.state_symbols
+
+    def rates(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return (upstream - self.state_symbols) / self.T_lag
+
+    def rest_state(self, upstream: sm.Matrix) -> sm.Matrix:
+        return upstream

@@ -1,0 +1,30 @@
+"""An unknown shift of the centre of buoyancy."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.effects.restoring import Restoring
+from undertow.model.kinematics import rotation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class TrimOffset(Wrench):
+    """Shift of the centre of buoyancy against where the model has it: the vehicle floats with a list or trim."""
+
+    id = "trim_offset"
+    family = "statics"
+    reference = "Fossen (2021), chapter 4 (restoring moment, r_B x buoyancy)"
+    signature = "constant roll or pitch at rest"
+    requires = ("restoring",)
+
+    dx_B = Parameter("m", "shift of the centre of buoyancy, forward")
+    dy_B = Parameter("m", "shift of the centre of buoyancy, to starboard")
+    dz_B = Parameter("m", "shift of the centre of buoyancy, down")
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        buoyancy = Restoring(self.thrusters).B
+        up = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, -buoyancy])
+        return sm.Matrix([0, 0, 0, *sm.Matrix([self.dx_B, self.dy_B, self.dz_B]).cross(up)])

@@ -1,0 +1,77 @@
+"""Rotations and Euler-angle kinematics (roll-pitch-yaw, NED to FRD)."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+
+def skew(a: sm.Matrix) -> sm.Matrix:
+    """Matrix S(a) with S(a) b = a x b, shape (3, 3)."""
+    return sm.Matrix([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+
+
+def rotation(angles: sm.Matrix) -> sm.Matrix:
+    """Rotation R from body to NED axes for (phi, theta, psi) in rad, shape (3, 3).
+
+    Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 2 (zyx convention).
+    """
+    phi, theta, psi = angles
+    return _about_z(psi) * _about_y(theta) * _about_x(phi)
+
+
+def _about_x(a: sm.Expr) -> sm.Matrix:
+    return sm.Matrix([[1, 0, 0], [0, sm.cos(a), -sm.sin(a)], [0, sm.sin(a), sm.cos(a)]])
+
+
+def _about_y(a: sm.Expr) -> sm.Matrix:
+    return sm.Matrix([[sm.cos(a), 0, sm.sin(a)], [0, 1, 0], [-sm.sin(a), 0, sm.cos(a)]])
+
+
+def _about_z(a: sm.Expr) -> sm.Matrix:
+    return sm.Matrix([[sm.cos(a), -sm.sin(a), 0], [sm.sin(a), sm.cos(a), 0], [0, 0, 1]])
+
+
+def body_rates(angles: sm.Matrix) -> sm.Matrix:
+    """The matrix W with (p, q, r) = W d(phi, theta, psi)/dt, shape (3, 3); (6) of the mini-AUV paper."""
+    phi, theta, _ = angles
+    return sm.Matrix(
+        [
+            [1, 0, -sm.sin(theta)],
+            [0, sm.cos(phi), sm.sin(phi) * sm.cos(theta)],
+            [0, -sm.sin(phi), sm.cos(phi) * sm.cos(theta)],
+        ]
+    )
+
+
+def euler_rates(angles: sm.Matrix) -> sm.Matrix:
+    """The matrix T = inverse of W with d(phi, theta, psi)/dt = T (p, q, r), shape (3, 3).
+
+    Singular at theta = +-90 degrees, like every Euler-angle description.
+    """
+    phi, theta, _ = angles
+    tan, cos = sm.tan(theta), sm.cos(theta)
+    return sm.Matrix(
+        [
+            [1, sm.sin(phi) * tan, sm.cos(phi) * tan],
+            [0, sm.cos(phi), -sm.sin(phi)],
+            [0, sm.sin(phi) / cos, sm.cos(phi) / cos],
+        ]
+    )
+
+
+def pose_jacobian(eta: sm.Matrix) -> sm.Matrix:
+    """The matrix J with d(eta)/dt = J(eta) nu, shape (6, 6)."""
+    angles = sm.Matrix(eta[3:])
+    return sm.diag(rotation(angles), euler_rates(angles))
+
+
+def coriolis(inertia: sm.Matrix, nu: sm.Matrix) -> sm.Matrix:
+    """Skew-symmetric Coriolis and centripetal matrix C(nu) of a constant symmetric inertia, shape (6, 6).
+
+    Follows from Kirchhoff's equations for the kinetic energy nu' M nu / 2; Fossen (2021), chapters 3 and 6.
+    """
+    momentum = inertia * nu
+    linear, angular = sm.Matrix(momentum[:3]), sm.Matrix(momentum[3:])
+    upper = sm.Matrix.hstack(sm.zeros(3), -skew(linear))
+    lower = sm.Matrix.hstack(-skew(linear), -skew(angular))
+    return sm.Matrix.vstack(upper, lower)

@@ -1,0 +1,160 @@
+"""Parameters of effects: what a number is called, measured in, and may plausibly be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import sympy as sm
+
+from .symbols import DOFS, FORCE, VELOCITY, symbol
+
+if TYPE_CHECKING:
+    from .effect import Effect
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect; declared as a class attribute, read on an instance as its symbol.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit; "command" stands for the unit of a thruster's command.
+    about : str
+        Meaning, in one line.
+    bounds : (float, float)
+        Values that are physically possible, in SNAME signs; outside is refused.
+    linear : bool
+        True for a regressor column, False for a shape parameter (delay, width, time constant).
+    default : float, optional
+        Value (then known and kept) when the vehicle file is silent.
+    starts : tuple of float
+        Where a search over a shape parameter begins.
+    required : bool
+        True where a vehicle file must give the value, since no vehicle has none.
+    motion : int, optional
+        Velocity whose sign selects the forward or the backward value, where the two may differ.
+    on_left_side : bool
+        True for a derivative that tables print as a positive magnitude (added mass, damping on the left-hand side).
+    """
+
+    unit: str
+    about: str
+    bounds: tuple[float, float] = (-inf, inf)
+    linear: bool = True
+    default: float | None = None
+    starts: tuple[float, ...] = ()
+    required: bool = False
+    motion: int | None = None
+    on_left_side: bool = False
+    name: str = field(default="", kw_only=True)
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        if not self.name:
+            object.__setattr__(self, "name", name)
+
+    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+        return self if effect is None else symbol(self.name)
+
+    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+        """The scalar parameters that this declaration stands for on a vehicle with these thrusters."""
+        return (self,)
+
+
+@dataclass(frozen=True)
+class PerThruster(Parameter):
+    """A parameter that every thruster has for itself; reads as a column of symbols."""
+
+    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+        if effect is None:
+            return self
+        names = [p.name for p in self.expand(effect.thrusters)]
+        return sm.Matrix(len(names), 1, [symbol(n) for n in names])
+
+    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+        fields = {k: v for k, v in vars(self).items() if k not in ("name", "about")}
+        return tuple(
+            Parameter(**fields, name=f"{self.name}_{t}", about=f"{self.about}, thruster {t}") for t in thrusters
+        )
+
+
+DIAGONAL = tuple((i, i) for i in range(6))
+OFF_DIAGONAL = tuple((i, j) for i in range(6) for j in range(6) if i != j)
+UPPER_TRIANGLE = tuple((i, j) for i in range(6) for j in range(i + 1, 6))
+
+
+@dataclass(frozen=True)
+class DerivativeMatrix:
+    """A matrix of SNAME derivatives, named by a pattern such as ``{F}_{m}dot``; reads as a (6, 6) matrix of symbols.
+
+    Parameters
+    ----------
+    pattern : str
+        Name of an entry from its force letter F and motion letter m.
+    motion_unit : (str, str)
+        Unit of what the entry multiplies, for a translation and for a rotation.
+    entries : iterable of (row, column)
+        Entries that are not zero.
+    about : str
+        Meaning, with ``{force}`` and ``{motion}`` filled in.
+    symmetric : bool
+        Mirror the entries below the diagonal.
+    directional : bool
+        Whether the entry may differ between forward and backward motion.
+    """
+
+    pattern: str
+    motion_unit: tuple[str, str]
+    entries: tuple[tuple[int, int], ...]
+    about: str
+    bounds: tuple[float, float] = (-inf, inf)
+    symmetric: bool = False
+    directional: bool = False
+
+    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+        if effect is None:
+            return self
+        matrix = sm.zeros(6)
+        for i, j in self.entries:
+            matrix[i, j] = symbol(self._name(i, j))
+            if self.symmetric:
+                matrix[j, i] = matrix[i, j]
+        return matrix
+
+    def _name(self, i: int, j: int) -> str:
+        return self.pattern.format(F=FORCE[i], m=VELOCITY[j])
+
+    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+        """One parameter for each entry."""
+        return tuple(self._entry(i, j) for i, j in self.entries)
+
+    def _entry(self, i: int, j: int) -> Parameter:
+        force = "N" if i < 3 else "N m"
+        return Parameter(
+            unit=f"{force}/({self.motion_unit[j > 2]})",
+            about=self.about.format(force=_axis(i), motion=DOFS[j]),
+            bounds=self.bounds,
+            motion=j if self.directional else None,
+            on_left_side=True,
+            name=self._name(i, j),
+        )
+
+
+def _axis(i: int) -> str:
+    return f"{DOFS[i]} {'force' if i < 3 else 'moment'}"
+
+
+def declared(owner: type) -> Iterable[Parameter | DerivativeMatrix]:
+    """Parameter declarations of an effect class, base classes first, in the order written."""
+    found: dict[str, Parameter | DerivativeMatrix] = {}
+    for cls in reversed(owner.__mro__):
+        found.update({k: v for k, v in vars(cls).items() if isinstance(v, Parameter | DerivativeMatrix)})
+    return found.values()
+
+
+def renamed(parameter: Parameter, suffix: str) -> Parameter:
+    """The same parameter under a longer name (forward and backward values of one coefficient)."""
+    return replace(parameter, name=f"{parameter.name}_{suffix}", about=f"{parameter.about} ({suffix})")

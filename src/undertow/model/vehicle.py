@@ -1,0 +1,234 @@
+"""A vehicle: a set of effects whose wrenches sum to zero, and everything that follows from the sum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import sympy as sm
+
+from undertow.errors import UndertowError
+
+from .composition import Composition
+from .effect import Effect
+from .effects.generalised_force import GeneralisedForce
+from .effects.thrusters import Thrusters
+from .parameter import Parameter
+from .symbols import DOFS, POSE, VELOCITY, symbol
+
+
+@dataclass(frozen=True)
+class Value:
+    """Value of a parameter in SI and SNAME signs, and how far it is known.
+
+    Attributes
+    ----------
+    value : float
+        The number.
+    estimate : bool
+        Whether a fit may change it.
+    sigma : float, optional
+        Standard deviation of the number as stated (prior) or as fitted.
+    source : str
+        Where it comes from.
+    assumed : bool
+        True where no source gives the number.
+    """
+
+    value: float
+    estimate: bool = False
+    sigma: float | None = None
+    source: str = ""
+    assumed: bool = False
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """One thruster: the log column of its command and the wrench of one newton of its thrust.
+
+    Attributes
+    ----------
+    wrench : tuple of float
+        Force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m).
+    thrust_per_command : Value
+        Thrust per unit of command, N.
+    limit : float, optional
+        Largest magnitude of the command.
+    """
+
+    name: str
+    wrench: tuple[float, ...]
+    thrust_per_command: Value = Value(1.0)
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A marine vehicle as a sum of effects, for any subset of the six degrees of freedom.
+
+    Attributes
+    ----------
+    name : str
+        Name of the vehicle.
+    degrees_of_freedom : tuple of str
+        Subset of surge, sway, heave, roll, pitch, yaw, in this order.
+    effects : tuple of Effect
+        The effects, without those that the thrusters bring in.
+    values : mapping
+        Value of every parameter, by name.
+    thrusters : tuple of Thruster
+        Thrusters in the order of their commands.
+    force_channels : tuple of str
+        Log channels with forces known directly (tau_X ...).
+    signs : str
+        Convention of the vehicle's file: "sname" or "magnitudes".
+    environment : mapping
+        `rho` in kg/m^3 and `g` in m/s^2.
+    """
+
+    name: str
+    degrees_of_freedom: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    values: Mapping[str, Value]
+    thrusters: tuple[Thruster, ...] = ()
+    force_channels: tuple[str, ...] = ()
+    signs: str = "sname"
+    environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
+
+    def __post_init__(self) -> None:
+        self._check_requirements()
+
+    def _check_requirements(self) -> None:
+        present = {e.id for e in self.effects}
+        for effect in self.effects:
+            missing = [r for r in effect.requires if r not in present]
+            if missing:
+                raise UndertowError(
+                    f"effect '{effect.id}' shares parameters of '{missing[0]}', which vehicle '{self.name}' lacks: "
+                    f"add [effects.{missing[0]}] to the vehicle file"
+                )
+
+    @property
+    def dof_indices(self) -> tuple[int, ...]:
+        """Places of the degrees of freedom among the six."""
+        return tuple(DOFS.index(d) for d in self.degrees_of_freedom)
+
+    @property
+    def pose_names(self) -> tuple[str, ...]:
+        """Names of the pose coordinates that the vehicle has."""
+        return tuple(POSE[i] for i in self.dof_indices)
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """Names of the body velocities that the vehicle has."""
+        return tuple(VELOCITY[i] for i in self.dof_indices)
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Log columns that drive the model: thruster commands, then known forces."""
+        return (*(t.name for t in self.thrusters), *self.force_channels)
+
+    @cached_property
+    def all_effects(self) -> tuple[Effect, ...]:
+        """The effects with those that the hardware brings in."""
+        names = tuple(t.name for t in self.thrusters)
+        columns = [[sm.Float(v) if v % 1 else sm.Integer(int(v)) for v in t.wrench] for t in self.thrusters]
+        allocation = sm.Matrix(columns).T if columns else sm.zeros(6, 0)
+        hardware: list[Effect] = [Thrusters(names, allocation)] if names else []
+        if self.force_channels:
+            hardware.append(GeneralisedForce(names))
+        return (*self.effects, *hardware)
+
+    @cached_property
+    def composition(self) -> Composition:
+        """The effects put together, symbolically."""
+        split = {name: (symbol(f"{name}_forward"), symbol(f"{name}_backward")) for name in self._directional}
+        return Composition(
+            self.all_effects,
+            self.dof_indices,
+            tuple(t.name for t in self.thrusters),
+            tuple(f"tau_{n[-1]}" for n in self.force_channels),
+            split,
+        )
+
+    @cached_property
+    def _directional(self) -> tuple[str, ...]:
+        return tuple(n.removesuffix("_forward") for n in self.values if n.endswith("_forward"))
+
+    @cached_property
+    def declared_parameters(self) -> dict[str, Parameter]:
+        """Every scalar parameter that the effects of the vehicle declare, by name."""
+        return {p.name: p for e in self.all_effects for p in e.parameters}
+
+    def value_of(self, name: str) -> Value:
+        """Value of a parameter; thrust per command comes from the thruster, shape defaults from the effect."""
+        if name in self.values:
+            return self.values[name]
+        for thruster in self.thrusters:
+            if name == f"thrust_{thruster.name}":
+                return thruster.thrust_per_command
+        if name in self.environment:
+            return Value(self.environment[name])
+        parameter = self.declared_parameters[name]
+        return Value(parameter.default if parameter.default is not None else 0.0)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Parameters that the equations of this vehicle contain, in order of the effects."""
+        return self.composition.parameter_names
+
+    def effect_kind(self, kind: type[Effect]) -> tuple[Effect, ...]:
+        """Effects of one kind."""
+        return tuple(e for e in self.all_effects if isinstance(e, kind))
+
+    # --- the model, derived -------------------------------------------------------------------
+    @cached_property
+    def residual(self) -> sm.Matrix:
+        """Sum of all wrenches in the vehicle's degrees of freedom, zero for the true motion, N and N m."""
+        return self.composition.residual
+
+    @cached_property
+    def mass_matrix(self) -> sm.Matrix:
+        """M = -d(residual)/d(nu_dot), shape (n, n)."""
+        return -self.residual.jacobian(self.composition.nu_dot)
+
+    @cached_property
+    def forcing(self) -> sm.Matrix:
+        """Residual at nu_dot = 0, so that M nu_dot = forcing."""
+        return self.residual.xreplace({a: sm.Integer(0) for a in self.composition.nu_dot})
+
+    @cached_property
+    def regressor(self) -> sm.Matrix:
+        """d(residual)/d(theta) for the parameters in `parameter_names`, shape (n, n_parameters)."""
+        return self.residual.jacobian([symbol(n) for n in self.parameter_names])
+
+    def jacobian(self, with_respect_to: Iterable[sm.Symbol]) -> sm.Matrix:
+        """Derivative of the forcing, for instance in `nu`; a sign function counts as constant."""
+        derivative = self.forcing.jacobian(list(with_respect_to))
+        return derivative.replace(sm.DiracDelta, lambda *_: sm.Integer(0))
+
+    def power(self) -> dict[str, sm.Expr]:
+        """Power nu' tau of every wrench at nu_dot = 0, W, by effect id."""
+        nu = self.composition.nu
+        rest = {a: sm.Integer(0) for a in self.composition.nu_dot}
+        return {e.id: (nu.T * w.xreplace(rest))[0] for e, w in self.composition.wrenches.items()}
+
+    # --- other vehicles -----------------------------------------------------------------------
+    def with_values(self, values: Mapping[str, Value]) -> Vehicle:
+        """The same vehicle with some values replaced; thrust per command goes to its thruster."""
+        thrusters = tuple(
+            replace(t, thrust_per_command=values.get(f"thrust_{t.name}", t.thrust_per_command)) for t in self.thrusters
+        )
+        hardware = {f"thrust_{t.name}" for t in thrusters}
+        changed = dict(self.values) | {k: v for k, v in values.items() if k not in hardware}
+        return replace(self, values=changed, thrusters=thrusters)
+
+    def with_effect(self, cls: type[Effect], values: Mapping[str, Value]) -> Vehicle:
+        """The vehicle with one more effect (or more parameters of one that it has)."""
+        names = tuple(t.name for t in self.thrusters)
+        present = any(e.id == cls.id for e in self.effects)
+        effects = self.effects if present else (*self.effects, cls(names))
+        return replace(self, effects=effects, values=dict(self.values) | dict(values))
+
+
