@@ -1,0 +1,1 @@
+"""From the symbolic model to CasADi functions, C source and compiled libraries."""

@@ -1,0 +1,215 @@
+"""The CasADi functions of a vehicle: dynamics, Jacobians, regressor, residual, outputs, and their parts."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.symbols import symbol
+from undertow.model.vehicle import Vehicle
+
+from .convert import Converter
+
+
+class Functions:
+    """Everything numeric that follows from a vehicle, as CasADi expressions and functions.
+
+    The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the commands
+    (thrusters, then known forces), p all parameters in the order of `parameter_names`, t the time in s.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        composition = vehicle.composition
+        self._chain, self._chain_rates, self._chain_rest = composition.chain
+        self._memory = composition.wrench_states
+        self.eta = _vector("eta", composition.eta)
+        self.nu = _vector("nu", composition.nu)
+        self.nu_dot = _vector("nu_dot", composition.nu_dot)
+        self.memory = _vector("memory", list(self._memory))
+        self.actuator_states = _vector("actuator", list(self._chain_rates))
+        self.u = _vector("u", composition.commands)
+        self.p = ca.SX.sym("p", len(vehicle.parameter_names))
+        self.t = ca.SX.sym("t")
+        self.actuation = _vector("actuation", composition.signals.actuation)
+        self.convert = Converter(self._environment())
+        self._define_relations()
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the entries of p."""
+        return self.vehicle.parameter_names
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the entries of x."""
+        owned = (*map(str, self._memory), *map(str, self._chain_rates))
+        return (*self.vehicle.pose_names, *self.vehicle.velocity_names, *owned)
+
+    @property
+    def x(self) -> ca.SX:
+        """The state."""
+        return ca.vertcat(self.eta, self.nu, self.memory, self.actuator_states)
+
+    def _environment(self) -> dict[sm.Symbol, ca.SX]:
+        composition = self.vehicle.composition
+        names = [symbol(n) for n in self.parameter_names]
+        groups = (
+            (composition.eta, self.eta),
+            (composition.nu, self.nu),
+            (composition.nu_dot, self.nu_dot),
+            (composition.commands, self.u),
+            (composition.signals.actuation, self.actuation),
+            (list(self._memory), self.memory),
+            (list(self._chain_rates), self.actuator_states),
+            (names, self.p),
+            ([composition.signals.t], self.t),
+        )
+        known = {s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)}
+        return known | {s: ca.SX(0) for s in composition.locked}
+
+    def _define_relations(self) -> None:
+        composition = self.vehicle.composition
+        states = [x for e in composition.effects for x in e.state_symbols]
+        parameters = [symbol(n) for n in self.vehicle.declared_parameters]
+        kept = {*self._memory, *self._chain_rates, *map(symbol, self.parameter_names), *composition.directional}
+        # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
+        self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
+        self.convert.define(composition.relative_motion)
+        self.convert.define(composition.directional)
+
+    # --- expressions --------------------------------------------------------------------------
+    @cached_property
+    def wrenches(self) -> dict[str, ca.SX]:
+        """Wrench of every effect by id, in the vehicle's degrees of freedom, from `actuation` and `nu_dot`."""
+        rows = list(self.vehicle.dof_indices)
+        effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
+        signals = self.vehicle.composition.signals
+        return {e.id: self.convert.matrix(e.wrench(signals).extract(rows, [0])) for e in effects}
+
+    @cached_property
+    def residual(self) -> ca.SX:
+        """Sum of the wrenches, N and N m, from `actuation` and `nu_dot`."""
+        return sum(self.wrenches.values(), ca.SX(len(self.vehicle.dof_indices), 1))
+
+    @cached_property
+    def mass_matrix(self) -> ca.SX:
+        """M = -d(residual)/d(nu_dot)."""
+        return -ca.jacobian(self.residual, self.nu_dot)
+
+    @cached_property
+    def forcing(self) -> ca.SX:
+        """Residual at rest of the acceleration, from `actuation`."""
+        return ca.cse(ca.substitute(self.residual, self.nu_dot, ca.SX.zeros(self.nu_dot.shape)))
+
+    @cached_property
+    def chain_output(self) -> ca.SX:
+        """What reaches the thrusters, in units of the command, from u and the actuator states."""
+        return self.convert.matrix(self._chain)
+
+    @cached_property
+    def chain_rates(self) -> ca.SX:
+        """Time derivative of the actuator states."""
+        return self.convert.matrix(sm.Matrix(list(self._chain_rates.values()) or sm.zeros(0, 1)))
+
+    @cached_property
+    def chain_rest(self) -> ca.SX:
+        """Actuator states that belong to commands held for a long time."""
+        values = [v.xreplace(self._chain_rest) for v in self._chain_rest.values()]
+        return self.convert.matrix(sm.Matrix(values or sm.zeros(0, 1)))
+
+    @cached_property
+    def memory_rates(self) -> ca.SX:
+        """Time derivative of the states that wrenches own."""
+        signals = self.vehicle.composition.signals
+        rates = {
+            x: rate
+            for e in self.vehicle.effect_kind(Wrench)
+            for x, rate in zip(e.state_symbols, e.rates(signals), strict=True)  # type: ignore[attr-defined]
+        }
+        return self.convert.matrix(sm.Matrix([rates[x] for x in self._memory] or sm.zeros(0, 1)))
+
+    @cached_property
+    def pose_rate(self) -> ca.SX:
+        """d(eta)/dt = J(eta) nu."""
+        return self.convert.matrix(self.vehicle.composition.pose_rate)
+
+    @cached_property
+    def reported(self) -> ca.SX:
+        """Pose and velocity as the sensors report them."""
+        eta, nu = self.vehicle.composition.reported
+        return ca.vertcat(self.convert.matrix(eta), self.convert.matrix(nu))
+
+    @cached_property
+    def x_dot(self) -> ca.SX:
+        """Time derivative of the state, from x, u, p, t; the mass matrix is solved, never inverted symbolically."""
+        driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
+        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
+        acceleration = solve_symmetric(self.mass_matrix, driven)
+        return ca.cse(ca.vertcat(self.pose_rate, acceleration, memory, self.chain_rates))
+
+    # --- functions ----------------------------------------------------------------------------
+    @property
+    def _inputs(self) -> list[ca.SX]:
+        return [self.x, self.u, self.p, self.t]
+
+    def _function(self, name: str, outputs: list[ca.SX], output_names: list[str]) -> ca.Function:
+        return ca.Function(name, self._inputs, [ca.densify(o) for o in outputs], ["x", "u", "p", "t"], output_names)
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """`x_dot = dynamics(x, u, p, t)`."""
+        return self._function("dynamics", [self.x_dot], ["x_dot"])
+
+    @cached_property
+    def jacobians(self) -> ca.Function:
+        """`(x_dot, A, B, P) = jacobians(x, u, p, t)`: derivatives in state, input and parameters."""
+        derivatives = [ca.jacobian(self.x_dot, v) for v in (self.x, self.u, self.p)]
+        return self._function("jacobians", [self.x_dot, *derivatives], ["x_dot", "A", "B", "P"])
+
+    @cached_property
+    def outputs(self) -> ca.Function:
+        """`y = outputs(x, u, p, t)`: reported pose and velocity."""
+        return self._function("outputs", [self.reported], ["y"])
+
+    @cached_property
+    def residual_function(self) -> ca.Function:
+        """`r = residual(x, nu_dot, u, p, t)`, N and N m."""
+        return self._with_acceleration("residual", self._driven_residual, "r")
+
+    @cached_property
+    def regressor(self) -> ca.Function:
+        """`Y = regressor(x, nu_dot, u, p, t)` = d(residual)/dp, shape (n, n_parameters)."""
+        return self._with_acceleration("regressor", ca.jacobian(self._driven_residual, self.p), "Y")
+
+    @property
+    def _driven_residual(self) -> ca.SX:
+        return ca.substitute(self.residual, self.actuation, self.chain_output)
+
+    def _with_acceleration(self, name: str, output: ca.SX, output_name: str) -> ca.Function:
+        inputs = [self.x, self.nu_dot, self.u, self.p, self.t]
+        return ca.Function(name, inputs, [ca.densify(output)], ["x", "nu_dot", "u", "p", "t"], [output_name])
+
+    def values(self) -> list[float]:
+        """Values of p in the vehicle."""
+        return [self.vehicle.value_of(n).value for n in self.parameter_names]
+
+
+def _vector(name: str, symbols: sm.Matrix | list[sm.Symbol]) -> ca.SX:
+    return ca.SX.sym(name, len(symbols))
+
+
+def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Solution of a symmetric positive definite system by L D L', keeping structural zeros."""
+    if matrix.shape == (1, 1):
+        return right / matrix
+    d, lt, permutation = ca.ldl(matrix)
+    return ca.ldl_solve(right, d, lt, permutation)

@@ -1,0 +1,170 @@
+"""Logs made ready for the weak form: segments without gaps, test functions on them, noise of the channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+from undertow.identification.logs import Run
+from undertow.model.vehicle import Vehicle
+
+from .noise import white_noise
+from .testfunctions import TestFunctions, knot_spacing, test_functions
+
+Array = NDArray[np.float64]
+# Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
+_WIDER_FOR_DERIVED = 2.0
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of a run without gaps.
+
+    Attributes
+    ----------
+    run : int
+        Place of the run among the runs.
+    first : int
+        Index of the first sample in the run.
+    t : (N,) array
+        Time, s.
+    measured : (N, 2n) array
+        Pose and velocity of the degrees of freedom; pose that the log lacks is zero.
+    u : (N, n_commands) array
+        Commands.
+    functions : TestFunctions
+        Test functions on the segment.
+    """
+
+    run: int
+    first: int
+    t: Array
+    measured: Array
+    u: Array
+    functions: TestFunctions
+
+    @property
+    def samples(self) -> slice:
+        """Where the segment stands in its run."""
+        return slice(self.first, self.first + len(self.t))
+
+
+@dataclass(frozen=True)
+class WeakData:
+    """Runs prepared for a vehicle's degrees of freedom and commands.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        The logs.
+    segments : tuple of Segment
+        Their usable stretches.
+    sigma : (2n,) array
+        Noise of the channels, in their units.
+    rows : tuple of int
+        Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1).
+    names : tuple of str
+        Names of the 2n channels.
+    commands : tuple of str
+        Names of the command columns.
+    """
+
+    runs: tuple[Run, ...]
+    segments: tuple[Segment, ...]
+    sigma: Array
+    rows: tuple[int, ...]
+    names: tuple[str, ...]
+    commands: tuple[str, ...]
+
+    @cached_property
+    def equation(self) -> NDArray[np.intp]:
+        """Equation of every residual entry."""
+        return np.concatenate([np.tile(self.rows, s.functions.count) for s in self.segments])
+
+    @cached_property
+    def time(self) -> Array:
+        """Middle of the test function of every residual entry, s."""
+        return np.concatenate([np.repeat(s.functions.centre, len(self.rows)) for s in self.segments])
+
+    @cached_property
+    def run_of(self) -> NDArray[np.intp]:
+        """Run of every residual entry."""
+        return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
+
+    def block(self, seconds: float) -> NDArray[np.intp]:
+        """Number of the time block that every residual entry belongs to; blocks never span two runs."""
+        start = np.array([r.t[0] for r in self.runs])[self.run_of]
+        within = ((self.time - start) // seconds).astype(np.intp)
+        pairs = np.column_stack([self.run_of, within])
+        return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+
+
+def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -> WeakData:
+    """Cut runs into segments and put test functions on them.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs with the body velocities (and, as far as there, the pose) of the vehicle's degrees of freedom.
+    vehicle : Vehicle
+        Whose degrees of freedom and commands are wanted.
+    sigma : (2n,) array, optional
+        Noise of the channels; estimated from the runs where it is not given.
+
+    Raises
+    ------
+    UndertowError
+        If a velocity or a command is missing, or no stretch is long enough.
+    """
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    for run in runs:
+        _require(run, [*vehicle.velocity_names, *vehicle.command_names], vehicle.name)
+    measured_pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
+    segments = [s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle)]
+    if not segments:
+        lengths = ", ".join(f"'{r.name}' {len(r.t)}" for r in runs)
+        raise UndertowError(f"no stretch without gaps is long enough for the weak form (samples: {lengths}); 25 are needed")
+    derived = any(r.derived for r in runs)
+    size = len(vehicle.dof_indices)
+    kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
+    noise = _noise(runs, names) if sigma is None else sigma
+    return WeakData(tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names)
+
+
+def _require(run: Run, names: list[str], vehicle: str) -> None:
+    for name in names:
+        if not run.has(name):
+            raise UndertowError(
+                f"run '{run.name}' has no channel '{name}', which vehicle '{vehicle}' needs; it has "
+                f"{', '.join(run.channels)}; name the column in a mapping file (--map)"
+            )
+
+
+def _segments(index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...], vehicle: Vehicle) -> list[Segment]:
+    needed = [n for n in names if n in pose or n in vehicle.velocity_names]
+    commands = run.matrix(vehicle.command_names)
+    spacing = knot_spacing(run.t) * (_WIDER_FOR_DERIVED if run.derived else 1.0) if len(run.t) > 1 else 1.0
+    found = []
+    for piece in run.segments([*needed, *vehicle.command_names]):
+        t = run.t[piece]
+        functions = test_functions(t, spacing) if len(t) > 1 else None
+        if functions is not None:
+            columns = [run.channels[n][piece] if n in needed else np.zeros(len(t)) for n in names]
+            found.append(Segment(index, piece.start, t, np.column_stack(columns), commands[piece], functions))
+    return found
+
+
+def _noise(runs: Sequence[Run], names: tuple[str, ...]) -> Array:
+    return np.array([_channel_noise(runs, n) for n in names])
+
+
+def _channel_noise(runs: Sequence[Run], name: str) -> float:
+    known = [r.sigma[name] for r in runs if name in r.sigma]
+    if known:
+        return float(np.median(known))
+    return float(np.median([white_noise(r.t, r.channels[name]) for r in runs if r.has(name)] or [0.0]))

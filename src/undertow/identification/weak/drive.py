@@ -1,0 +1,209 @@
+"""States that are driven by what was logged: the actuation chain along the commands, memory along the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+
+Array = NDArray[np.float64]
+_SUBSTEPS = 4
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A driven signal with its derivative in the free parameters.
+
+    Attributes
+    ----------
+    value : (N, k) array
+        Value at each sample, or mean over the interval that follows it.
+    slope : (N, k, n_free) array
+        Its derivative.
+    """
+
+    value: Array
+    slope: Array
+
+
+class Chain:
+    """Actuation along the logged commands: mean output over each sampling interval.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    free : tuple of int
+        Places in p of the free parameters.
+    """
+
+    def __init__(self, functions: Functions, free: tuple[int, ...]) -> None:
+        self.functions, self.free = functions, free
+
+    def along(self, t: Array, u: Array, p: Array) -> Driven:
+        """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
+        size = self.functions.actuation.shape[0]
+        count, n_free = len(t), len(self.free)
+        if size == 0:
+            return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)))
+        step = np.append(np.diff(t), 0.0)
+        start = np.asarray(self._rest(u[0], p)).ravel()
+        accumulated = _accumulated(self._advance, count)
+        _, flat = accumulated(start, u.T, step[None, :], np.tile(p[:, None], count))
+        table = np.asarray(flat).T
+        value = table[:, :size]
+        slope = table[:, size:].reshape(count, n_free, size).transpose(0, 2, 1)
+        return self._delayed(t, Driven(value, slope), p)
+
+    @cached_property
+    def _rest(self) -> ca.Function:
+        """States at rest with their derivatives, stacked."""
+        f = self.functions
+        slope = ca.jacobian(f.chain_rest, self._free)
+        return ca.Function("rest", [f.u, f.p], [ca.vertcat(f.chain_rest, ca.vec(ca.densify(slope)))])
+
+    @property
+    def _free(self) -> ca.SX:
+        return ca.vertcat(*[self.functions.p[i] for i in self.free])
+
+    @cached_property
+    def _advance(self) -> ca.Function:
+        """One sampling interval: states and slopes on, mean output and its slope out."""
+        f = self.functions
+        z, dt = f.actuator_states, ca.SX.sym("dt")
+        rates = ca.Function("rates", [z, f.u, f.p], [f.chain_rates])
+        output = ca.Function("output", [z, f.u, f.p], [f.chain_output])
+        end, mean = _integrated(lambda s: rates(s, f.u, f.p), lambda s: output(s, f.u, f.p), z, dt)
+        n, k = z.shape[0], self._free.shape[0]
+        slope = ca.SX.sym("slope", n, k)
+        new_slope, mean_slope = (ca.jacobian(v, z) @ slope + ca.jacobian(v, self._free) for v in (end, mean))
+        carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
+        emitted = ca.vertcat(mean, ca.vec(ca.densify(mean_slope)))
+        state = ca.vertcat(z, ca.vec(slope))
+        return ca.Function("advance", [state, f.u, dt, f.p], [carried, emitted])
+
+    @cached_property
+    def _dead_time(self) -> ca.Function:
+        f = self.functions
+        expression = f.convert(f.vehicle.composition.dead_time)
+        return ca.Function("dead_time", [f.p], [expression, ca.densify(ca.jacobian(expression, self._free))])
+
+    def _delayed(self, t: Array, driven: Driven, p: Array) -> Driven:
+        if self.functions.vehicle.composition.dead_time == 0:
+            return driven
+        delay, slope = (np.asarray(v) for v in self._dead_time(p))
+        seconds = float(delay[0, 0])
+        value = shifted_mean(t, driven.value, seconds)
+        moved = shifted_mean(t, driven.slope.reshape(len(t), -1), seconds).reshape(driven.slope.shape)
+        per_second = -shift_rate(t, driven.value, seconds)
+        return Driven(value, moved + per_second[:, :, None] * slope.ravel())
+
+
+def shifted_mean(t: Array, held: Array, delay: float) -> Array:
+    """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first value."""
+    total = _integral(t, held)
+    late = _at(t, total, held, t - delay)
+    step = np.diff(t)[:, None]
+    return np.vstack([np.diff(late, axis=0) / step, held[-1:]])
+
+
+def shift_rate(t: Array, held: Array, delay: float) -> Array:
+    """Minus the derivative of `shifted_mean` in the delay."""
+    start = held[np.clip(np.searchsorted(t, t - delay, side="right") - 1, 0, len(t) - 1)]
+    step = np.diff(t)[:, None]
+    return np.vstack([np.diff(start, axis=0) / step, np.zeros_like(held[:1])])
+
+
+def _integral(t: Array, held: Array) -> Array:
+    return np.vstack([np.zeros_like(held[:1]), np.cumsum(held[:-1] * np.diff(t)[:, None], axis=0)])
+
+
+def _at(t: Array, total: Array, held: Array, when: Array) -> Array:
+    index = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 1)
+    return total[index] + held[index] * (when - t[index])[:, None]
+
+
+class Memory:
+    """States of wrenches along the measured motion, at the samples of a segment.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    true_motion : CasADi expression
+        Pose and velocity in terms of `measured`.
+    """
+
+    def __init__(self, functions: Functions, free: tuple[int, ...], measured: ca.SX, true_motion: ca.SX) -> None:
+        self.functions, self.free = functions, free
+        self._measured, self._true_motion = measured, true_motion
+
+    def along(self, t: Array, measured: Array, actuation: Array, u: Array, p: Array) -> Driven:
+        """States at the samples, zero at the first; the motion is taken as linear between samples."""
+        size = self.functions.memory.shape[0]
+        count, n_free = len(t), len(self.free)
+        if size == 0:
+            return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)))
+        steps = np.diff(t)
+        columns = [measured[:-1].T, measured[1:].T, actuation[:-1].T, u[:-1].T, steps[None, :]]
+        run = _accumulated(self._advance, count - 1)
+        states, _ = run(np.zeros(size * (1 + n_free)), *columns, np.tile(p[:, None], count - 1))
+        table = np.vstack([np.zeros(size * (1 + n_free)), np.asarray(states).T])
+        return Driven(table[:, :size], table[:, size:].reshape(count, n_free, size).transpose(0, 2, 1))
+
+    @cached_property
+    def _advance(self) -> ca.Function:
+        f = self.functions
+        z, dt, after = f.memory, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
+        free = ca.vertcat(*[f.p[i] for i in self.free])
+        motion = ca.vertcat(f.eta, f.nu)
+        expression = ca.substitute(f.memory_rates, motion, self._true_motion)
+        rate = ca.Function("rate", [z, self._measured, f.actuation, f.u, f.p], [expression])
+
+        def at(state: ca.SX, share: float) -> ca.SX:
+            here = self._measured + share * (after - self._measured)
+            return rate(state, here, f.actuation, f.u, f.p)
+
+        end = _integrated_along(at, z, dt)
+        slope = ca.SX.sym("slope", z.shape[0], len(self.free))
+        new_slope = ca.jacobian(end, z) @ slope + ca.jacobian(end, free)
+        state = ca.vertcat(z, ca.vec(slope))
+        carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
+        inputs = [state, self._measured, after, f.actuation, f.u, dt, f.p]
+        return ca.Function("advance", inputs, [carried, ca.SX(0)])
+
+
+def _integrated(rate, output, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:  # type: ignore[no-untyped-def]
+    """Runge-Kutta over one interval, and Simpson's mean of an output along it."""
+    h = dt / _SUBSTEPS
+    mean = output(z)
+    for step in range(_SUBSTEPS):
+        z = _runge_kutta(lambda s, _: rate(s), z, h, 0.0, 0.0)
+        weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
+        mean = mean + weight * output(z)
+    return z, mean / (3 * _SUBSTEPS)
+
+
+def _integrated_along(rate, z: ca.SX, dt: ca.SX) -> ca.SX:  # type: ignore[no-untyped-def]
+    h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
+    for step in range(_SUBSTEPS):
+        z = _runge_kutta(rate, z, h, step * share, share)
+    return z
+
+
+def _runge_kutta(rate, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:  # type: ignore[no-untyped-def]
+    k1 = rate(z, share)
+    k2 = rate(z + h / 2 * k1, share + width / 2)
+    k3 = rate(z + h / 2 * k2, share + width / 2)
+    k4 = rate(z + h * k3, share + width)
+    return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@lru_cache(maxsize=64)
+def _accumulated(function: ca.Function, count: int) -> ca.Function:
+    return function.mapaccum("accumulated", count)

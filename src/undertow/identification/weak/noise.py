@@ -1,0 +1,102 @@
+"""How noisy the channels are, and what that noise does to the weak residual."""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+from scipy.sparse import block_array, csr_array, diags_array
+
+from .testfunctions import TestFunctions
+
+Array = NDArray[np.float64]
+_ORDERS = range(3, 9)
+_GAUSSIAN_MAD = 1.4826
+
+
+def white_noise(t: Array, y: Array) -> float:
+    """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
+
+    A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is smooth; the order
+    that leaves least is taken, so a fast signal does not pass for noise.
+    """
+    steps = np.diff(t)
+    even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
+    found = [_by_difference(y, even, k) for k in _ORDERS if len(y) > 4 * k]
+    return min([f for f in found if np.isfinite(f)], default=0.0)
+
+
+def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
+    difference = np.diff(y, n=order)
+    usable = np.convolve(even, np.ones(order), mode="valid") > order - 0.5
+    kept = difference[usable & np.isfinite(difference)]
+    if len(kept) < 10:
+        return np.inf
+    return float(_GAUSSIAN_MAD * np.median(np.abs(kept)) / np.sqrt(comb(2 * order, order)))
+
+
+class Whitening:
+    """Turns residuals into ones of unit variance under the measurement noise, by a banded Cholesky factor.
+
+    Parameters
+    ----------
+    covariance : sparse (m, m)
+        Covariance of the residual, rows ordered by test function, then by equation.
+    """
+
+    def __init__(self, covariance: csr_array) -> None:
+        coordinates = covariance.tocoo()
+        self._band = int(np.max(coordinates.row - coordinates.col, initial=0))
+        banded = np.zeros((self._band + 1, covariance.shape[0]))
+        lower = coordinates.row >= coordinates.col
+        banded[(coordinates.row - coordinates.col)[lower], coordinates.col[lower]] = coordinates.data[lower]
+        # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
+        banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
+        self._factor = cholesky_banded(banded, lower=True, check_finite=False)
+
+    def __call__(self, right: Array) -> Array:
+        """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
+        solution, info = dtbtrs(self._factor, np.asarray(right), uplo="L")
+        assert info == 0
+        return np.asarray(solution.reshape(np.shape(right)))
+
+
+def residual_covariance(functions: TestFunctions, slope: Array, sigma: Array, rows: list[int]) -> csr_array:
+    """Covariance of the weak residual from noise on the measured channels.
+
+    Parameters
+    ----------
+    functions : TestFunctions
+        K test functions over N samples.
+    slope : (N, 5n, 2n) array
+        Derivative of the pointwise rows in the measured pose and velocity.
+    sigma : (2n,) array
+        Standard deviations of the measured channels.
+    rows : list of int
+        Equations that are used, among the 2n (forces first, then kinematics).
+
+    Returns
+    -------
+    sparse (K len(rows), K len(rows))
+        Ordered by test function, then by equation.
+    """
+    n = slope.shape[2] // 2
+    blocks = [[_channel(functions, slope, row, c, n) * sigma[c] for c in range(2 * n)] for row in rows]
+    stacked = block_array(blocks, format="csr")
+    order = np.arange(len(rows) * functions.count).reshape(len(rows), -1).T.ravel()
+    stacked = csr_array(stacked[order])
+    return csr_array(stacked @ stacked.T)
+
+
+def _channel(functions: TestFunctions, slope: Array, row: int, channel: int, n: int) -> csr_array:
+    """Sensitivity of equation `row` to the noise of one channel, shape (K, N)."""
+    differentiated, plain = (0, n) if row < n else (2 * n, 3 * n)
+    place = row % n
+    momentum, forcing = slope[:, differentiated + place, channel], slope[:, plain + place, channel]
+    total = functions.rate @ diags_array(momentum) + functions.value @ diags_array(forcing)
+    if row < n:
+        total = total + functions.held @ diags_array(slope[:, 4 * n + place, channel])
+    return csr_array(total)

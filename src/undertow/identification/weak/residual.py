@@ -1,0 +1,104 @@
+"""The weak residual of a model on prepared logs, with its derivative in the free parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+
+from .data import Segment, WeakData
+from .drive import Chain, Driven, Memory
+from .noise import Whitening, residual_covariance
+from .pointwise import Pointwise, mapped
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A residual and its derivative in the free parameters: r of shape (m,), J of shape (m, n_free)."""
+
+    r: Array
+    J: Array
+
+
+class WeakModel:
+    """Weak residuals of one vehicle for a choice of free parameters.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    free : sequence of str
+        Names of the parameters that may change.
+    """
+
+    def __init__(self, functions: Functions, free: Sequence[str]) -> None:
+        self.functions = functions
+        self.free = tuple(free)
+        self.places = tuple(functions.parameter_names.index(n) for n in self.free)
+        self._points = Pointwise(functions, self.places)
+        self._chain = Chain(functions, self.places)
+        self._memory = Memory(functions, self.places, self._points.measured, self._points._true_motion)
+
+    def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
+        """Residual and derivative of every segment, rows ordered by test function, then by equation."""
+        driven = [self._chain.along(r.t, r.matrix(data.commands), p) for r in data.runs]
+        return [self._segment(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
+
+    def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
+        memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
+        inputs = [s.measured, actuation.value, memory.value, s.u]
+        value, free, by_actuation, by_memory = mapped(self._points.value_and_derivatives, inputs, p, s.t)
+        total = free + by_actuation @ actuation.slope + by_memory @ memory.slope
+        table = np.concatenate([value, total], axis=2)
+        if self._points.held_depends_on_motion:
+            table = self._averaged_over_steps(table, s, actuation, memory, p)
+        return self._tested(table, s, rows)
+
+    def _averaged_over_steps(self, table: Array, s: Segment, actuation: Driven, memory: Driven, p: Array) -> Array:
+        """Take the force of the commands at both ends of the interval in which they are held."""
+        n = self._points.size
+        later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
+        inputs = [later[0], actuation.value, later[1], s.u]
+        value, free, by_actuation, _ = mapped(self._points.value_and_derivatives, inputs, p, s.t)
+        end = np.concatenate([value, free + by_actuation @ actuation.slope], axis=2)
+        table[:, 4 * n :] = 0.5 * (table[:, 4 * n :] + end[:, 4 * n :])
+        return table
+
+    def _tested(self, table: Array, s: Segment, rows: tuple[int, ...]) -> Linearised:
+        n, f = self._points.size, s.functions
+        width = table.shape[2]
+        flat = table.reshape(len(s.t), -1)
+        blocks = [flat[:, i * n * width : (i + 1) * n * width] for i in range(5)]
+        force = f.rate @ blocks[0] + f.value @ blocks[1] + f.held @ blocks[4]
+        kinematic = f.rate @ blocks[2] + f.value @ blocks[3]
+        both = np.concatenate([force, kinematic], axis=1).reshape(f.count, 2 * n, width)[:, list(rows)]
+        stacked = both.reshape(-1, width)
+        return Linearised(stacked[:, 0].copy(), stacked[:, 1:].copy())
+
+    def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
+        """Whitening of every segment under the noise of the channels, at parameters p."""
+        driven = [self._chain.along(r.t, r.matrix(data.commands), p) for r in data.runs]
+        return [self._segment_whitening(s, _cut(driven[s.run], s), data, p) for s in data.segments]
+
+    def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
+        memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
+        inputs = [s.measured, actuation.value, memory.value, s.u]
+        (slope,) = mapped(self._points.noise, inputs, p, s.t)
+        return Whitening(residual_covariance(s.functions, slope, data.sigma, list(data.rows)))
+
+
+def _cut(driven: Driven, s: Segment) -> Driven:
+    return Driven(driven.value[s.samples], driven.slope[s.samples])
+
+
+def whitened(parts: list[Linearised], whitening: list[Whitening]) -> Linearised:
+    """All segments together, in units of their noise."""
+    done = [w(np.column_stack([part.r, part.J])) for part, w in zip(parts, whitening, strict=True)]
+    table = np.vstack(done)
+    return Linearised(table[:, 0], table[:, 1:])
