@@ -15,6 +15,7 @@ from undertow.errors import UndertowError
 
 if TYPE_CHECKING:
     from pint import Unit, UnitRegistry
+    from pint.util import UnitsContainer
 
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL | re.ASCII)
 # Names, products, quotients, parentheses and one-digit exponents: nothing that could be a large computation.
@@ -31,7 +32,10 @@ def registry() -> UnitRegistry:
     """Return the one pint registry of the program; pint is slow to import and comes in on first use."""
     import pint
 
-    return pint.UnitRegistry()
+    units = pint.UnitRegistry()
+    # What a command is measured in is the thruster's own affair: a dimension that cancels only against itself.
+    units.define("command = [command]")
+    return units
 
 
 def to_si(value: str | float, unit: str) -> float:
@@ -103,6 +107,17 @@ def si_unit(unit: str) -> str:
 def same_dimension(first: str, second: str) -> bool:
     """Tell whether two unit texts have the same dimension (angles count as pure numbers)."""
     return bool(_unit(first).dimensionality == _unit(second).dimensionality)
+
+
+def dimensionality(unit: str) -> UnitsContainer:
+    """Return the dimension of a unit text, with `*`, `/` and `**` like a unit; a pure number has an empty one.
+
+    Raises
+    ------
+    UndertowError
+        If the unit is not understood.
+    """
+    return _unit(unit).dimensionality
 
 
 @cache

@@ -1,0 +1,156 @@
+"""What a log must be before anything is computed from it; a refusal is one line with place and remedy."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+
+Array = NDArray[np.float64]
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``" (did you mean 'abc'?)"`` for the known name most like `name`, or an empty text."""
+    names = list(known)
+    alike = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    alike = alike or [
+        other for other in names if other.lower().startswith(name.lower()) or other.lower() == name.lower()
+    ]
+    return f" (did you mean {alike[0]!r}?)" if alike else ""
+
+
+def check_time(t: Array, column: str, where: str) -> None:
+    """Refuse times that are missing, infinite, too few, doubled or out of order.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Time in s, rows as in the file.
+    column, where : str
+        Column name and file, for the message.
+
+    Raises
+    ------
+    UndertowError
+        Naming the first row at fault.
+    """
+    thing = f"{where}: time column {column!r}"
+    if len(t) < 2:
+        found = "no sample" if len(t) == 0 else f"one sample (t = {t[0]:g} s)"
+        raise UndertowError(
+            f"{where} has {found}, at least 2 are needed: check that the log was written to its end"
+        )
+    bad = np.flatnonzero(~np.isfinite(t))
+    if len(bad):
+        value = "missing" if np.isnan(t[bad[0]]) else "infinite"
+        raise UndertowError(
+            f"{thing} is {value} in {len(bad)} of {len(t)} rows, first in row {bad[0] + 1}: remove them"
+        )
+    step = np.diff(t)
+    back, same = np.flatnonzero(step < 0), np.flatnonzero(step == 0)
+    if len(back):
+        at = back[0]
+        raise UndertowError(
+            f"{thing} goes back from {t[at]:.9g} to {t[at + 1]:.9g} s at row {at + 2} ({len(back)} times in "
+            "all): "
+            "sort the file by time, or split it where the clock was restarted"
+        )
+    if len(same):
+        at = same[0]
+        raise UndertowError(
+            f"{thing} has {len(same)} duplicate stamps, first {t[at]:.9g} s at row {at + 2}: keep one row "
+            "per time"
+        )
+
+
+def check_channel(name: str, t: Array, data: Array, where: str) -> None:
+    """Refuse a channel with an infinite value or without any value.
+
+    Raises
+    ------
+    UndertowError
+        Naming the channel and the first time at fault.
+    """
+    infinite = np.flatnonzero(np.isinf(data))
+    if len(infinite):
+        raise UndertowError(
+            f"{where}: channel {name!r} is infinite in {len(infinite)} of {len(data)} samples, first at t = "
+            f"{t[infinite[0]]:g} s: leave such cells empty, or name the value under `missing` in a mapping "
+            "file"
+        )
+    if np.isnan(data).all():
+        raise UndertowError(
+            f"{where}: channel {name!r} has no value in any of {len(data)} samples: remove the column, or "
+            "name it "
+            "under `ignore` in a mapping file"
+        )
+
+
+def fill_commands(name: str, t: Array, data: Array, policy: str, where: str) -> tuple[Array, str]:
+    """Deal with missing samples of a command, which a simulation cannot do without.
+
+    Parameters
+    ----------
+    name, where : str
+        Channel and file, for the message.
+    t, data : (n,) arrays
+        Time in s and the command.
+    policy : str
+        ``"refuse"``; ``"hold"``: the last value stays until the next, as a thruster does; ``"gap"``: left
+        missing.
+
+    Returns
+    -------
+    array, str
+        The command and a note, empty when nothing was missing.
+
+    Raises
+    ------
+    UndertowError
+        If samples are missing and the policy is to refuse, or nothing comes before them that could be held.
+    """
+    missing = np.flatnonzero(np.isnan(data))
+    if not len(missing):
+        return data, ""
+    spell = f"t = {t[missing[0]]:g} to {t[missing[-1]]:g} s"
+    told = f"command {name!r} is missing in {len(missing)} of {len(t)} rows ({spell})"
+    remedy = 'set missing_commands = "hold" or "gap" in the mapping file, or a time window without them'
+    if policy == "refuse":
+        raise UndertowError(f"{where}: {told}: {remedy}")
+    if policy == "gap":
+        return data, f"{told}; left missing"
+    last = np.maximum.accumulate(np.where(np.isnan(data), -1, np.arange(len(data))))
+    if last[0] < 0:
+        raise UndertowError(
+            f"{where}: {told}, and none comes before t = {t[0]:g} s to be held: start the window later"
+        )
+    return data[last], f"{told}; the last value was held"
+
+
+def constant_channels(run: Run, names: Iterable[str] | None = None) -> dict[str, float]:
+    """Return the channels (of `names`, or all) that never change, with their value."""
+    asked = run.channels if names is None else {name: run.channels[name] for name in names if run.has(name)}
+    present = {name: data[np.isfinite(data)] for name, data in asked.items()}
+    return {name: float(data[0]) for name, data in present.items() if len(data) > 1 and np.ptp(data) == 0}
+
+
+def refuse_constant(run: Run, names: Iterable[str]) -> None:
+    """Refuse a run in which one of the channels never changes.
+
+    Raises
+    ------
+    UndertowError
+        Naming the channels and their values.
+    """
+    dead = constant_channels(run, names)
+    if dead:
+        told = ", ".join(f"{name} = {value:g}" for name, value in dead.items())
+        raise UndertowError(
+            f"run {run.name!r}: {told} over all {len(run.t)} samples (dead sensor, or motion not excited): "
+            "leave the channel out of the log, or the degree of freedom out of the vehicle"
+        )

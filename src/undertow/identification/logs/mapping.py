@@ -1,0 +1,197 @@
+"""The mapping file: how the columns of somebody's table become channels of a run.
+
+It is data (TOML) and nothing in it is executed. Example::
+
+    schema = "undertow/mapping/1"
+    ignore = ["battery"]
+
+    [time]
+    column = "stamp"
+    unit = "ms"
+
+    [frames]
+    position = "ENU"
+    body = "FLU"
+
+    [columns]
+    east = "x"
+    north = "y"
+    heading = { channel = "psi", unit = "deg" }
+    port = { channel = "f1", unit = "N", scale = 0.5 }
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.checks import nearest
+
+SCHEMA = "undertow/mapping/1"
+CommandPolicy = Literal["refuse", "hold", "gap"]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
+
+
+class Column(_Strict):
+    """One column: its channel value is ``scale * cell + offset`` in `unit`, converted to SI.
+
+    Attributes
+    ----------
+    channel : str
+        Name of the channel it becomes.
+    unit : str or None
+        Unit of the column; None: the SI unit of the channel.
+    scale, offset : float
+        Applied to the cell first; `offset` is in `unit`.
+    wrapped : bool or None
+        Whether the angle jumps by a turn and is to be unwrapped; None: only psi is.
+    optional : bool
+        Whether a log may lack this column.
+    """
+
+    channel: str = Field(min_length=1)
+    unit: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    wrapped: bool | None = None
+    optional: bool = False
+
+
+class Time(_Strict):
+    """The time column: name, unit (``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``) and an offset in s to add."""
+
+    column: str = "t"
+    unit: str = "s"
+    offset: float = 0.0
+
+
+class Frames(_Strict):
+    """The frames of the log.
+
+    Attributes
+    ----------
+    position : "NED" or "ENU"
+        Axes of x, y, z.
+    body : "FRD" or "FLU"
+        Axes of u … r and tau_X … tau_N.
+    attitude : "NED" or "ENU" or None
+        Whether phi, theta, psi turn FRD axes in NED (heading from north, clockwise) or FLU axes in ENU
+        (heading from east, anticlockwise); None: as the other two, which then must belong together.
+    """
+
+    position: Literal["NED", "ENU"] = "NED"
+    body: Literal["FRD", "FLU"] = "FRD"
+    attitude: Literal["NED", "ENU"] | None = None
+
+
+def _named(value: Any) -> Any:
+    """Let ``heading = "psi"`` stand for ``heading = { channel = "psi" }``."""
+    return {"channel": value} if isinstance(value, str) else value
+
+
+class Mapping(_Strict):
+    """A whole mapping file; see the module for an example.
+
+    Attributes
+    ----------
+    columns : dict
+        Column name to `Column` (or just to the channel name).
+    time, frames : Time, Frames
+        Time base and axes.
+    delimiter, decimal, comment : str
+        How the text is written; `comment` is a prefix of lines to skip.
+    missing : tuple of str or float
+        Texts and numbers that stand for a missing sample, besides empty cells and NaN.
+    ignore : tuple of str
+        Columns to leave out without a note.
+    missing_commands : "refuse", "hold" or "gap"
+        What to do where a command has no sample.
+    """
+
+    schema_: Literal["undertow/mapping/1"] = Field(alias="schema", default="undertow/mapping/1")
+    description: str = ""
+    columns: dict[str, Annotated[Column, BeforeValidator(_named)]] = {}
+    time: Time = Time()
+    frames: Frames = Frames()
+    delimiter: str = Field(default=",", min_length=1, max_length=1, pattern=r"[\x01-\x7f]")
+    decimal: Literal[".", ","] = "."
+    comment: str | None = Field(default=None, min_length=1, max_length=5)
+    missing: tuple[float | str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    missing_commands: CommandPolicy = "refuse"
+
+
+def read_mapping(path: str | Path) -> Mapping:
+    """Read a mapping file.
+
+    Parameters
+    ----------
+    path : path
+        TOML file with ``schema = "undertow/mapping/1"``.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is no TOML, has an unknown key (the nearest known one is named) or a wrong
+        value.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UndertowError(
+            f"mapping file {path}: {error.strerror}: give the path of a readable file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise UndertowError(
+            f"mapping file {path} is not UTF-8 text (byte {error.start}): save it as UTF-8"
+        ) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UndertowError(f"mapping file {path} is not valid TOML: {error or 'nested too deep'}") from error
+    if data.get("schema") != SCHEMA:
+        raise UndertowError(
+            f"mapping file {path} has schema {data.get('schema')!r}: write schema = {SCHEMA!r} on top"
+        )
+    try:
+        mapping = Mapping.model_validate(data)
+    except ValidationError as error:
+        raise UndertowError(f"mapping file {path}: {_first_fault(error)}") from error
+    _refuse_twins(mapping, path)
+    return mapping
+
+
+def _first_fault(error: ValidationError) -> str:
+    # An unknown key explains a missing one (chanel: channel is missing), so it is told first.
+    fault = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
+    place = [str(part) for part in fault["loc"]]
+    key = ".".join(place)
+    if fault["type"] == "extra_forbidden":
+        known = _keys_beside(place)
+        return f"unknown key {key!r}{nearest(place[-1], known)}: known here are {', '.join(known)}"
+    if fault["type"] == "missing":
+        return f"key {key!r} is missing: add it"
+    return f"{key} = {str(fault['input'])[:80]!r}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _keys_beside(place: list[str]) -> list[str]:
+    sections: dict[str, type[BaseModel]] = {"time": Time, "frames": Frames, "columns": Column}
+    model = Mapping if len(place) == 1 else sections[place[0]]
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _refuse_twins(mapping: Mapping, path: Path) -> None:
+    seen: dict[str, str] = {}
+    for name, column in mapping.columns.items():
+        if column.channel in seen:
+            raise UndertowError(
+                f"mapping file {path}: columns {seen[column.channel]!r} and {name!r} both become channel "
+                f"{column.channel!r}: name one of them under `ignore`"
+            )
+        seen[column.channel] = name

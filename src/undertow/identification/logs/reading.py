@@ -1,0 +1,232 @@
+"""From a file to a run: columns to channels, units and frames to the inside conventions, checks."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+from undertow.identification.logs import checks, frames
+from undertow.identification.logs.mapping import Column, CommandPolicy, Mapping
+from undertow.identification.logs.run import FORCES, UNITS, Run
+from undertow.identification.logs.table import file_bytes, is_dates, numbers, read_table, seconds
+from undertow.model.units import scale_offset, si_unit
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_EPOCH = (
+    1e8  # times beyond three years are dates counted from some epoch, and are counted from the first sample
+)
+
+Array = NDArray[np.float64]
+
+
+def read_log(
+    path: str | Path,
+    mapping: Mapping | None = None,
+    channels: Iterable[str] = (),
+    *,
+    window: tuple[float | None, float | None] = (None, None),
+    missing_commands: CommandPolicy | None = None,
+) -> Run:
+    """Read a log.
+
+    Parameters
+    ----------
+    path : path
+        CSV, CSV.gz or Parquet file.
+    mapping : Mapping, optional
+        What the columns mean; without it they must have the channel names and SI units of undertow.
+    channels : iterable of str
+        Names of the commands the vehicle needs; each must be in the log.
+    window : (t_min, t_max)
+        Keep samples of this time only, in s on the clock of the run; None: no limit.
+    missing_commands : "refuse", "hold" or "gap", optional
+        What to do where a command has no sample; the mapping says it otherwise, and refusing is the default.
+
+    Returns
+    -------
+    Run
+        In SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, or holds what no log may hold; the message names the place and the remedy.
+    """
+    path, mapping = Path(path), mapping or Mapping()
+    where = f"log {path}"
+    data = file_bytes(path)
+    table = read_table(data, mapping, where)
+    commands = list(dict.fromkeys(channels))
+    sources = _sources(table.columns, mapping, commands, where)
+    t, notes = _time(table, mapping, where)
+    run = Run(
+        name=path.name.split(".")[0],
+        t=t,
+        channels=_turned(
+            {
+                column.channel: _values(table, name, column, mapping, where)
+                for name, column in sources.items()
+            },
+            mapping,
+        ),
+        source=str(path),
+        sha256=hashlib.sha256(data).hexdigest(),
+        notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+    ).slice(*window)
+    run = _unwrapped(run, list(sources.values()))
+    return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where)
+
+
+def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where: str) -> dict[str, Column]:
+    """Say which columns are read, as what."""
+    _must_have(mapping.time.column, names, where, "time column")
+    for name, column in mapping.columns.items():
+        if not column.optional or column.channel in commands:
+            _must_have(name, names, where, f"column for channel {column.channel!r},")
+    found = {name: column for name, column in mapping.columns.items() if name in names}
+    taken = {column.channel for column in found.values()}
+    for name in names:
+        by_name = (name in UNITS or name in commands) and name not in taken and name not in mapping.ignore
+        if by_name and name not in found and name != mapping.time.column:
+            found[name] = Column(channel=name)
+    known = [column.channel for column in found.values()]
+    for name in commands:
+        _must_have(name, known, where, "command channel", names)
+    return found
+
+
+def _must_have(
+    name: str, names: Iterable[str], where: str, what: str, columns: Sequence[str] | None = None
+) -> None:
+    names = list(names)
+    if name not in names:
+        have = list(names if columns is None else columns)
+        hint = checks.nearest(name, have)
+        more = _delimiter_hint(have)
+        raise UndertowError(f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}")
+
+
+def _delimiter_hint(columns: Sequence[str]) -> str:
+    other = next((sign for sign in ";\t|" if len(columns) == 1 and sign in columns[0]), None)
+    return (
+        f" (one column: set delimiter = {other!r} in a mapping file)"
+        if other
+        else "; say in a mapping file which is meant"
+    )
+
+
+def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[Array, list[str]]:
+    spec, notes = mapping.time, []
+    if spec.unit == "iso" or is_dates(table, spec.column):
+        t, first = seconds(table, spec.column, where)
+        notes.append(f"time counts from {first}")
+    else:
+        scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
+        raw = numbers(table, spec.column, mapping, where)
+        # Subtract before scaling: seconds since 1970 in a float are good to 0.2 us only.
+        start = raw[0] if len(raw) and abs(scale * raw[0]) > _EPOCH else 0.0
+        t = scale * (raw - start) + offset
+        notes += [f"time counts from the first sample, {start:.17g} {spec.unit} in the file"] if start else []
+    checks.check_time(t, spec.column, where)
+    return t + spec.offset, notes
+
+
+def _values(table: pl.DataFrame, name: str, column: Column, mapping: Mapping, where: str) -> Array:
+    scale, offset = _to_si(name, column, where)
+    return scale * numbers(table, name, mapping, where) + offset
+
+
+def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
+    """Return scale and offset from the cell to the channel."""
+    scale, offset = 1.0, 0.0
+    if column.unit is not None:
+        wanted = UNITS.get(column.channel) or si_unit(column.unit)
+        scale, offset = scale_offset(
+            column.unit, wanted, of=f"{where}: unit {column.unit!r} of column {name!r}"
+        )
+    return scale * column.scale, scale * column.offset + offset
+
+
+def _turned(channels: frames.Channels, mapping: Mapping) -> frames.Channels:
+    """Bring channels from the frames of the log to NED and forward-starboard-down."""
+    spec = mapping.frames
+    if spec.position == "ENU":
+        channels = frames.swap_position(channels)
+    if spec.body == "FLU":
+        channels = frames.swap_body(channels)
+    return frames.swap_attitude(channels) if _attitude(mapping) == "ENU" else channels
+
+
+def _attitude(mapping: Mapping) -> str:
+    spec = mapping.frames
+    if spec.attitude is None and (spec.position == "ENU") != (spec.body == "FLU"):
+        raise UndertowError(
+            f"frames: position {spec.position} with body {spec.body} does not say how angles count: add "
+            "attitude = "
+            '"NED" (heading from north, clockwise) or attitude = "ENU" (heading from east, anticlockwise)'
+        )
+    return spec.attitude or spec.position
+
+
+def _unwrapped(run: Run, columns: Iterable[Column]) -> Run:
+    asked = {column.channel: column.wrapped for column in columns}
+    angles = [
+        name for name in run.channels if asked.get(name) or (name == "psi" and asked.get(name) is not False)
+    ]
+    return replace(run, channels={**run.channels, **{name: _unwrap(run.channels[name]) for name in angles}})
+
+
+def _unwrap(angle: Array) -> Array:
+    """Unwrap over the samples there are; missing ones stay missing."""
+    result, there = angle.copy(), np.isfinite(angle)
+    result[there] = np.unwrap(angle[there])
+    return result
+
+
+def _conversions(sources: dict[str, Column], mapping: Mapping, where: str) -> list[str]:
+    factors = {name: _to_si(name, column, where) for name, column in sources.items()}
+    changed = [
+        f"{sources[name].channel} = {scale:.9g} {name}" + (f" + {offset:.9g}" if offset else "")
+        for name, (scale, offset) in factors.items()
+        if (scale, offset) != (1.0, 0.0)
+    ]
+    notes = [f"converted: {', '.join(changed)}"] if changed else []
+    spec = mapping.frames
+    if "ENU" in (spec.position, _attitude(mapping)) or spec.body == "FLU":
+        notes.append(
+            f"turned to NED/FRD from position {spec.position}, attitude {_attitude(mapping)}, body "
+            f"{spec.body}"
+        )
+    return notes
+
+
+def _unused(names: Sequence[str], sources: dict[str, Column], mapping: Mapping) -> list[str]:
+    used = {*sources, *mapping.ignore, mapping.time.column}
+    left = [name for name in names if name not in used]
+    return [f"columns not used: {', '.join(left)}"] if left else []
+
+
+def _checked(run: Run, commands: Iterable[str], policy: str, where: str) -> Run:
+    if len(run.t) < 2:
+        raise UndertowError(f"{where} has one sample in the time window, at least 2 are needed: widen it")
+    for name, data in run.channels.items():
+        checks.check_channel(name, run.t, data, where)
+    notes, filled = [], dict(run.channels)
+    for name in commands:
+        if run.has(name):
+            filled[name], note = checks.fill_commands(name, run.t, filled[name], policy, where)
+            notes += [note] if note else []
+    constant = checks.constant_channels(run)
+    if constant:
+        told = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
+        notes.append(f"constant channels (not used, or a dead sensor): {told}")
+    return replace(run, channels=filled).noted(*notes)

@@ -1,0 +1,148 @@
+"""A run: one stretch of measurement on one clock, in SI, with its gaps left open."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+
+POSE = ("x", "y", "z", "phi", "theta", "psi")
+VELOCITY = ("u", "v", "w", "p", "q", "r")
+FORCES = ("tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N")
+UNITS = dict(
+    zip(
+        POSE + VELOCITY + FORCES,
+        ["m"] * 3 + ["rad"] * 3 + ["m/s"] * 3 + ["rad/s"] * 3 + ["N"] * 3 + ["N m"] * 3,
+        strict=True,
+    )
+)
+_GAP = 5.0  # a step this many times the median step ends a segment
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One log on one clock.
+
+    Attributes
+    ----------
+    name : str
+        What reports call the run.
+    t : (n,) array
+        Time in s, strictly increasing, in general not evenly spaced.
+    channels : dict of (n,) arrays
+        SI values by channel name (``x y z phi theta psi u v w p q r``, thruster names, ``tau_X`` …);
+        NED and forward-starboard-down axes; NaN where a sample is missing. Arrays are read-only.
+    source, sha256 : str
+        The file the run was read from, and the hash of its bytes.
+    notes : tuple of str
+        What was converted, dropped or looked odd, one line each.
+    sigma : dict of float
+        Known standard deviations of the noise of channels, in the unit of the channel.
+    derived : frozenset of str
+        Names of channels computed from others (velocities from pose).
+    """
+
+    name: str
+    t: NDArray[np.float64]
+    channels: Mapping[str, NDArray[np.float64]]
+    source: str = ""
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    derived: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", _frozen(self.t))
+        object.__setattr__(self, "channels", {name: _frozen(data) for name, data in self.channels.items()})
+        for name, data in self.channels.items():
+            if data.shape != self.t.shape:
+                raise UndertowError(
+                    f"run {self.name!r}: channel {name!r} has shape {data.shape}, t has {self.t.shape}: "
+                    "give one sample per time"
+                )
+
+    def has(self, name: str) -> bool:
+        """Tell whether the run has a channel of this name."""
+        return name in self.channels
+
+    def matrix(self, names: Iterable[str]) -> NDArray[np.float64]:
+        """Return channels side by side.
+
+        Parameters
+        ----------
+        names : iterable of str
+            k channel names.
+
+        Returns
+        -------
+        (n, k) array
+
+        Raises
+        ------
+        UndertowError
+            If the run lacks one of them.
+        """
+        wanted = list(names)
+        for name in wanted:
+            if not self.has(name):
+                have = ", ".join(self.channels) or "no channel"
+                raise UndertowError(f"run {self.name!r} has no channel {name!r}: it has {have}")
+        return (
+            np.column_stack([self.channels[name] for name in wanted])
+            if wanted
+            else np.empty((len(self.t), 0))
+        )
+
+    def slice(self, t_min: float | None = None, t_max: float | None = None) -> Run:
+        """Return the samples with ``t_min <= t <= t_max`` as a run of its own (None: no limit).
+
+        Raises
+        ------
+        UndertowError
+            If no sample is left.
+        """
+        low, high = (-np.inf if t_min is None else t_min), (np.inf if t_max is None else t_max)
+        keep = (self.t >= low) & (self.t <= high)
+        if not keep.any():
+            raise UndertowError(
+                f"run {self.name!r} has no sample in the time window {low:g} to {high:g} s: "
+                f"it lasts from {self.t[0]:g} to {self.t[-1]:g} s"
+            )
+        return replace(
+            self, t=self.t[keep], channels={name: data[keep] for name, data in self.channels.items()}
+        )
+
+    def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
+        """Return index slices without a time step longer than five median steps.
+
+        Parameters
+        ----------
+        names : iterable of str
+            If given, a sample where one of these channels is missing also ends a segment.
+
+        Returns
+        -------
+        list of slice
+            In order of time; each holds at least one sample.
+        """
+        whole = np.asarray(np.isfinite(self.matrix(names)).all(axis=1))
+        step = np.diff(self.t)
+        together = step <= _GAP * np.median(step) if len(step) else np.empty(0, dtype=bool)
+        joined = np.concatenate([[False], together & whole[1:] & whole[:-1], [False]])
+        starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
+        return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
+
+    def noted(self, *notes: str) -> Run:
+        """Return the run with lines added to its notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+
+def _frozen(data: object) -> NDArray[np.float64]:
+    array = np.array(data, dtype=float)
+    array.setflags(write=False)
+    return array
