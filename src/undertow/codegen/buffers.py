@@ -1,0 +1,55 @@
+"""Fast calls of CasADi functions from NumPy arrays."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+
+class Evaluator:
+    """A CasADi function evaluated through its buffer for a fixed number of runs at once.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        The function.
+    batch : int
+        Number of evaluations in one call.
+    """
+
+    def __init__(self, function: ca.Function, batch: int = 1) -> None:
+        mapped = function.map(batch) if batch > 1 else function
+        self._batch = batch
+        self._buffer, self._call = mapped.buffer()
+        # CasADi stores columns one after the other, so a run is a row of these arrays.
+        self._inputs = [np.zeros((batch, function.nnz_in(i))) for i in range(function.n_in())]
+        self._outputs = [np.zeros((batch, function.nnz_out(i))) for i in range(function.n_out())]
+        for i, array in enumerate(self._inputs):
+            self._buffer.set_arg(i, memoryview(array.data))
+        for i, array in enumerate(self._outputs):
+            self._buffer.set_res(i, memoryview(array.data))
+        self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
+
+    def __call__(self, *inputs: np.ndarray) -> list[np.ndarray]:
+        """Outputs of shape (batch, rows, columns) for inputs of shape (batch or 1, size)."""
+        for array, given in zip(self._inputs, inputs, strict=True):
+            array[:] = given
+        self._call()
+        return [place.dense(values) for place, values in zip(self._places, self._outputs, strict=True)]
+
+
+class _Places:
+    """Where the nonzeros of an output belong."""
+
+    def __init__(self, sparsity: ca.Sparsity) -> None:
+        self._shape = sparsity.shape
+        self._full = sparsity.is_dense()
+        self._rows, self._columns = sparsity.get_triplet()
+
+    def dense(self, nonzeros: np.ndarray) -> np.ndarray:
+        rows, columns = self._shape
+        if self._full:
+            return nonzeros.reshape(-1, columns, rows).transpose(0, 2, 1).copy()
+        result = np.zeros((len(nonzeros), rows, columns))
+        result[:, self._rows, self._columns] = nonzeros
+        return result

@@ -1,0 +1,143 @@
+"""Where compiled libraries are kept between runs, and when one is trusted."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import json
+import logging
+import os
+import shutil
+import stat
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from undertow.errors import UndertowError
+
+from .compiler import Compiler
+from .source import digest
+
+_LOG = logging.getLogger("undertow")
+_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+
+
+def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
+    """Path of the shared library of a C source, from the cache or compiled now.
+
+    A library is taken from the cache only if the manifest beside it names this source and this compiler, and the
+    library's own hash fits; otherwise it is built again. Processes may race: files appear whole, under names that
+    carry their hashes.
+
+    Parameters
+    ----------
+    source : str
+        C source.
+    compiler : Compiler
+        Compiler to use.
+    folder : Path, optional
+        Folder of the cache; by default the user's own.
+
+    Raises
+    ------
+    UndertowError
+        If the compiler fails or there is no room.
+    """
+    place = folder or cache_folder()
+    expected = {"source": digest(source), "compiler": compiler.identity}
+    manifest = place / f"{digest(json.dumps(expected))[:24]}.json"
+    known = _trusted(manifest, expected)
+    if known is None:
+        _LOG.info("compiling %d lines of C with %s", source.count("\n"), compiler.command[0])
+        known = _build(source, compiler, manifest, expected)
+    return known
+
+
+def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
+    """The library of a manifest, if both are what they should be."""
+    try:
+        found = json.loads(manifest.read_text(encoding="utf-8"))
+        library = manifest.parent / f"{manifest.stem}-{str(found['library'])[:16]}{_SUFFIX}"
+        fits = {k: found[k] for k in expected} == expected and _sha256(library) == found["library"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return library if fits else None
+
+
+def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, str]) -> Path:
+    try:
+        with tempfile.TemporaryDirectory(prefix="build-", dir=manifest.parent) as name:
+            workshop = Path(name)
+            (workshop / "model.c").write_text(source, encoding="utf-8")
+            built = workshop / f"model{_SUFFIX}"
+            compiler.build(workshop / "model.c", built)
+            found = _sha256(built)
+            library = manifest.parent / f"{manifest.stem}-{found[:16]}{_SUFFIX}"
+            os.replace(built, library)
+            (workshop / "manifest.json").write_text(json.dumps({**expected, "library": found}), encoding="utf-8")
+            os.replace(workshop / "manifest.json", manifest)
+    except OSError as error:
+        raise UndertowError(f"cannot keep compiled code in '{manifest.parent}': {error}; free it or set XDG_CACHE_HOME") from error
+    return library
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- the folder ---------------------------------------------------------------------------------
+
+
+def cache_folder() -> Path:
+    """The user's own folder for compiled libraries, or a private temporary one where that cannot be trusted."""
+    wanted = _user_cache() / "undertow"
+    reason = _unsafe(wanted)
+    if reason is None:
+        return wanted
+    return _private_folder(f"cache folder '{wanted}' {reason}")
+
+
+def _user_cache() -> Path:
+    configured = os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
+    # The XDG specification has relative paths ignored.
+    return Path(configured) if os.path.isabs(configured) else Path.home() / ".cache"
+
+
+def _unsafe(folder: Path) -> str | None:
+    """Why nothing in this folder can be trusted, or None; the folder is made if it is missing."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        return f"cannot be used ({error.strerror})"
+    if not stat.S_ISDIR(found.st_mode):
+        return "is not a folder of its own"
+    if sys.platform == "win32":
+        return None
+    if found.st_uid != os.geteuid():
+        return f"belongs to user {found.st_uid}"
+    if found.st_mode & 0o022:
+        return f"can be written by others (mode {stat.S_IMODE(found.st_mode):o})"
+    if not os.access(folder, os.W_OK):
+        return "cannot be written"
+    return next(filter(None, map(_replaceable, folder.parents)), None)
+
+
+def _replaceable(parent: Path) -> str | None:
+    """Why somebody else could put another folder in the place of one in `parent`, or None."""
+    found = parent.stat()
+    if found.st_mode & 0o002 and not found.st_mode & stat.S_ISVTX:
+        return f"lies in '{parent}', which everybody can write"
+    if found.st_uid not in (0, os.geteuid()):
+        return f"lies in '{parent}', which belongs to user {found.st_uid}"
+    return None
+
+
+@cache
+def _private_folder(reason: str) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="undertow-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    _LOG.warning("%s: compiled code is kept in a private folder for this run only", reason)
+    return folder

@@ -1,0 +1,124 @@
+"""Finding a C compiler and building a shared library with it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from undertow.errors import UndertowError
+
+_LOG = logging.getLogger("undertow")
+_CANDIDATES = ("cl",) if sys.platform == "win32" else ("cc", "gcc", "clang")
+_GNU_FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-w")
+_MSVC_FLAGS = ("/nologo", "/O1", "/fp:precise", "/LD", "/w")
+_TIME_LIMIT = 600.0
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler on this machine.
+
+    Attributes
+    ----------
+    command : tuple of str
+        How it is called.
+    version : str
+        First line of what it says about itself.
+    """
+
+    command: tuple[str, ...]
+    version: str
+
+    @property
+    def is_msvc(self) -> bool:
+        """Whether it takes the options of Microsoft's compiler."""
+        return Path(self.command[0]).stem.lower() == "cl"
+
+    @property
+    def identity(self) -> str:
+        """Compiler and options, as a text; libraries of another identity are not used."""
+        return " | ".join([" ".join(self.command), self.version, " ".join(self._flags)])
+
+    @property
+    def _flags(self) -> tuple[str, ...]:
+        # No -ffast-math and no contraction: compiled code and the virtual machine have to agree to the last digits.
+        return _MSVC_FLAGS if self.is_msvc else _GNU_FLAGS
+
+    def build(self, source: Path, library: Path) -> None:
+        """Compile `source` to the shared library `library`; both lie in one folder.
+
+        Raises
+        ------
+        UndertowError
+            If the compiler fails; the first line of its complaint is given.
+        """
+        target = [f"/Fe{library.name}"] if self.is_msvc else ["-o", library.name]
+        libraries = [] if self.is_msvc else ["-lm"]
+        done = _run([*self.command, *self._flags, *target, source.name, *libraries], source.parent)
+        if done.returncode or not library.is_file():
+            said = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
+            raise UndertowError(
+                f"the C compiler '{' '.join(self.command)}' failed with code {done.returncode}: {said[0][:200]}; repair it, "
+                "or set UNDERTOW_NO_COMPILER=1"
+            )
+
+
+def find_compiler() -> Compiler | None:
+    """The C compiler to use, or None.
+
+    UNDERTOW_CC names one ("ccache gcc"); UNDERTOW_NO_COMPILER=1 says that there is none.
+
+    Raises
+    ------
+    UndertowError
+        If UNDERTOW_CC names something that does not run.
+    """
+    if os.environ.get("UNDERTOW_NO_COMPILER", "0") not in ("", "0"):
+        return None
+    return _found(os.environ.get("UNDERTOW_CC", ""), os.environ.get("PATH", ""))
+
+
+@cache
+def _found(wanted: str, path: str) -> Compiler | None:
+    commands = [tuple(shlex.split(wanted))] if wanted else [(c,) for c in _CANDIDATES]
+    for command in commands:
+        version = _version(command, path)
+        if version:
+            return Compiler(command, version)
+    if wanted:
+        raise UndertowError(f"UNDERTOW_CC = '{wanted}' is not a C compiler that runs: correct it or unset it")
+    return None
+
+
+def _version(command: tuple[str, ...], path: str) -> str:
+    if not command or shutil.which(command[0], path=path) is None:
+        return ""
+    question = [] if Path(command[0]).stem.lower() == "cl" else ["--version"]
+    try:
+        answer = _run([*command, *question], Path.cwd())
+    except UndertowError:
+        return ""
+    lines = (answer.stdout or answer.stderr).splitlines()
+    return lines[0].strip() if lines and answer.returncode == 0 else ""
+
+
+def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, errors="replace", timeout=_TIME_LIMIT, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UndertowError(f"the C compiler '{command[0]}' cannot be run: {error}") from error
+
+
+@cache
+def say_virtual_machine(reason: str) -> None:
+    """Say, once, that the CasADi virtual machine runs in place of compiled code."""
+    _LOG.warning("%s: the CasADi virtual machine runs instead of compiled code (same results, slower)", reason)

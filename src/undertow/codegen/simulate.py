@@ -1,0 +1,192 @@
+"""Simulation of logs, with exact sensitivities, in one call into compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from undertow.errors import UndertowError
+
+from .compiler import find_compiler, say_virtual_machine
+from .functions import Functions
+from .stepping import Array, CompiledStepper, Problem, Stepper, VirtualStepper
+
+# Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
+_STEPS_PER_CALL = 200_000
+
+
+class Simulator:
+    """Simulates a vehicle over a log by fourth-order Runge-Kutta with inputs held between samples.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    compiled : bool, optional
+        True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
+        compiled code is used where a compiler is found, and one logged line says so where none is.
+
+    Raises
+    ------
+    UndertowError
+        If `compiled` is True and there is no C compiler or it fails.
+    """
+
+    def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
+        self._functions = functions
+        self._wish = compiled
+        self._steppers: dict[bool, Stepper] = {False: self._stepper(sensitivities=False)}
+
+    @property
+    def compiled(self) -> bool:
+        """Whether compiled code runs."""
+        return isinstance(self._steppers[False], CompiledStepper)
+
+    def _stepper(self, *, sensitivities: bool) -> Stepper:
+        if self._wish is False:
+            return VirtualStepper(self._functions, sensitivities=sensitivities)
+        try:
+            compiler = find_compiler()
+            if compiler is None:
+                raise UndertowError("no C compiler found")
+            return CompiledStepper(self._functions, compiler, sensitivities=sensitivities)
+        except UndertowError as error:
+            if self._wish:
+                raise
+            say_virtual_machine(str(error))
+            return VirtualStepper(self._functions, sensitivities=sensitivities)
+
+    # --- runs ---------------------------------------------------------------------------------
+    def run(self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05) -> Array:
+        """Simulate one run, or a batch of runs.
+
+        Parameters
+        ----------
+        x0 : ndarray, shape (nx,) or (b, nx)
+            Initial states.
+        t : ndarray, shape (n,) or (b, n)
+            Times of the samples in s, not decreasing; intervals may differ.
+        u : ndarray, shape (n, nu) or (b, n, nu)
+            Inputs; u[i] is held over [t[i], t[i+1]).
+        p : ndarray, shape (np,) or (b, np)
+            Parameters.
+        max_step : float
+            Longest Runge-Kutta step, s.
+
+        Returns
+        -------
+        ndarray, shape (n, nx) or (b, n, nx)
+            States at the samples; NaN from the first sample on where a run has diverged.
+
+        Raises
+        ------
+        UndertowError
+            If a shape does not fit, or the times are not finite or decrease.
+        """
+        problem = self._problem(x0, t, u, p, max_step)
+        self._advance(problem, sensitivities=False)
+        return problem.x[0] if np.ndim(x0) == 1 else problem.x
+
+    def run_with_sensitivities(
+        self,
+        x0: Array,
+        t: Array,
+        u: Array,
+        p: Array,
+        wrt: Sequence[int],
+        *,
+        initial: Sequence[int] = (),
+        max_step: float = 0.05,
+    ) -> tuple[Array, Array]:
+        """Simulate and differentiate: exact derivatives of the discrete Runge-Kutta solution.
+
+        Parameters
+        ----------
+        x0, t, u, p, max_step
+            As for `run`.
+        wrt : sequence of int
+            Indices of the parameters to differentiate by.
+        initial : sequence of int
+            Indices of the states whose initial values are differentiated by, too.
+
+        Returns
+        -------
+        x : ndarray, shape (..., n, nx)
+            States.
+        s : ndarray, shape (..., n, nx, len(wrt) + len(initial))
+            Derivatives of the states, parameters first.
+
+        Raises
+        ------
+        UndertowError
+            As for `run`, and for an index that does not exist.
+        """
+        problem = self._problem(x0, t, u, p, max_step)
+        _start_sensitivities(problem, list(wrt), list(initial))
+        self._advance(problem, sensitivities=True)
+        assert problem.s is not None
+        return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
+
+    def _advance(self, problem: Problem, *, sensitivities: bool) -> None:
+        if sensitivities not in self._steppers:
+            self._steppers[sensitivities] = self._stepper(sensitivities=sensitivities)
+        stepper = self._steppers[sensitivities]
+        cost = np.cumsum(problem.steps.max(axis=0, initial=1)) * len(problem.x)
+        chunks = np.searchsorted(cost, np.arange(0, cost[-1] if cost.size else 0, _STEPS_PER_CALL), side="right")
+        ends = [*map(int, chunks[1:]), problem.t.shape[1] - 1]
+        first = 0
+        for last in ends:
+            stepper.advance(problem, first, last)
+            first = last
+
+    # --- input --------------------------------------------------------------------------------
+    def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
+        functions = self._functions
+        nx, nu, n_parameters = len(functions.state_names), functions.u.numel(), functions.p.numel()
+        start = _checked("x0", x0, (nx,))
+        batch = len(start)
+        times = _checked("t", t, (None,), batch)
+        samples = times.shape[1]
+        if not samples:
+            raise UndertowError("t holds no samples: give at least the time of the initial state")
+        inputs = _checked("u", u, (samples, nu), batch)
+        parameters = _checked("p", p, (n_parameters,), batch)
+        x = np.empty((batch, samples, nx))
+        x[:, :1] = start[:, None]
+        return Problem(times, _steps(times, max_step), inputs, parameters, x, np.empty(0, dtype=np.int64))
+
+
+def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int | None = None) -> Array:
+    """The array as contiguous floats with a leading size of one or of the batch."""
+    values = np.ascontiguousarray(array, dtype=float)
+    if values.ndim == len(shape):
+        values = values[None]
+    fits = values.ndim == len(shape) + 1 and all(b in (None, a) for a, b in zip(values.shape[1:], shape, strict=True))
+    if not fits or (batch is not None and values.shape[0] not in (1, batch)):
+        wanted = ", ".join("n" if s is None else str(s) for s in shape)
+        runs = "" if batch is None else f" for each of {batch} runs"
+        raise UndertowError(f"{name} has shape {np.shape(array)}: give ({wanted}){runs}")
+    return values
+
+
+def _steps(t: Array, max_step: float) -> Array:
+    if not max_step > 0:
+        raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
+    intervals = np.diff(t, axis=1)
+    if not (np.isfinite(t).all() and (intervals >= 0).all()):
+        raise UndertowError("times of the samples are not finite or go back: sort the log and drop samples without a time")
+    # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
+    return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)
+
+
+def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -> None:
+    batch, samples, nx = problem.x.shape
+    for name, indices, size in (("wrt", wrt, problem.p.shape[1]), ("initial", initial, nx)):
+        beyond = [i for i in indices if not 0 <= i < size]
+        if beyond:
+            raise UndertowError(f"{name} holds index {beyond[0]}, but there are {size}: give indices from 0 to {size - 1}")
+    problem.wrt = np.array([*wrt, *[-1] * len(initial)], dtype=np.int64)
+    problem.s = np.zeros((batch, samples, nx, problem.wrt.size))
+    for k, i in enumerate(initial, start=len(wrt)):
+        problem.s[:, 0, i, k] = 1.0

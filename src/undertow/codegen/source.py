@@ -1,0 +1,36 @@
+"""C source of CasADi functions, as text that depends on nothing but the model."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+
+import casadi as ca
+
+_UNUSED = re.compile(r"^((?:static |CASADI_SYMBOL_EXPORT )?int \w+\(const casadi_real\*\* arg.*int mem\) ?\{)$", re.MULTILINE)
+_RELEASE = re.compile(r"^(CASADI_SYMBOL_EXPORT void \w+_release\(int mem\) \{)$", re.MULTILINE)
+
+
+def c_source(function: ca.Function) -> str:
+    """C source of one function, without compiler warnings."""
+    generator = ca.CodeGenerator("undertow_model.c", {"verbose": False})
+    generator.add(function)
+    text = generator.dump()
+    text = _UNUSED.sub(r"\1\n  (void)iw;\n  (void)w;\n  (void)mem;", text)
+    return _RELEASE.sub(r"\1\n  (void)mem;", text)
+
+
+def with_unique_symbols(source: str, names: Sequence[str]) -> tuple[str, str]:
+    """The source with the exported `names` prefixed by its own hash, and the prefix.
+
+    Two libraries in one process may then hold functions of the same kind without meeting.
+    """
+    prefix = f"undertow_{digest(source)[:16]}_"
+    exported = "|".join(map(re.escape, names))
+    return re.sub(rf"\b(?=(?:{exported})(?:_[a-z]+)*\b)", prefix, source), prefix
+
+
+def digest(text: str) -> str:
+    """SHA-256 of a text, hexadecimal."""
+    return hashlib.sha256(text.encode()).hexdigest()
