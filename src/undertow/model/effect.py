@@ -64,9 +64,24 @@ class Effect(abc.ABC):
         return ()
 
     @property
+    def state_units(self) -> tuple[str, ...]:
+        """Unit of each of the effect's own states."""
+        return ("1",) * len(self.states)
+
+    @property
     def state_symbols(self) -> sm.Matrix:
         """Symbols of the effect's own states, shape (n, 1)."""
         return column(self.states)
+
+    @property
+    def constants(self) -> dict[sm.Symbol, str]:
+        """Symbols, with units, that stand for numbers of the hardware on a `specimen`."""
+        return {}
+
+    @classmethod
+    def specimen(cls) -> Effect:
+        """An instance to look at and to check, as it would be on a vehicle with two thrusters."""
+        return cls(("port", "starboard"))
 
     @classmethod
     def about(cls) -> str:
@@ -83,13 +98,10 @@ class Wrench(Effect):
         Claims that the effect never feeds power into the vehicle in still water.
     workless : bool
         Claims that its power is identically zero (Coriolis terms).
-    state_unit : str
-        Unit of the effect's own states, where it has any.
     """
 
     dissipative: ClassVar[bool] = False
     workless: ClassVar[bool] = False
-    state_unit: ClassVar[str] = "1"
 
     @abc.abstractmethod
     def wrench(self, s: Signals) -> sm.Matrix:
@@ -125,6 +137,11 @@ class Actuation(Effect):
 
     family = "actuation"
     stage: ClassVar[int] = 10
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Unit of each of the step's own states: that of the command, unless the step says otherwise."""
+        return ("command",) * len(self.states)
 
     @abc.abstractmethod
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:

@@ -37,6 +37,9 @@ class Parameter:
         True where a vehicle file must give the value, since no vehicle has none.
     motion : int, optional
         Velocity whose sign selects the forward or the backward value, where the two may differ.
+    neutral : float, optional
+        Value at which the effect is absent; None for a parameter that cannot switch the effect off (a time
+        constant, a smoothing width).
     on_left_side : bool
         True for a derivative that tables print as a positive magnitude (added mass, damping on the left-hand side).
     """
@@ -49,6 +52,7 @@ class Parameter:
     starts: tuple[float, ...] = ()
     required: bool = False
     motion: int | None = None
+    neutral: float | None = 0.0
     on_left_side: bool = False
     name: str = field(default="", kw_only=True)
 
@@ -132,9 +136,9 @@ class DerivativeMatrix:
         return tuple(self._entry(i, j) for i, j in self.entries)
 
     def _entry(self, i: int, j: int) -> Parameter:
-        force = "N" if i < 3 else "N m"
+        force, per = ("N" if i < 3 else "N m"), self.motion_unit[j > 2]
         return Parameter(
-            unit=f"{force}/({self.motion_unit[j > 2]})",
+            unit=force if per == "1" else f"{force}/({per})",
             about=self.about.format(force=_axis(i), motion=DOFS[j]),
             bounds=self.bounds,
             motion=j if self.directional else None,

@@ -23,8 +23,12 @@ class DryFriction(Wrench):
     coefficients = DerivativeMatrix(
         "{F}_sign{m}", ("1", "1"), DIAGONAL, "{force} against {motion}, whatever the speed", bounds=(-inf, 0)
     )
-    friction_speed = Parameter("m/s", "speed at which friction is fully there", (1e-4, 1.0), linear=False, default=0.02)
-    friction_rate = Parameter("rad/s", "the same for rotations", (1e-4, 1.0), linear=False, default=0.02)
+    friction_speed = Parameter(
+        "m/s", "speed at which friction is fully there", (1e-4, 1.0), linear=False, default=0.02, neutral=None
+    )
+    friction_rate = Parameter(
+        "rad/s", "the same for rotations", (1e-4, 1.0), linear=False, default=0.02, neutral=None
+    )
 
     def wrench(self, s: Signals) -> sm.Matrix:
         scale = [self.friction_speed if i < 3 else self.friction_rate for i in range(len(VELOCITY))]

@@ -19,16 +19,20 @@ class RadiationMemory(Wrench):
     family = "memory"
     reference = "Cummins (1962) impulse-response equation with a one-state kernel; Fossen (2021), chapter 5"
     signature = "after a stop or a reversal the force depends on how the vehicle moved before"
-    state_unit = "m"
-
     coefficients = DerivativeMatrix(
         "{F}_mem{m}", ("m", "rad"), DIAGONAL, "{force} per remembered {motion} displacement"
     )
-    T_memory = Parameter("s", "time constant of the memory", (0.05, 200.0), linear=False, starts=(0.5, 2.0, 8.0))
+    T_memory = Parameter(
+        "s", "time constant of the memory", (0.05, 200.0), linear=False, starts=(0.5, 2.0, 8.0), neutral=None
+    )
 
     @property
     def states(self) -> tuple[str, ...]:
         return tuple(f"memory_{v}" for v in VELOCITY)
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        return ("m",) * 3 + ("rad",) * 3
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return self.coefficients * self.state_symbols
