@@ -143,7 +143,8 @@ class Composition:
             rates.update(zip(states, effect.rates(value, self.signals), strict=True))
             rest.update(zip(states, effect.rest_state(value).xreplace(rest), strict=True))
             value = effect.output(value, self.signals)
-        return value, rates, rest
+        # A step may feel the flow past the thruster (thrust loss), so it is reduced like a wrench.
+        return self.reduce(value), {x: self.reduce(r) for x, r in rates.items()}, rest
 
     @cached_property
     def dead_time(self) -> sm.Expr:
