@@ -32,7 +32,7 @@ def registry() -> UnitRegistry:
     """Return the one pint registry of the program; pint is slow to import and comes in on first use."""
     import pint
 
-    units = pint.UnitRegistry()
+    units: UnitRegistry = pint.UnitRegistry()
     # What a command is measured in is the thruster's own affair: a dimension that cancels only against itself.
     units.define("command = [command]")
     return units
@@ -85,7 +85,7 @@ def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, flo
     source, target = _unit(unit_from), _unit(unit_to)
     if source.dimensionality != target.dimensionality:
         found = "no unit" if source.dimensionless else f"the dimension {source.dimensionality}"
-        wanted = "a pure number" if target.dimensionless else f"{unit_to} ({target.dimensionality})"
+        wanted = "a pure number" if unit_to.strip() in ("", "1") else f"{unit_to} ({target.dimensionality})"
         raise UndertowError(
             f"{of or repr(unit_from)} has {found}, but {wanted} is wanted: use a fitting unit"
         )
@@ -110,7 +110,7 @@ def same_dimension(first: str, second: str) -> bool:
 
 
 def dimensionality(unit: str) -> UnitsContainer:
-    """Return the dimension of a unit text, with `*`, `/` and `**` like a unit; a pure number has an empty one.
+    """Return the dimension of a unit text, with `*`, `/`, `**` like a unit; a pure number has an empty one.
 
     Raises
     ------

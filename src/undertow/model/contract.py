@@ -1,0 +1,211 @@
+"""The contract of effects: everything that must be true of one before a model is built from it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from undertow.errors import UndertowError
+
+from . import laws
+from .catalogue import Catalogue, catalogue
+from .dimensions import dimension
+from .effect import Effect, Wrench, kind_of
+from .parameter import Parameter
+from .statement import Statement, statement_of
+from .symbols import signal_units, signals
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of one check.
+
+    Attributes
+    ----------
+    check : str
+        Id of the check.
+    ok : bool
+        Whether the effect passes.
+    message : str
+        What holds, or what does not and how to mend it; one line.
+    """
+
+    check: str
+    ok: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class _Law:
+    check: str
+    holds: str
+    complaints: Callable[[Statement], Iterator[str]]
+    applies: Callable[[Statement], bool] = lambda s: True
+
+
+def _is(*kinds: str) -> Callable[[Statement], bool]:
+    return lambda s: s.kind in kinds
+
+
+_LAWS = (
+    _Law(
+        "symbols",
+        "stated in signals, own and shared parameters, and own states only",
+        laws.only_known_symbols,
+    ),
+    _Law("parameters", "every parameter occurs in the physics", laws.parameters_used),
+    _Law("units", "every term of every row has the right unit", laws.units_fit),
+    _Law("zero", "changes nothing where its parameters are neutral", laws.absent_at_neutral),
+    _Law("rest", "states are at rest where rest_state() says so", laws.rests_at_rest, _is("actuation")),
+    _Law(
+        "linearity", "linear parameters are linear together, the others are not", laws.linearity_as_declared
+    ),
+    _Law(
+        "affine", "what is reported is affine in pose and velocity", laws.affine_in_motion, _is("measurement")
+    ),
+    _Law("rate", "acceleration is the derivative of velocity", laws.rate_is_derivative, _is("flow")),
+    _Law("symmetry", "its part of the mass matrix is symmetric", laws.inertia_symmetric, laws.accelerates),
+    _Law("inertia", "its part of the mass matrix is positive", laws.inertia_positive, laws.has_own_inertia),
+    _Law("workless", "its power is identically zero", laws.no_work, lambda s: laws.claims(s, "workless")),
+    _Law("dissipative", "it never feeds power in", laws.never_feeds, lambda s: laws.claims(s, "dissipative")),
+)
+
+
+def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Finding]:
+    """Check an effect class against the contract.
+
+    Parameters
+    ----------
+    cls : type of Effect
+        A concrete effect class.
+    known : mapping, optional
+        The other effects that it will stand beside; the catalogue when not given.
+
+    Returns
+    -------
+    list of Finding
+        One finding for every check that passes, and one for every complaint of those that fail. Without
+        a usable statement only the checks of the declaration are there.
+    """
+    beside = catalogue() if known is None else known
+    findings = [
+        f for check, holds, complaints in _declaration(cls, beside) for f in _found(check, holds, complaints)
+    ]
+    if not all(f.ok for f in findings):
+        return findings
+    try:
+        statement = statement_of(cls.specimen(), beside)
+    except UndertowError as error:
+        return [*findings, Finding("shape", False, str(error))]
+    findings.append(Finding("shape", True, "every part is a column of the right length"))
+    symbols = _law_findings(_LAWS[0], statement)
+    if not symbols[0].ok:  # unknown symbols have no value, so the laws cannot be tried
+        return [*findings, *symbols]
+    rest = [f for law in _LAWS[1:] if law.applies(statement) for f in _law_findings(law, statement)]
+    return [*findings, *symbols, *rest]
+
+
+def _law_findings(law: _Law, statement: Statement) -> list[Finding]:
+    try:
+        return _found(law.check, law.holds, law.complaints(statement))
+    except Exception as error:  # an expression that SymPy cannot work with must not hide the other findings
+        return [Finding(law.check, False, f"cannot be worked out: {type(error).__name__}: {error}")]
+
+
+def _found(check: str, holds: str, complaints: Iterator[str]) -> list[Finding]:
+    return [Finding(check, False, c) for c in complaints] or [Finding(check, True, holds)]
+
+
+# --- the declaration ------------------------------------------------------------------------------
+def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str, Iterator[str]]]:
+    yield "id", "is an identifier of its own", _id_complaints(cls, known)
+    yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
+    yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
+    yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
+    yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
+    yield "claims", "claims about power do not contradict each other", _claim_complaints(cls)
+
+
+def _id_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    if not _NAME.fullmatch(cls.id):
+        yield f"id '{cls.id}' is no identifier: use letters, digits and underscores"
+    if known.get(cls.id, cls) is not cls:
+        yield f"id '{cls.id}' belongs to {known[cls.id].__name__} already: choose another"
+
+
+def _text_complaints(cls: type[Effect]) -> Iterator[str]:
+    # A docstring is inherited by nobody: it has to be the class's own.
+    if not (vars(cls).get("__doc__") or "").strip():
+        yield "the meaning is missing: write it as the first line of the docstring"
+    for what, remedy in (
+        ("family", "name the group of the catalogue"),
+        ("reference", "name the book or paper that the physics follows"),
+        ("signature", "say what in a log would give the effect away"),
+    ):
+        if not str(getattr(cls, what, "")).strip():
+            yield f"{what} is missing: {remedy}"
+
+
+def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    for required in cls.requires:
+        if required not in known:
+            yield f"requires '{required}', which is no known effect: correct the id"
+
+
+def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    specimen = cls.specimen()
+    names = [*(p.name for p in specimen.parameters), *specimen.states]
+    taken = _taken_names(cls, known)
+    for name in names:
+        if not _NAME.fullmatch(name):
+            yield f"'{name}' is no identifier: use letters, digits and underscores"
+        elif name in taken:
+            yield f"'{name}' is taken by {taken[name]}: choose another name"
+        elif name.endswith(("_forward", "_backward")):
+            yield f"'{name}' ends like one half of a sign-dependent parameter: choose another name"
+        elif names.count(name) > 1:
+            yield f"'{name}' is declared twice: rename one"
+
+
+def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
+    taken = {str(x): "a signal" for x in signal_units(signals())}
+    for other in known.values():
+        if other is not cls and other.id != cls.id:
+            specimen = other.specimen()
+            names = [*(p.name for p in specimen.parameters), *specimen.states]
+            taken |= dict.fromkeys(names, f"effect '{other.id}'")
+    return taken
+
+
+def _bounds_complaints(cls: type[Effect]) -> Iterator[str]:
+    for p in cls.specimen().parameters:
+        yield from _parameter_complaints(p)
+
+
+def _parameter_complaints(p: Parameter) -> Iterator[str]:
+    low, high = p.bounds
+    if not low < high:
+        yield f"bounds of '{p.name}' are {low:g} to {high:g}: the first must be the smaller one"
+    if not p.about.strip():
+        yield f"parameter '{p.name}' has no meaning: say in one line what it is"
+    if not p.linear and p.default is None and not p.starts:
+        yield f"shape parameter '{p.name}' has neither starts nor a default: say where a search begins"
+    for what, value in (
+        *(("default", v) for v in [p.default] if v is not None),
+        *(("start", v) for v in p.starts),
+    ):
+        if not (math.isfinite(value) and low <= value <= high):
+            yield f"{what} {value:g} of '{p.name}' is outside its bounds {low:g} to {high:g}: correct it"
+    try:
+        dimension(p.unit)
+    except UndertowError as error:
+        yield f"parameter '{p.name}': {error}"
+
+
+def _claim_complaints(cls: type[Effect]) -> Iterator[str]:
+    if kind_of(cls) == "wrench" and issubclass(cls, Wrench) and cls.workless and cls.dissipative:
+        yield "declared workless and dissipative: keep one of the two"

@@ -1,0 +1,268 @@
+"""Laws that the statement of an effect must obey; each yields its complaints, in one line each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import sympy as sm
+
+from undertow.errors import UndertowError
+
+from .dimensions import require_unit
+from .effect import Wrench
+from .kinematics import pose_jacobian
+from .parameter import Parameter
+from .probing import Probe, bent_row, compiled, nonzero_row
+from .statement import Statement
+from .symbols import DOFS, VELOCITY, symbol
+
+_TRIALS = 200
+_ROUNDING = 1e-9
+
+
+# --- symbols and units ------------------------------------------------------------------------
+def only_known_symbols(s: Statement) -> Iterator[str]:
+    """No symbol but signals that the part may use, parameters, own states and numbers of the hardware."""
+    common = {*s.parameters, *s.effect.state_symbols, *s.effect.constants}
+    for part in s.parts:
+        for x in sorted(part.matrix.free_symbols - common - part.usable, key=str):
+            if x in s.inputs:
+                yield f"{part.name}() uses the signal '{x}', which does not exist at that place of the model"
+            else:
+                yield (
+                    f"{part.name}() uses '{x}', neither a signal nor a parameter: declare it, or name "
+                    f"the effect that has it in requires"
+                )
+
+
+def parameters_used(s: Statement) -> Iterator[str]:
+    """Every declared parameter occurs in the statement."""
+    for p in s.own:
+        if symbol(p.name) not in s.free_symbols:
+            yield f"parameter '{p.name}' does not occur in the physics: use it or remove it"
+
+
+def units_fit(s: Statement) -> Iterator[str]:
+    """Dimensional analysis of every row."""
+    for part in s.parts:
+        for row, expression, unit in zip(part.rows, part.matrix, part.units, strict=True):
+            try:
+                require_unit(expression, unit, s.units)
+            except UndertowError as error:
+                yield f"{row}: {error}"
+
+
+# --- what is left when the parameters say that the effect is absent -----------------------------
+def absent_at_neutral(s: Statement) -> Iterator[str]:
+    """With its parameters at their neutral values the effect changes nothing."""
+    neutral = _neutral_values(s)
+    resting = dict(zip(s.effect.state_symbols, _rest_states(s), strict=True))
+    for part in s.parts:
+        if part.absent is None:
+            continue
+        left = (part.matrix - part.absent).xreplace(resting).subs(neutral)
+        if left.has(sm.nan, sm.zoo, sm.oo):
+            yield (
+                f"{part.name}() is not defined where {_settings(neutral)}: declare the neutral value of the "
+                f"parameter in question (neutral=None if it cannot switch the effect off)"
+            )
+            continue
+        row = nonzero_row(left, s)
+        if row is not None:
+            yield f"{part.rows[row]} does not vanish where {_settings(neutral)}: {_short(left[row])} is left"
+
+
+def _neutral_values(s: Statement) -> dict[sm.Symbol, sm.Expr]:
+    parameters = s.own or s.shared
+    values = {symbol(p.name): _exact(p.neutral) for p in parameters if p.neutral is not None}
+    if s.effect.built_in:  # hardware hands on what the log holds: nothing in, nothing out
+        values |= dict.fromkeys(s.signals.generalised_force, sm.Integer(0))
+    return values
+
+
+def _exact(number: float) -> sm.Expr:
+    return sm.oo * int(math.copysign(1, number)) if math.isinf(number) else sm.Rational(number)
+
+
+def _settings(values: dict[sm.Symbol, sm.Expr]) -> str:
+    listed = [f"{x} = {v}" for x, v in values.items()]
+    return (
+        ", ".join(listed[:3]) + (f" and {len(listed) - 3} more are neutral" if len(listed) > 3 else "")
+        or "always"
+    )
+
+
+def _rest_states(s: Statement) -> Sequence[sm.Expr]:
+    """A step of the actuation chain may be slow; what counts is what it does to a command that is held."""
+    return s.part("rest_state") if s.kind == "actuation" else s.effect.state_symbols
+
+
+def rests_at_rest(s: Statement) -> Iterator[str]:
+    """States at their declared rest values do not move."""
+    resting = dict(zip(s.effect.state_symbols, s.part("rest_state"), strict=True))
+    row = nonzero_row(s.part("rates").xreplace(resting), s)
+    if row is not None:
+        yield f"state '{s.effect.states[row]}' still moves at the value that rest_state() gives it"
+
+
+# --- linearity --------------------------------------------------------------------------------
+def linearity_as_declared(s: Statement) -> Iterator[str]:
+    """Parameters declared linear are regressor columns, together; the others are not."""
+    linear = [p for p in s.own if p.linear]
+    if s.kind in ("flow", "measurement"):
+        for p in linear:
+            yield f"parameter '{p.name}' of a {s.kind} effect is no regressor column: declare linear=False"
+        return
+    main = s.parts[0].matrix
+    hidden = {x for part in s.parts[1:] for x in part.matrix.free_symbols}
+    found = [complaint for p in linear for complaint in _not_linear(p, main, hidden, s)]
+    yield from found
+    together = [symbol(p.name) for p in linear]
+    if not found and bent_row(main, together, s) is not None:
+        yield f"the linear parameters {_names(linear)} multiply each other: declare all but one linear=False"
+    for p in s.own:
+        if (
+            not p.linear
+            and symbol(p.name) not in hidden
+            and bent_row(main, [*together, symbol(p.name)], s) is None
+        ):
+            yield f"parameter '{p.name}' enters linearly although declared linear=False: declare linear=True"
+
+
+def _not_linear(p: Parameter, main: sm.Matrix, hidden: set[sm.Symbol], s: Statement) -> Iterator[str]:
+    if symbol(p.name) in hidden:
+        yield f"parameter '{p.name}' acts through a state or a delay, so not linearly: declare linear=False"
+    elif (row := bent_row(main, [symbol(p.name)], s)) is not None:
+        yield f"{s.parts[0].rows[row]} is not linear in '{p.name}', as it is declared: declare linear=False"
+
+
+def _names(parameters: Sequence[Parameter]) -> str:
+    return ", ".join(f"'{p.name}'" for p in parameters)
+
+
+def affine_in_motion(s: Statement) -> Iterator[str]:
+    """What sensors report is affine in pose and velocity."""
+    motion = [*s.signals.eta, *s.signals.nu]
+    for part in s.parts:
+        row = bent_row(part.matrix, motion, s)
+        if row is not None:
+            yield f"{part.rows[row]} is not affine in pose and velocity: {_short(part.matrix[row])}"
+
+
+# --- inertia ------------------------------------------------------------------------------------
+def inertia_of(s: Statement) -> sm.Matrix:
+    """The effect's own part of the mass matrix, shape (6, 6)."""
+    return -s.in_still_water(s.part("wrench")).jacobian(s.signals.nu_dot)
+
+
+def inertia_symmetric(s: Statement) -> Iterator[str]:
+    """M = M', and the wrench is linear in the acceleration."""
+    inertia = inertia_of(s)
+    if inertia.free_symbols & set(s.signals.nu_dot):
+        yield "the wrench is not linear in the acceleration, so it has no mass matrix"
+        return
+    for i in range(6):
+        for j in range(i):
+            difference = sm.Matrix([inertia[i, j] - inertia[j, i]])
+            if nonzero_row(difference, s) is not None:
+                yield (
+                    f"inertia is not symmetric: M[{DOFS[i]}, {DOFS[j]}] = {_short(inertia[i, j])} but "
+                    f"M[{DOFS[j]}, {DOFS[i]}] = {_short(inertia[j, i])}"
+                )
+
+
+def inertia_positive(s: Statement) -> Iterator[str]:
+    """M is positive semidefinite for parameters within bounds; pure couplings are left at zero.
+
+    Couplings (products of inertia, static moments) have no bounds of their own: how large they may be depends
+    on the diagonal. Loading a vehicle checks the whole matrix at its values.
+    """
+    inertia = inertia_of(s)
+    diagonal = inertia.diagonal().free_symbols
+    couplings = {x: sm.Integer(0) for x in s.parameters if x not in diagonal}
+    entries, probe = compiled(list(inertia.subs(couplings))), Probe(s)
+    for _ in range(_TRIALS):
+        values = entries(probe.point())
+        rows = [values[6 * i : 6 * i + 6] for i in range(6)]
+        for i in range(6):
+            if rows[i][i] < 0:
+                yield f"inertia in {DOFS[i]} can be negative within the bounds: M = {_short(inertia[i, i])}"
+                return
+        if not positive_semidefinite(rows):
+            yield "its mass matrix is not positive semidefinite for all parameters within their bounds"
+            return
+
+
+def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _ROUNDING) -> bool:
+    """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace (by Cholesky)."""
+    n = len(rows)
+    shift = margin * sum(abs(rows[i][i]) for i in range(n)) or margin
+    factor = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            rest = rows[i][j] + shift * (i == j) - sum(factor[i][k] * factor[j][k] for k in range(j))
+            if i == j and not rest > 0:
+                return False
+            factor[i][j] = math.sqrt(rest) if i == j else rest / factor[j][j]
+    return True
+
+
+# --- energy -------------------------------------------------------------------------------------
+def power_terms(s: Statement) -> list[sm.Expr]:
+    """Power of each row of the wrench in still water, W."""
+    wrench = s.in_still_water(s.part("wrench"))
+    return [v * f for v, f in zip(s.signals.nu, wrench, strict=True)]
+
+
+def no_work(s: Statement) -> Iterator[str]:
+    """nu' tau = 0 identically."""
+    power = sm.Matrix([sum(power_terms(s))])
+    if nonzero_row(power, s) is not None:
+        yield f"declared workless, but its power is {_short(sm.expand(power[0]))}"
+
+
+def never_feeds(s: Statement) -> Iterator[str]:
+    """nu' tau <= 0 at every point tried."""
+    terms, probe = compiled(power_terms(s)), Probe(s)
+    for _ in range(_TRIALS):
+        point = probe.point()
+        powers = terms(point)
+        if sum(powers) > _ROUNDING * sum(map(abs, powers)):
+            speeds = ", ".join(
+                f"{n} = {point[symbol(n)]:.3g}" for n, p in zip(VELOCITY, powers, strict=True) if p > 0
+            )
+            yield f"declared dissipative, but it feeds {sum(powers):.3g} W into the vehicle at {speeds}"
+            return
+
+
+# --- flow -----------------------------------------------------------------------------------------
+def rate_is_derivative(s: Statement) -> Iterator[str]:
+    """acceleration() is the time derivative of velocity() along the vehicle's path."""
+    velocity, eta = s.part("velocity"), s.signals.eta
+    along = velocity.jacobian(eta) * pose_jacobian(eta) * s.signals.nu + velocity.diff(s.signals.t)
+    row = nonzero_row(s.part("acceleration") - along, s)
+    if row is not None:
+        yield f"acceleration() is not the rate of velocity() in row {row + 1}: return {_short(along[row])}"
+
+
+def accelerates(s: Statement) -> bool:
+    """Whether the effect has a part in the mass matrix."""
+    return s.kind == "wrench" and bool(
+        s.in_still_water(s.part("wrench")).free_symbols & set(s.signals.nu_dot)
+    )
+
+
+def has_own_inertia(s: Statement) -> bool:
+    """Whether the effect has inertia of its own, and not only couplings."""
+    return accelerates(s) and any(inertia_of(s).diagonal())
+
+
+def claims(s: Statement, what: str) -> bool:
+    """Whether the effect makes a claim about its power."""
+    return isinstance(s.effect, Wrench) and bool(getattr(s.effect, what))
+
+
+def _short(e: sm.Basic) -> str:
+    text = str(e)
+    return text if len(text) <= 90 else f"{text[:90]}..."
