@@ -1,0 +1,116 @@
+"""Writing files whole or not at all, and hashing them."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import secrets
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+from undertow.errors import UndertowError
+
+_REMEDIES = {
+    errno.ENOSPC: "free some space there or write to another disk",
+    errno.EDQUOT: "free some space of your quota or write to another disk",
+    errno.EACCES: "choose a folder you may write to",
+    errno.EPERM: "choose a folder you may write to",
+    errno.EROFS: "choose a folder you may write to",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+
+
+def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
+    """Write a file so that either all of it stands there or nothing has changed.
+
+    The data go to a temporary file in the same folder, are flushed to the disk and then take the place of the
+    target in one step. Whatever interrupts this (a full disk, Ctrl-C), the temporary file is removed and an
+    older target is left as it was. The permission bits of an existing target are kept; a link is followed; a
+    device or pipe is simply written to.
+
+    Parameters
+    ----------
+    path
+        The file to write. Its folder must exist.
+    data
+        Text (written as UTF-8, line ends unchanged) or bytes.
+
+    Raises
+    ------
+    UndertowError
+        The folder is missing or not a folder, the target is a folder or write-protected, or the system
+        refuses (no space, no permission, ...).
+    """
+    target = Path(path)
+    payload = data.encode("utf-8") if isinstance(data, str) else data
+    try:
+        _write(target, payload)
+    except OSError as failure:
+        raise UndertowError(_refusal(target, failure)) from failure
+
+
+def sha256_of(path: str | os.PathLike[str]) -> str:
+    """The SHA-256 of a file's bytes as 64 hexadecimal digits.
+
+    Raises
+    ------
+    UndertowError
+        The file cannot be read.
+    """
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as failure:
+        raise UndertowError(f"cannot read '{os.fspath(path)}': {_reason(failure)}") from failure
+
+
+def _write(target: Path, payload: bytes) -> None:
+    mode = _mode_of(target)
+    if mode is not None and not stat.S_ISREG(mode):
+        target.write_bytes(payload)  # /dev/stdout, a pipe: there is nothing to replace
+        return
+    target = target.resolve()  # replace what a link points to, not the link
+    temporary = target.with_name(f".undertow-{secrets.token_hex(8)}.tmp")
+    try:
+        _fill(temporary, payload)
+        if mode is not None:
+            temporary.chmod(stat.S_IMODE(mode))
+        os.replace(temporary, target)
+    except BaseException:  # Ctrl-C too must leave nothing behind
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _mode_of(target: Path) -> int | None:
+    """The mode of an existing target that may be written, None for a new one."""
+    folder = target.parent
+    if not folder.exists():
+        raise UndertowError(f"cannot write '{target}': the folder '{folder}' does not exist; create it first")
+    if not folder.is_dir():
+        raise UndertowError(f"cannot write '{target}': '{folder}' is not a folder; choose another place")
+    if not target.exists():
+        return None
+    if target.is_dir():
+        raise UndertowError(f"cannot write '{target}': it is a folder; give the name of a file")
+    if not os.access(target, os.W_OK):
+        raise UndertowError(f"cannot write '{target}': it is write-protected; choose another name")
+    return target.stat().st_mode
+
+
+def _fill(temporary: Path, payload: bytes) -> None:
+    with open(temporary, "xb") as stream:
+        stream.write(payload)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _reason(failure: OSError) -> str:
+    return (failure.strerror or str(failure) or type(failure).__name__).lower()
+
+
+def _refusal(target: Path, failure: OSError) -> str:
+    remedy = _REMEDIES.get(failure.errno or 0, "choose another place")
+    return f"cannot write '{target}': {_reason(failure)}; nothing was written; {remedy}"
