@@ -33,7 +33,7 @@ def registry() -> UnitRegistry:
     import pint
 
     units: UnitRegistry = pint.UnitRegistry()
-    # What a command is measured in is the thruster's own affair: a dimension that cancels only against itself.
+    # What a command is measured in is the thruster's own affair: it cancels only against itself.
     units.define("command = [command]")
     return units
 

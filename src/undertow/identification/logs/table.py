@@ -162,7 +162,10 @@ def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.floa
     """
     stamps = table[name]
     if stamps.dtype == pl.String:
-        parsed = stamps.str.strip_chars().str.to_datetime(time_unit="ns", strict=False)
+        try:
+            parsed = stamps.str.strip_chars().str.to_datetime(time_unit="ns", strict=False)
+        except pl.exceptions.ComputeError:  # polars found no date at all
+            parsed = pl.Series([None] * len(stamps), dtype=pl.Datetime("ns"))
         odd = (parsed.is_null() & stamps.is_not_null()).arg_true()
         if len(odd):
             raise UndertowError(

@@ -15,7 +15,8 @@ _CORE = 1000  # samples of a lane that are kept
 _LIKELY_LANES = 6  # lanes the likelihood is taken from
 _SMALL = 0.01  # of the usual change between samples: an error too small to matter
 _LIMIT = 6.0  # robust standard deviations beyond which a sample is an outlier
-_ROUNDS = 30
+_ROUNDS = 40
+_APART = 3  # samples; what is found at once lies at least this far apart
 _ESTIMATES = 6  # times the noise is estimated anew after outliers were taken out
 _LANES_AT_ONCE = 96
 _UNCERTAIN = 10.0  # times the median standard deviation: such a rate is as good as unknown
@@ -138,7 +139,7 @@ def track(t: Array, y: Array) -> Track:
         If there are too few samples together.
     """
     signal = _Signal(t, y.copy(), np.zeros(len(y), dtype=bool))
-    signal.y[_gross_outliers(y)] = np.nan
+    signal.y[_gross_outliers(t, y)] = np.nan
     for _ in range(_ESTIMATES):
         ratio, variance = signal.likely()
         changed, state = _cleaned(signal, ratio, max(float(np.sqrt(variance)), _SMALL * _usual_change(y)))
@@ -170,36 +171,39 @@ def _usual_change(y: Array) -> float:
     return float(np.median(np.abs(np.diff(y[np.isfinite(y)]))))
 
 
-def _gross_outliers(y: Array) -> Flags:
-    """Find jumps by comparing each sample with the cubic through its four neighbours.
+def _gross_outliers(t: Array, y: Array) -> Flags:
+    """Find single wild samples by comparing each with the cubic through its four neighbours.
 
-    They would spoil the likelihood. The comparison is with neighbours in the list of samples, so gaps disturb
-    it: the limit is wide and only the worst sample of a neighbourhood is taken.
+    They would spoil the likelihood; the rest is left to it. So is a shift, which stands out on either side alike.
     """
     index = np.flatnonzero(np.isfinite(y))
     seen, result = y[index], np.zeros(len(y), dtype=bool)
     if len(seen) < 2 * ORDER:
         return result
+    close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t)
     odd = np.zeros(len(seen))
-    odd[2:-2] = seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6
-    scale = _NORMAL * np.median(np.abs(odd[2:-2]))
-    result[index[_peaks(np.abs(odd), max(5 * _LIMIT * scale, 2 * _usual_change(y)))]] = True
+    odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
+    limit = max(5 * _LIMIT * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
+    beside = np.maximum(np.roll(odd, 1), np.roll(odd, -1))
+    result[index[_peaks(odd, limit, _APART) & (odd > 1.25 * beside)]] = True
     return result
 
 
-def _peaks(size: Array, limit: float) -> Flags:
-    """Tell which entries are above the limit and the largest among their three neighbours on either side."""
-    padded = np.pad(size, 3, constant_values=-np.inf)
-    around = np.lib.stride_tricks.sliding_window_view(padded, 7).max(axis=-1)
+def _peaks(size: Array, limit: float, apart: int) -> Flags:
+    """Tell which entries are above the limit and the largest among `apart` neighbours on either side."""
+    padded = np.pad(size, apart, constant_values=-np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * apart + 1).max(axis=-1)
     return (size > limit) & (size >= around) & (limit > 0)
 
 
 def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]:
     """Take out what cannot be motion, the worst of each neighbourhood first, until nothing stands out."""
+    # A wild sample or a shift bends the smoother on both sides, as far as its memory reaches.
+    apart = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), _APART, 20 * _APART))
     changed = False
     for _ in range(_ROUNDS):
         state, shock = signal.smoothed(ratio)
-        outlier, jump = _odd(signal, state, shock, noise)
+        outlier, jump = _odd(signal, state, shock, noise, apart)
         if not (outlier | jump).any():
             break
         changed = True
@@ -208,7 +212,7 @@ def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]
     return changed, state
 
 
-def _odd(signal: _Signal, state: States, shock: Array, noise: float) -> tuple[Flags, Flags]:
+def _odd(signal: _Signal, state: States, shock: Array, noise: float, apart: int) -> tuple[Flags, Flags]:
     """Find samples that the others contradict, and jumps: whichever of the two explains more at its place."""
     residual = np.nan_to_num(signal.y - state.mean[:, 0])
     # the residual of a sample has variance 1 - P; over its square root it is the deletion residual,
@@ -217,7 +221,7 @@ def _odd(signal: _Signal, state: States, shock: Array, noise: float) -> tuple[Fl
     alone = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
     shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
     limit = _LIMIT * max(noise, _NORMAL * float(np.median(alone[np.isfinite(signal.y)])))
-    peak = _peaks(np.maximum(alone, shift), limit)
+    peak = _peaks(np.maximum(alone, shift), limit, apart)
     return peak & (alone >= shift) & np.isfinite(signal.y), peak & (shift > alone)
 
 

@@ -1,0 +1,109 @@
+"""Mapping files: strict, told in one line, and the frames they ask for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from undertow.errors import UndertowError
+from undertow.identification import read_mapping
+from undertow.identification.logs import frames
+from undertow.identification.logs.run import FORCES, POSE, VELOCITY
+
+TOP = 'schema = "undertow/mapping/1"\n'
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Return a function that writes a mapping file and reads it."""
+
+    def reader(text):
+        path = tmp_path / "log.toml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_mapping(path)
+
+    return reader
+
+
+def test_short_and_long_columns_mean_the_same(read):
+    short, long = read(TOP + 'columns.north = "x"'), read(TOP + '[columns]\nnorth = { channel = "x" }')
+    assert short == long
+    assert short.columns["north"].channel == "x"
+    assert short.time.column == "t"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["schema None", 'schema = "undertow/mapping/1"'.replace('"', "'")]),
+        ('schema = "undertow/vehicle/1"', ["undertow/vehicle/1"]),
+        (TOP + "delimeter = ';'", ["unknown key 'delimeter'", "did you mean 'delimiter'?"]),
+        (
+            TOP + "[time]\nunits = 's'",
+            ["unknown key 'time.units'", "did you mean 'unit'?", "column, unit, offset"],
+        ),
+        (TOP + "[frames]\nposition = 'NWU'", ["frames.position = 'NWU'", "'NED' or 'ENU'"]),
+        (
+            TOP + "[columns]\na = {chanel = 'x'}",
+            ["unknown key 'columns.a.chanel'", "did you mean 'channel'?"],
+        ),
+        (TOP + "[columns]\na = {unit = 'm'}", ["key 'columns.a.channel' is missing"]),
+        (TOP + "[columns]\na = {channel = 'x', scale = nan}", ["columns.a.scale", "finite"]),
+        (TOP + "[columns]\na = 3", ["columns.a"]),
+        (TOP + "[columns]\na = 'x'\nb = 'x'", ["'a' and 'b' both become channel 'x'"]),
+        (TOP + "missing_commands = 'guess'", ["missing_commands = 'guess'", "'hold'"]),
+        (TOP + "delimiter = 'ab'", ["delimiter"]),
+        (TOP + "[time", ["not valid TOML"]),
+        (TOP.encode() + b"# \xff", ["not UTF-8"]),
+        (TOP + "ignore = " + "[" * 5000, ["not valid TOML"]),
+    ],
+)
+def test_bad_mappings_are_one_clear_line(read, text, parts):
+    with pytest.raises(UndertowError) as caught:
+        read(text)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in ["log.toml", *parts]:
+        assert part in message, message
+
+
+def test_a_mapping_that_is_not_there(tmp_path):
+    with pytest.raises(UndertowError, match="No such file"):
+        read_mapping(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize("name", ["cse1", "cfd-surge"])
+def test_the_examples_are_valid(name):
+    assert read_mapping(EXAMPLES / name / "log.toml").columns
+
+
+@given(arrays(float, (len(POSE + VELOCITY + FORCES), 4), elements=st.floats(-100, 100)))
+def test_turning_frames_twice_changes_nothing(values):
+    channels = dict(zip(POSE + VELOCITY + FORCES, values, strict=True))
+    for turn in (frames.swap_position, frames.swap_attitude, frames.swap_body):
+        twice = turn(turn(channels))
+        assert twice.keys() == channels.keys()
+        for name, data in channels.items():
+            np.testing.assert_allclose(twice[name], data, atol=1e-13)
+
+
+def _rotation(phi, theta, psi):
+    (cf, sf), (ct, st_), (cp, sp) = ((np.cos(a), np.sin(a)) for a in (phi, theta, psi))
+    about_x = np.array([[1, 0, 0], [0, cf, -sf], [0, sf, cf]])
+    about_y = np.array([[ct, 0, st_], [0, 1, 0], [-st_, 0, ct]])
+    return np.array([[cp, -sp, 0], [sp, cp, 0], [0, 0, 1]]) @ about_y @ about_x
+
+
+@given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))
+def test_the_attitude_is_the_same_rotation_seen_from_other_axes(phi, theta, psi):
+    turned = frames.swap_attitude({"phi": np.array(phi), "theta": np.array(theta), "psi": np.array(psi)})
+    ned_of_enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    expected = ned_of_enu @ _rotation(phi, theta, psi) @ np.diag([1, -1, -1])
+    actual = _rotation(*(float(turned[name]) for name in ("phi", "theta", "psi")))
+    np.testing.assert_allclose(actual, expected, atol=1e-12)

@@ -1,0 +1,283 @@
+"""Reading logs: what comes out is SI, gaps stay gaps, and every fault is one line naming its place."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from undertow.errors import UndertowError
+from undertow.identification import Mapping, read_log
+from undertow.identification.logs.checks import refuse_constant
+
+PLAIN = "t,u,r,f1\n0,0.1,0.0,1\n0.1,0.2,0.1,2\n0.25,,0.2,3\n"
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Return a function that writes a log and reads it."""
+
+    def read(content, mapping=None, channels=(), name="run.csv", **options):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_log(path, Mapping.model_validate(mapping or {}), channels, **options)
+
+    return read
+
+
+def refused(log, content, *parts, **options):
+    with pytest.raises(UndertowError) as caught:
+        log(content, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message, message
+
+
+def test_a_plain_log_keeps_gaps_and_uneven_sampling(log):
+    run = log(PLAIN, channels=["f1"])
+    assert run.name == "run"
+    assert run.sha256 == hashlib.sha256(PLAIN.encode()).hexdigest()
+    np.testing.assert_array_equal(run.t, [0, 0.1, 0.25])
+    np.testing.assert_array_equal(run.channels["u"], [0.1, 0.2, np.nan])
+    np.testing.assert_array_equal(run.channels["f1"], [1, 2, 3])
+    assert sorted(run.channels) == ["f1", "r", "u"]
+
+
+def test_gzip_parquet_and_csv_give_the_same_run(log, tmp_path):
+    pl.read_csv(PLAIN.encode()).write_parquet(tmp_path / "made.parquet")
+    packed = (tmp_path / "made.parquet").read_bytes()
+    runs = [
+        log(PLAIN),
+        log(gzip.compress(PLAIN.encode()), name="run.csv.gz"),
+        log(packed, name="run.parquet"),
+        log("\ufeff" + PLAIN.replace("\n", "\r\n")),
+    ]
+    for run in runs[1:]:
+        np.testing.assert_array_equal(run.matrix(["u", "r"]), runs[0].matrix(["u", "r"]))
+
+
+def test_columns_that_nobody_asked_for_are_left_out_and_told(log):
+    run = log("t,u,battery,f1\n0,1,12,1\n1,2,12,2\n", channels=["f1"])
+    assert not run.has("battery")
+    assert "columns not used: battery" in run.notes
+    ignoring = log("t,u,battery\n0,1,12\n1,2,12\n", {"ignore": ["battery"]})
+    assert not any("battery" in note for note in ignoring.notes)
+
+
+def test_a_mapping_converts_units_scale_and_offset(log):
+    mapping = {
+        "time": {"column": "ms", "unit": "ms", "offset": 10},
+        "columns": {
+            "heading": {"channel": "psi", "unit": "deg", "offset": 5},
+            "speed": {"channel": "u", "unit": "knot"},
+            "pwm": {"channel": "f1", "unit": "kN", "scale": 0.5},
+        },
+    }
+    run = log("ms,heading,speed,pwm\n0,350,1,2\n100,353,2,4\n200,2,3,6\n", mapping, ["f1"])
+    np.testing.assert_allclose(run.t, [10, 10.1, 10.2])
+    np.testing.assert_allclose(np.degrees(run.channels["psi"]), [355, 358, 367])
+    np.testing.assert_allclose(run.channels["u"], np.array([1, 2, 3]) * 1852 / 3600)
+    np.testing.assert_allclose(run.channels["f1"], [1000, 2000, 3000])
+    assert any("psi = 0.0174" in note and "f1 = 500 pwm" in note for note in run.notes)
+
+
+def test_psi_is_unwrapped_across_a_gap_and_other_angles_only_when_asked(log):
+    text = "t,psi,phi\n" + "".join(f"{k},{v},{v}\n" for k, v in enumerate([3.0, 3.1, "", -3.1, -3.0]))
+    run = log(text)
+    turn = 2 * math.pi
+    np.testing.assert_allclose(run.channels["psi"], [3.0, 3.1, np.nan, turn - 3.1, turn - 3.0])
+    np.testing.assert_allclose(run.channels["phi"], [3.0, 3.1, np.nan, -3.1, -3.0])
+    asked = log(text, {"columns": {"phi": {"channel": "phi", "wrapped": True}}})
+    np.testing.assert_allclose(asked.channels["phi"], run.channels["psi"])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit"),
+    [
+        (["2024-05-01T12:00:00.250Z", "2024-05-01T12:00:00.500Z", "2024-05-01T12:00:01Z"], "iso"),
+        (["2024-05-01 23:59:59.750", "2024-05-02 00:00:00", "2024-05-02 00:00:00.5"], "iso"),
+        (["1714564800250000000", "1714564800500000000", "1714564801000000000"], "ns"),
+        (["1714564800.25", "1714564800.5", "1714564801.0"], "s"),
+    ],
+)
+def test_dates_and_epochs_count_from_the_first_sample(log, stamps, unit):
+    text = "t,u\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(stamps))
+    run = log(text, {"time": {"unit": unit}})
+    np.testing.assert_allclose(run.t, [0, 0.25, 0.75], atol=1e-6)
+    assert any("time counts from" in note for note in run.notes)
+
+
+def test_dates_of_a_parquet_file_need_no_unit(tmp_path):
+    stamps = pl.Series("t", ["2024-05-01T12:00:00", "2024-05-01T12:00:02"]).str.to_datetime()
+    pl.DataFrame({"t": stamps, "u": [1, 2], "f1": [True, False]}).write_parquet(tmp_path / "a.parquet")
+    run = read_log(tmp_path / "a.parquet", channels=["f1"])
+    np.testing.assert_array_equal(run.t, [0, 2])
+    np.testing.assert_array_equal(run.channels["f1"], [1, 0])
+
+
+def test_sentinels_delimiter_decimal_comma_and_comments(log):
+    mapping = {"delimiter": ";", "decimal": ",", "comment": "#", "missing": ["lost", -9999]}
+    run = log("# logger 3\nt ; u;v;w\n0; 0,5;lost;1\n1;-9999;0,25;NA\n2;1,5;-9999,0;2\n", mapping)
+    np.testing.assert_array_equal(run.channels["u"], [0.5, np.nan, 1.5])
+    np.testing.assert_array_equal(run.channels["v"], [np.nan, 0.25, np.nan])
+    np.testing.assert_array_equal(run.channels["w"], [1, np.nan, 2])
+
+
+def test_enu_and_flu_become_ned_and_frd(log):
+    mapping = {"frames": {"position": "ENU", "body": "FLU"}}
+    text = "t,x,y,z,theta,psi,u,v,r\n0,10,20,-3,0.1,0.2,1,2,0.3\n1,11,21,-4,0.1,0.3,1,2,0.4\n"
+    run = log(text, mapping)
+    first = {name: data[0] for name, data in run.channels.items()}
+    expected = {"x": 20, "y": 10, "z": 3, "theta": -0.1, "psi": math.pi / 2 - 0.2, "u": 1, "v": -2, "r": -0.3}
+    assert first == pytest.approx(expected)
+    assert any("turned to NED/FRD" in note for note in run.notes)
+    mixed = {"frames": {"position": "ENU"}}
+    refused(log, text, "does not say how angles count", 'attitude = "NED"', mapping=mixed)
+    mixed["frames"]["attitude"] = "NED"
+    assert log(text, mixed).channels["psi"][0] == 0.2
+
+
+def test_a_time_window_is_cut_before_the_checks(log):
+    run = log("t,u,f1\n0,inf,\n1,1,1\n2,2,2\n3,3,3\n", channels=["f1"], window=(1, 2.5))
+    np.testing.assert_array_equal(run.t, [1, 2])
+    refused(log, PLAIN, "no sample in the time window 7 to inf s", "lasts from 0 to 0.25 s", window=(7, None))
+    refused(log, PLAIN, "one sample in the time window", window=(0.2, None))
+
+
+def test_missing_commands_follow_the_policy(log):
+    text = "t,u,f1\n0,0,1\n1,1,\n2,2,\n3,3,4\n"
+    told = "command 'f1' is missing in 2 of 4 rows (t = 1 to 2 s)"
+    refused(log, text, told, 'missing_commands = "hold"', channels=["f1"])
+    held = log(text, {"missing_commands": "hold"}, ["f1"])
+    np.testing.assert_array_equal(held.channels["f1"], [1, 1, 1, 4])
+    assert f"{told}; the last value was held" in held.notes
+    left = log(text, None, ["f1"], missing_commands="gap")
+    np.testing.assert_array_equal(left.channels["f1"], [1, np.nan, np.nan, 4])
+    first = text.replace("0,0,1", "0,0,")
+    refused(log, first, "none comes before t = 0 s", channels=["f1"], missing_commands="hold")
+
+
+def test_a_constant_channel_is_noted_and_refused_on_demand(log):
+    run = log("t,u,v\n0,1,0.5\n1,2,0.5\n2,3,\n")
+    assert "constant channels (not used, or a dead sensor): v = 0.5" in run.notes
+    refuse_constant(run, ["u"])
+    with pytest.raises(UndertowError, match=r"v = 0\.5 over all 3 samples"):
+        refuse_constant(run, ["u", "v"])
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        ("", ["is empty (0 bytes)"]),
+        ("\n\n", ["is empty (no header)"]),
+        ("t,u\n", ["no sample"]),
+        ("t,u\n0,1\n", ["one sample (t = 0 s)", "at least 2"]),
+        ("time,u\n0,1\n1,2\n", ["no time column 't'", "did you mean 'time'?", "time, u"]),
+        ("t;u\n0;1\n1;2\n", ["delimiter = ';'"]),
+        ("t,u\n0,1\n2,2\n1,3\n", ["goes back from 2 to 1 s at row 3", "sort the file"]),
+        ("t,u\n0,1\n1,2\n1,3\n", ["1 duplicate stamps, first 1 s at row 3"]),
+        ("t,u\n0,1\n,2\n2,3\n", ["is missing in 1 of 3 rows, first in row 2"]),
+        ("t,u\n0,1\ninf,2\n", ["is infinite in 1 of 2 rows, first in row 2"]),
+        ("t,u\n0,1\n1,inf\n", ["'u' is infinite in 1 of 2 samples, first at t = 1 s"]),
+        ("t,u,v\n0,1,\n1,2,NaN\n", ["'v' has no value in any of 2 samples", "`ignore`"]),
+        ("t,u\n0,1\n1,fast\n", ["column 'u' has the text 'fast' in row 2 (1 such rows)"]),
+        ("t,u,u\n0,1,2\n1,2,3\n", ["column 'u' more than once"]),
+        ("t,u\n0,1\n1,2,3\n", ["cannot be read as a table"]),
+        ("t,u\n0,1\n1,é\n".encode("latin-1"), ["not UTF-8", "byte 10 is 0xe9"]),
+        ("t,u\n0,1\n".encode("utf-16"), ["not UTF-8"]),
+        (gzip.compress(PLAIN.encode() * 50)[:40], ["damaged gzip"]),
+        (b"PAR1 and then nothing", ["cannot be read as a table"]),
+    ],
+)
+def test_bad_files_are_one_clear_line(log, content, parts):
+    refused(log, content, "run.csv", *parts)
+
+
+def test_missing_columns_are_named_with_those_there_are(log):
+    parts = ["no command channel 'f2'", "did you mean 'f1'?", "t, u, r, f1"]
+    refused(log, PLAIN, *parts, channels=["f1", "f2"])
+    mapping = {"columns": {"heading": "psi"}}
+    refused(log, PLAIN, "no column for channel 'psi', 'heading'", mapping=mapping)
+    assert not log(PLAIN, {"columns": {"heading": {"channel": "psi", "optional": True}}}).has("psi")
+
+
+@pytest.mark.parametrize(
+    ("column", "parts"),
+    [
+        ({"channel": "psi", "unit": "m"}, ["unit 'm' of column 'r'", "[length]", "rad"]),
+        ({"channel": "psi", "unit": "degg"}, ["unit 'degg' is not understood"]),
+        ({"channel": "f1", "unit": "9^9^9^9"}, ["is not understood"]),
+    ],
+)
+def test_units_that_do_not_fit_are_refused(log, column, parts):
+    refused(log, PLAIN, *parts, mapping={"columns": {"r": column}})
+
+
+def test_time_that_is_no_time(log):
+    refused(log, PLAIN, "time unit 'kg'", "[mass]", mapping={"time": {"unit": "kg"}})
+    refused(log, PLAIN, "'0' in row 1 is no ISO 8601 time stamp", mapping={"time": {"unit": "iso"}})
+
+
+def test_paths_that_are_no_file(tmp_path):
+    with pytest.raises(UndertowError, match="does not exist"):
+        read_log(tmp_path / "nothing*.csv")
+    with pytest.raises(UndertowError, match="is a folder"):
+        read_log(tmp_path)
+
+
+def test_a_million_rows_are_read_whole(tmp_path):
+    n = 1_000_000
+    t = np.arange(n) * 0.05
+    pl.DataFrame({"t": t, "u": np.sin(t), "f1": np.cos(t)}).write_csv(tmp_path / "long.csv")
+    run = read_log(tmp_path / "long.csv", channels=["f1"])
+    assert len(run.t) == n
+    np.testing.assert_array_equal(run.channels["u"], np.sin(t))
+    assert run.segments() == [slice(0, n)]
+
+
+finite = st.floats(-1e9, 1e9)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@given(
+    steps=arrays(float, 20, elements=st.floats(1e-3, 10)),
+    values=arrays(float, (20, 2), elements=st.one_of(finite, st.just(float("nan")))),
+)
+def test_what_is_written_is_read(tmp_path, steps, values):
+    values[0] = 1.0  # a channel without any value is refused
+    t = np.cumsum(steps)
+    path = tmp_path / "round.csv"
+    pl.DataFrame({"t": t, "u": values[:, 0], "v": values[:, 1]}).fill_nan(None).write_csv(path)
+    run = read_log(path)
+    np.testing.assert_array_equal(run.t, t)
+    np.testing.assert_array_equal(run.matrix(["u", "v"]), values)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
+@given(angles=arrays(float, 10, elements=st.floats(-400, 400)))
+def test_degrees_become_radians_up_to_whole_turns(tmp_path, angles):
+    path = tmp_path / "angles.csv"
+    pl.DataFrame({"t": np.arange(10.0), "heading": angles}).write_csv(path)
+    mapping = Mapping.model_validate({"columns": {"heading": {"channel": "psi", "unit": "deg"}}})
+    psi = read_log(path, mapping).channels["psi"]
+    assert np.all(np.abs(np.diff(psi)) <= np.pi + 1e-9)
+    np.testing.assert_allclose(np.exp(1j * psi), np.exp(1j * np.radians(angles)), atol=1e-9)
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=60))
+def test_any_bytes_give_a_run_or_one_clear_line(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / "bytes.csv"
+    path.write_bytes(content)
+    try:
+        read_log(path)
+    except UndertowError as error:
+        assert "\n" not in str(error)
