@@ -25,9 +25,9 @@ class Evaluator:
         self._inputs = [np.zeros((batch, function.nnz_in(i))) for i in range(function.n_in())]
         self._outputs = [np.zeros((batch, function.nnz_out(i))) for i in range(function.n_out())]
         for i, array in enumerate(self._inputs):
-            self._buffer.set_arg(i, memoryview(array.data))
+            self._buffer.set_arg(i, memoryview(array.data))  # type: ignore[call-arg]
         for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, memoryview(array.data))
+            self._buffer.set_res(i, memoryview(array.data))  # type: ignore[call-arg]
         self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
 
     def __call__(self, *inputs: np.ndarray) -> list[np.ndarray]:

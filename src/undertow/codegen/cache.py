@@ -26,9 +26,9 @@ _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
-    A library is taken from the cache only if the manifest beside it names this source and this compiler, and the
-    library's own hash fits; otherwise it is built again. Processes may race: files appear whole, under names that
-    carry their hashes.
+    A library is taken from the cache only if the manifest beside it names this source and this compiler,
+    and the library's own hash fits; otherwise it is built again. Processes may race: files appear whole,
+    under names that carry their hashes.
 
     Parameters
     ----------
@@ -75,10 +75,13 @@ def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, 
             found = _sha256(built)
             library = manifest.parent / f"{manifest.stem}-{found[:16]}{_SUFFIX}"
             os.replace(built, library)
-            (workshop / "manifest.json").write_text(json.dumps({**expected, "library": found}), encoding="utf-8")
+            content = json.dumps({**expected, "library": found})
+            (workshop / "manifest.json").write_text(content, encoding="utf-8")
             os.replace(workshop / "manifest.json", manifest)
     except OSError as error:
-        raise UndertowError(f"cannot keep compiled code in '{manifest.parent}': {error}; free it or set XDG_CACHE_HOME") from error
+        raise UndertowError(
+            f"cannot keep compiled code in '{manifest.parent}': {error}; make room or set XDG_CACHE_HOME"
+        ) from error
     return library
 
 
@@ -90,7 +93,7 @@ def _sha256(path: Path) -> str:
 
 
 def cache_folder() -> Path:
-    """The user's own folder for compiled libraries, or a private temporary one where that cannot be trusted."""
+    """The user's own folder for compiled libraries, or a private temporary one if that is not safe."""
     wanted = _user_cache() / "undertow"
     reason = _unsafe(wanted)
     if reason is None:

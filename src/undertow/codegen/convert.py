@@ -75,7 +75,9 @@ class Converter:
         if isinstance(e, sm.Piecewise):
             return self._piecewise(e)
         if e.func not in _FUNCTIONS:
-            raise UndertowError(f"'{e}' has no C counterpart: use one of {', '.join(sorted(map(str, _FUNCTIONS)))}")
+            raise UndertowError(
+                f"'{e}' has no C counterpart: use one of {', '.join(sorted(map(str, _FUNCTIONS)))}"
+            )
         return _FUNCTIONS[e.func](*map(self, e.args))
 
     def _product(self, e: sm.Expr) -> ca.SX:
@@ -95,10 +97,19 @@ class Converter:
     def _piecewise(self, e: sm.Piecewise) -> ca.SX:
         result = ca.SX(0)
         for value, condition in reversed(e.args):
-            result = self(value) if condition == sm.true else ca.if_else(self._relation(condition), self(value), result)
+            result = (
+                self(value)
+                if condition == sm.true
+                else ca.if_else(self._relation(condition), self(value), result)
+            )
         return result
 
     def _relation(self, condition: sm.Basic) -> ca.SX:
         left, right = map(self, condition.args)
-        relations = {sm.StrictLessThan: ca.lt, sm.LessThan: ca.le, sm.StrictGreaterThan: ca.gt, sm.GreaterThan: ca.ge}
+        relations = {
+            sm.StrictLessThan: ca.lt,
+            sm.LessThan: ca.le,
+            sm.StrictGreaterThan: ca.gt,
+            sm.GreaterThan: ca.ge,
+        }
         return relations[condition.func](left, right)

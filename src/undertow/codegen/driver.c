@@ -25,8 +25,8 @@ typedef struct {
   const int64_t *wrt;   /* parameter of every sensitivity column, -1 for a column of an initial state */
   int64_t columns;      /* number of sensitivity columns */
   double *slopes;       /* x_dot, then W, R_x, R_p */
-  double *z, *dz;       /* tangent at a stage, its rate, its weighted sum: each NX x columns, row by row */
-  double *sum;
+  double *z, *dz, *sum; /* tangent at a stage, its rate, its weighted sum: each NX x columns, row by row */
+  double *force;        /* ND x columns */
 } Workspace;
 
 static int is_finite(const double *x, int64_t n) {
@@ -52,6 +52,10 @@ static void evaluate(Workspace *work, const double *x, double t) {
 }
 
 #ifdef TANGENTS
+static void add_multiple(int64_t n, double factor, const double *restrict from, double *restrict to) {
+  for (int64_t i = 0; i < n; i++) to[i] += factor * from[i];
+}
+
 /* dz = d(x_dot)/dx z + d(x_dot)/dp, column by column of what the sensitivities are wanted for. */
 static void tangent_rate(Workspace *work, const double *z) {
   const int64_t m = work->columns;
@@ -59,24 +63,17 @@ static void tangent_rate(Workspace *work, const double *z) {
   double *dz = work->dz;
   for (int64_t i = 0; i < NX * m; i++) dz[i] = 0;
   for (int64_t j = 0; j < NX; j++)
-    for (int64_t k = RX_COLUMN[j]; k < RX_COLUMN[j + 1]; k++) {
-      double *row = dz + RX_ROW[k] * m;
-      for (int64_t c = 0; c < m; c++) row[c] += rx[k] * z[j * m + c];
-    }
+    for (int64_t k = RX_COLUMN[j]; k < RX_COLUMN[j + 1]; k++) add_multiple(m, rx[k], z + j * m, dz + RX_ROW[k] * m);
   for (int64_t c = 0; c < m; c++) {
     const int64_t j = work->wrt[c];
     if (j < 0) continue;
     for (int64_t k = RP_COLUMN[j]; k < RP_COLUMN[j + 1]; k++) dz[RP_ROW[k] * m + c] += rp[k];
   }
-  for (int64_t c = 0; c < m; c++) {
-    double force[ND];
-    for (int64_t i = 0; i < ND; i++) force[i] = dz[(ND + i) * m + c];
-    for (int64_t i = 0; i < ND; i++) {
-      double a = 0;
-      for (int64_t j = 0; j < ND; j++) a += w[j * ND + i] * force[j];
-      dz[(ND + i) * m + c] = a;
-    }
-  }
+  /* The rows of the acceleration hold forces so far; W turns them into accelerations. */
+  double *force = work->force, *acceleration = dz + ND * m;
+  for (int64_t i = 0; i < ND * m; i++) force[i] = acceleration[i], acceleration[i] = 0;
+  for (int64_t i = 0; i < ND; i++)
+    for (int64_t j = 0; j < ND; j++) add_multiple(m, w[j * ND + i], force + j * m, acceleration + i * m);
 }
 #endif
 
@@ -113,14 +110,14 @@ static void step(Workspace *work, double t, double h, double *x, double *s) {
 /* From sample i to sample i + 1 of one run; states that are not finite become NaN and stay so. */
 static void advance(Workspace *work, double t, double interval, int64_t steps, double *x, double *s) {
   const int64_t size = NX * work->columns;
-  double *x_next = x + NX, *s_next = s ? s + size : 0;
+  double *x_next = x + NX, *s_next = s + size;
   for (int64_t i = 0; i < NX; i++) x_next[i] = x[i];
-  for (int64_t i = 0; s && i < size; i++) s_next[i] = s[i];
+  for (int64_t i = 0; i < size; i++) s_next[i] = s[i];
   const double h = interval / (double)steps;
   for (int64_t k = 0; k < steps && is_finite(x_next, NX); k++) step(work, t + (double)k * h, h, x_next, s_next);
   if (is_finite(x_next, NX)) return;
   fill_nan(x_next, NX);
-  if (s) fill_nan(s_next, size);
+  fill_nan(s_next, size);
 }
 
 #if defined(_WIN32)
@@ -142,10 +139,10 @@ int SIMULATE(int64_t batch, int64_t samples, int64_t first, int64_t last, const 
              const int64_t *steps, const double *u, int64_t u_stride, const double *p, int64_t p_stride,
              const int64_t *wrt, int64_t columns, double *x, double *s) {
   const int64_t size = NX * columns;
-  double *block = malloc(sizeof(double) * (size_t)(SLOPES_PER_CALL + 3 * size));
+  double *block = malloc(sizeof(double) * (size_t)(SLOPES_PER_CALL + 3 * size + ND * columns));
   if (!block) return 1;
   double *z = block + SLOPES_PER_CALL;
-  Workspace work = {0, 0, wrt, columns, block, z, z + size, z + 2 * size};
+  Workspace work = {0, 0, wrt, columns, block, z, z + size, z + 2 * size, z + 3 * size};
   for (int64_t b = 0; b < batch; b++) {
     const double *time = t + b * t_stride;
     const int64_t *count = steps + (t_stride ? b * (samples - 1) : 0);
@@ -153,7 +150,7 @@ int SIMULATE(int64_t batch, int64_t samples, int64_t first, int64_t last, const 
     for (int64_t i = first; i < last; i++) {
       const int64_t row = b * samples + i;
       work.u = u + b * u_stride + i * NU;
-      advance(&work, time[i], time[i + 1] - time[i], count[i], x + row * NX, s ? s + row * size : 0);
+      advance(&work, time[i], time[i + 1] - time[i], count[i], x + row * NX, s + row * size);
     }
   }
   free(block);

@@ -17,8 +17,8 @@ from .convert import Converter
 class Functions:
     """Everything numeric that follows from a vehicle, as CasADi expressions and functions.
 
-    The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the commands
-    (thrusters, then known forces), p all parameters in the order of `parameter_names`, t the time in s.
+    The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the
+    commands (thrusters, then known forces), p all parameters in the order of `parameter_names`, t the time in s.
 
     Parameters
     ----------
@@ -73,14 +73,21 @@ class Functions:
             (names, self.p),
             ([composition.signals.t], self.t),
         )
-        known = {s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)}
+        known = {
+            s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)
+        }
         return known | {s: ca.SX(0) for s in composition.locked}
 
     def _define_relations(self) -> None:
         composition = self.vehicle.composition
         states = [x for e in composition.effects for x in e.state_symbols]
         parameters = [symbol(n) for n in self.vehicle.declared_parameters]
-        kept = {*self._memory, *self._chain_rates, *map(symbol, self.parameter_names), *composition.directional}
+        kept = {
+            *self._memory,
+            *self._chain_rates,
+            *map(symbol, self.parameter_names),
+            *composition.directional,
+        }
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
         self.convert.define(composition.relative_motion)
@@ -89,7 +96,7 @@ class Functions:
     # --- expressions --------------------------------------------------------------------------
     @cached_property
     def wrenches(self) -> dict[str, ca.SX]:
-        """Wrench of every effect by id, in the vehicle's degrees of freedom, from `actuation` and `nu_dot`."""
+        """Wrench of every effect by id in the vehicle's degrees of freedom, from `actuation` and `nu_dot`."""
         rows = list(self.vehicle.dof_indices)
         effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
         signals = self.vehicle.composition.signals
@@ -150,11 +157,23 @@ class Functions:
 
     @cached_property
     def x_dot(self) -> ca.SX:
-        """Time derivative of the state, from x, u, p, t; the mass matrix is solved, never inverted symbolically."""
+        """Time derivative of the state, from x, u, p, t; M is solved for, never inverted symbolically."""
         driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
         memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
         acceleration = solve_symmetric(self.mass_matrix, driven)
         return ca.cse(ca.vertcat(self.pose_rate, acceleration, memory, self.chain_rates))
+
+    @property
+    def acceleration_rows(self) -> slice:
+        """Rows of x_dot that hold the acceleration."""
+        n = self.nu_dot.numel()
+        return slice(n, 2 * n)
+
+    @cached_property
+    def balance(self) -> ca.SX:
+        """x_dot with the residual in the rows of the acceleration: one equation for each state."""
+        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
+        return ca.vertcat(self.pose_rate, self._driven_residual, memory, self.chain_rates)
 
     # --- functions ----------------------------------------------------------------------------
     @property
@@ -162,18 +181,40 @@ class Functions:
         return [self.x, self.u, self.p, self.t]
 
     def _function(self, name: str, outputs: list[ca.SX], output_names: list[str]) -> ca.Function:
-        return ca.Function(name, self._inputs, [ca.densify(o) for o in outputs], ["x", "u", "p", "t"], output_names)
+        return ca.Function(
+            name, self._inputs, [ca.densify(o) for o in outputs], ["x", "u", "p", "t"], output_names
+        )
 
     @cached_property
     def dynamics(self) -> ca.Function:
         """`x_dot = dynamics(x, u, p, t)`."""
         return self._function("dynamics", [self.x_dot], ["x_dot"])
 
+    def tangents(self, *with_respect_to: str) -> ca.Function:
+        """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p; the R are sparse.
+
+        d(x_dot)/da is R_a = d(balance)/da at the acceleration, with the rows of the acceleration multiplied
+        by W, the inverse of M. That is what differentiating M a = f gives; it costs far less than the
+        derivative of a solution.
+        """
+        acceleration = self.x_dot[self.acceleration_rows]
+        inverse = solve_symmetric(self.mass_matrix, ca.SX.eye(self.nu_dot.numel()))
+        by = {"x": self.x, "u": self.u, "p": self.p}
+        jacobians = [ca.jacobian(self.balance, by[v]) for v in with_respect_to]
+        slopes = [ca.substitute(j, self.nu_dot, acceleration) for j in jacobians]
+        outputs = ca.cse([ca.densify(self.x_dot), ca.densify(inverse), *slopes])
+        names = ["x_dot", "W", *(f"R_{v}" for v in with_respect_to)]
+        return ca.Function("tangents", self._inputs, outputs, ["x", "u", "p", "t"], names)
+
     @cached_property
     def jacobians(self) -> ca.Function:
         """`(x_dot, A, B, P) = jacobians(x, u, p, t)`: derivatives in state, input and parameters."""
-        derivatives = [ca.jacobian(self.x_dot, v) for v in (self.x, self.u, self.p)]
-        return self._function("jacobians", [self.x_dot, *derivatives], ["x_dot", "A", "B", "P"])
+        inputs = [ca.MX.sym(n, s.shape) for n, s in zip("xupt", self._inputs, strict=True)]
+        x_dot, inverse, *slopes = self.tangents("x", "u", "p")(*inputs)
+        rows = self.acceleration_rows
+        solved = [ca.vertcat(r[: rows.start, :], inverse @ r[rows, :], r[rows.stop :, :]) for r in slopes]
+        names = ["x", "u", "p", "t"], ["x_dot", "A", "B", "P"]
+        return ca.Function("jacobians", inputs, [x_dot, *map(ca.densify, solved)], *names)
 
     @cached_property
     def outputs(self) -> ca.Function:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from undertow.errors import UndertowError
 
-from .compiler import find_compiler, say_virtual_machine
+from .compiler import Compiler, compiled_or_virtual
+from .driver import CompiledStepper
 from .functions import Functions
-from .stepping import Array, CompiledStepper, Problem, Stepper, VirtualStepper
+from .problem import Array, Problem, Stepper
+from .virtual import VirtualStepper
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
@@ -36,7 +39,7 @@ class Simulator:
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
         self._functions = functions
         self._wish = compiled
-        self._steppers: dict[bool, Stepper] = {False: self._stepper(sensitivities=False)}
+        self._steppers = {False: self._stepper(sensitivities=False)}
 
     @property
     def compiled(self) -> bool:
@@ -44,18 +47,13 @@ class Simulator:
         return isinstance(self._steppers[False], CompiledStepper)
 
     def _stepper(self, *, sensitivities: bool) -> Stepper:
-        if self._wish is False:
-            return VirtualStepper(self._functions, sensitivities=sensitivities)
-        try:
-            compiler = find_compiler()
-            if compiler is None:
-                raise UndertowError("no C compiler found")
+        def compiled(compiler: Compiler) -> Stepper:
             return CompiledStepper(self._functions, compiler, sensitivities=sensitivities)
-        except UndertowError as error:
-            if self._wish:
-                raise
-            say_virtual_machine(str(error))
+
+        def virtual() -> Stepper:
             return VirtualStepper(self._functions, sensitivities=sensitivities)
+
+        return compiled_or_virtual(self._wish, compiled, virtual)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05) -> Array:
@@ -125,20 +123,15 @@ class Simulator:
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
         self._advance(problem, sensitivities=True)
-        assert problem.s is not None
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
     def _advance(self, problem: Problem, *, sensitivities: bool) -> None:
         if sensitivities not in self._steppers:
             self._steppers[sensitivities] = self._stepper(sensitivities=sensitivities)
         stepper = self._steppers[sensitivities]
-        cost = np.cumsum(problem.steps.max(axis=0, initial=1)) * len(problem.x)
-        chunks = np.searchsorted(cost, np.arange(0, cost[-1] if cost.size else 0, _STEPS_PER_CALL), side="right")
-        ends = [*map(int, chunks[1:]), problem.t.shape[1] - 1]
-        first = 0
-        for last in ends:
+        ends = [0, *_pauses(problem), problem.t.shape[1] - 1]
+        for first, last in pairwise(ends):
             stepper.advance(problem, first, last)
-            first = last
 
     # --- input --------------------------------------------------------------------------------
     def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
@@ -154,7 +147,15 @@ class Simulator:
         parameters = _checked("p", p, (n_parameters,), batch)
         x = np.empty((batch, samples, nx))
         x[:, :1] = start[:, None]
-        return Problem(times, _steps(times, max_step), inputs, parameters, x, np.empty(0, dtype=np.int64))
+        none = np.empty(0, dtype=np.int64)
+        return Problem(times, _steps(times, max_step), inputs, parameters, x, none, np.empty((*x.shape, 0)))
+
+
+def _pauses(problem: Problem) -> list[int]:
+    """Samples at which a long simulation comes back to Python."""
+    work = np.cumsum(problem.steps.max(axis=0, initial=1)) * len(problem.x)
+    limits = np.arange(_STEPS_PER_CALL, work[-1] if work.size else 0, _STEPS_PER_CALL)
+    return [int(i) for i in np.searchsorted(work, limits)]
 
 
 def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int | None = None) -> Array:
@@ -162,7 +163,9 @@ def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int 
     values = np.ascontiguousarray(array, dtype=float)
     if values.ndim == len(shape):
         values = values[None]
-    fits = values.ndim == len(shape) + 1 and all(b in (None, a) for a, b in zip(values.shape[1:], shape, strict=True))
+    fits = values.ndim == len(shape) + 1 and all(
+        wanted in (None, size) for size, wanted in zip(values.shape[1:], shape, strict=True)
+    )
     if not fits or (batch is not None and values.shape[0] not in (1, batch)):
         wanted = ", ".join("n" if s is None else str(s) for s in shape)
         runs = "" if batch is None else f" for each of {batch} runs"
@@ -175,7 +178,9 @@ def _steps(t: Array, max_step: float) -> Array:
         raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
     intervals = np.diff(t, axis=1)
     if not (np.isfinite(t).all() and (intervals >= 0).all()):
-        raise UndertowError("times of the samples are not finite or go back: sort the log and drop samples without a time")
+        raise UndertowError(
+            "times of the samples are not finite or go back: sort the log, drop samples without time"
+        )
     # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
     return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)
 
@@ -185,7 +190,7 @@ def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -
     for name, indices, size in (("wrt", wrt, problem.p.shape[1]), ("initial", initial, nx)):
         beyond = [i for i in indices if not 0 <= i < size]
         if beyond:
-            raise UndertowError(f"{name} holds index {beyond[0]}, but there are {size}: give indices from 0 to {size - 1}")
+            raise UndertowError(f"{name} holds index {beyond[0]}, but there are {size}: give 0 to {size - 1}")
     problem.wrt = np.array([*wrt, *[-1] * len(initial)], dtype=np.int64)
     problem.s = np.zeros((batch, samples, nx, problem.wrt.size))
     for k, i in enumerate(initial, start=len(wrt)):

@@ -8,7 +8,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-_UNUSED = re.compile(r"^((?:static |CASADI_SYMBOL_EXPORT )?int \w+\(const casadi_real\*\* arg.*int mem\) ?\{)$", re.MULTILINE)
+_UNUSED = re.compile(
+    r"^((?:static |CASADI_SYMBOL_EXPORT )?int \w+\(const casadi_real\*\* .*int mem\) ?\{)$", re.MULTILINE
+)
 _RELEASE = re.compile(r"^(CASADI_SYMBOL_EXPORT void \w+_release\(int mem\) \{)$", re.MULTILINE)
 
 

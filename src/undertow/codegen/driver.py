@@ -1,0 +1,84 @@
+"""Simulation by the compiled driver: one call for all samples of all runs."""
+
+from __future__ import annotations
+
+import ctypes
+from importlib.resources import files
+from pathlib import Path
+
+import casadi as ca
+
+from undertow.errors import UndertowError
+
+from .cache import library_for
+from .compiler import Compiler
+from .functions import Functions
+from .problem import Array, Problem
+from .source import c_source, with_unique_symbols
+
+
+class CompiledStepper:
+    """The driver in C around the generated dynamics or tangents: one call for all samples of all runs."""
+
+    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
+        function = functions.tangents("x", "p") if sensitivities else functions.dynamics
+        source, name = driver_source(function, functions.nu_dot.numel())
+        self.library: Path = library_for(source, compiler)
+        self._simulate = getattr(_loaded(self.library), name)
+        self._simulate.restype = ctypes.c_int
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        b, n, _ = problem.x.shape
+        failed = self._simulate(
+            *map(ctypes.c_int64, (b, n, first, last)),
+            *_shared(problem.t),
+            _pointer(problem.steps),
+            *_shared(problem.u),
+            *_shared(problem.p),
+            _pointer(problem.wrt),
+            ctypes.c_int64(problem.wrt.size),
+            _pointer(problem.x),
+            _pointer(problem.s),
+        )
+        if failed:
+            raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
+
+
+def _loaded(library: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise UndertowError(f"compiled code cannot be loaded: {error}; set UNDERTOW_NO_COMPILER=1") from error
+
+
+def _pointer(array: Array) -> ctypes.c_void_p:
+    assert array.flags.c_contiguous
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
+    """Address of an array and the distance from run to run, zero where the runs share it."""
+    return _pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
+
+
+def driver_source(function: ca.Function, n_dof: int) -> tuple[str, str]:
+    """C source of a simulation around `function` (dynamics or tangents), and the name of its entry point."""
+    sizes = {"NX": function.size1_in(0), "NU": function.size1_in(1), "NP": function.size1_in(2), "ND": n_dof}
+    defines = [f"#define {k} {v}" for k, v in sizes.items()]
+    defines += [f"#define {function.name().upper()} {function.name()}", "#define SIMULATE simulate"]
+    if function.name() == "tangents":
+        defines += _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
+    driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
+    text = "\n".join([c_source(function), *defines, "", driver])
+    source, prefix = with_unique_symbols(text, [function.name(), "simulate"])
+    return source, f"{prefix}simulate"
+
+
+def _pattern(name: str, sparsity: ca.Sparsity) -> list[str]:
+    column, row = sparsity.get_ccs()
+    return [
+        f"#define {name}_NONZEROS {len(row)}",
+        f"static const int {name}_COLUMN[] = {{{', '.join(map(str, column))}}};",
+        # C has no empty arrays.
+        f"static const int {name}_ROW[] = {{{', '.join(map(str, row or [0]))}}};",
+    ]

@@ -1,0 +1,47 @@
+"""What a simulation needs and fills, as the compiled driver and the virtual machine both take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+Array = np.ndarray
+
+
+@dataclass
+class Problem:
+    """Arrays of a simulation; where runs share t, u or p, its leading size is one.
+
+    Attributes
+    ----------
+    t : ndarray, shape (b or 1, n)
+        Times of the samples, s.
+    steps : ndarray of int64, shape (b or 1, n - 1)
+        Runge-Kutta steps from sample to sample.
+    u : ndarray, shape (b or 1, n, nu)
+        Inputs, held from their sample to the next.
+    p : ndarray, shape (b or 1, np)
+        Parameters.
+    x : ndarray, shape (b, n, nx)
+        States; the first sample is given, the others are written.
+    wrt : ndarray of int64, shape (m,)
+        Parameter of every sensitivity column, -1 for columns of an initial state.
+    s : ndarray, shape (b, n, nx, m)
+        Sensitivities; the first sample is given, the others are written. No column where none are wanted.
+    """
+
+    t: Array
+    steps: Array
+    u: Array
+    p: Array
+    x: Array
+    wrt: Array
+    s: Array
+
+
+class Stepper(Protocol):
+    """Advances a problem from sample `first` to sample `last`."""
+
+    def advance(self, problem: Problem, first: int, last: int) -> None: ...
