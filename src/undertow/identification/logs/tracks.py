@@ -174,7 +174,7 @@ def _usual_change(y: Array) -> float:
 def _gross_outliers(t: Array, y: Array) -> Flags:
     """Find single wild samples by comparing each with the cubic through its four neighbours.
 
-    They would spoil the likelihood; the rest is left to it. So is a shift, which stands out on either side alike.
+    They would spoil the likelihood. A shift, which stands out on either side alike, is left to it.
     """
     index = np.flatnonzero(np.isfinite(y))
     seen, result = y[index], np.zeros(len(y), dtype=bool)
