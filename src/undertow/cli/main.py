@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -34,8 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run(lambda: _root().main(_verbose_first(arguments), prog_name="undertow", standalone_mode=False))
 
 
-def _root() -> typer.core.TyperGroup:
-    group = typer.main.get_group(_app)
+def _root() -> Any:
+    group: Any = typer.main.get_command(_app)  # a group, because there is a callback
     for name, line in commands().items():
         group.add_command(LazyCommand(name, short_help=line))
     return group

@@ -1,0 +1,40 @@
+# `make demo` and `make test` do all the set-up themselves; they need make and Python 3.11 or newer (PYTHON=...).
+
+PYTHON ?= python3
+VENV ?= .venv
+WORKERS ?= 2
+
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+NEEDED := import sys; sys.exit(sys.version_info < (3, 11) and "undertow needs Python 3.11 or newer: make PYTHON=python3.12")
+
+.PHONY: demo test docs clean
+
+demo: $(VENV)/.installed
+	$(BIN)/undertow demo
+
+test: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/python -m pytest -q -n $(WORKERS)
+
+docs: $(VENV)/.installed
+	$(BIN)/python -m undertow.cli._docs docs/cli.md
+
+# The stamps stand in the environment: when it is thrown away, so are they.
+$(VENV)/.installed: pyproject.toml $(BIN)/python
+	$(PIP) install --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml $(BIN)/python
+	$(PIP) install --editable ".[dev]"
+	@touch $@ $(VENV)/.installed
+
+$(BIN)/python:
+	@$(PYTHON) -c '$(NEEDED)'
+	$(PYTHON) -m venv $(VENV)
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache demo-output

@@ -1,0 +1,76 @@
+"""The floors of the package: who may import whom."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "undertow"
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+FLOORS = {
+    room.strip(" ()")
+    for contract in CONTRACTS
+    if contract["id"] == "floors"
+    for layer in contract["layers"]
+    for room in layer.split("|")
+}
+
+
+def _check(folder: Path, config: Path) -> subprocess.CompletedProcess[str]:
+    """Run import-linter on the package `undertow` of a folder."""
+    code = "import sys; from importlinter import cli; sys.exit(cli.lint_imports(sys.argv[1], no_cache=True))"
+    command = [sys.executable, "-c", code, str(config)]
+    return subprocess.run(
+        command,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_the_contracts_are_kept() -> None:
+    done = _check(ROOT / "src", ROOT / "pyproject.toml")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_module_stands_on_a_floor() -> None:
+    modules = [path.relative_to(SOURCE).with_suffix("").parts for path in SOURCE.rglob("*.py")]
+    homeless = sorted({parts[0] for parts in modules} - FLOORS - {"__init__"})
+    assert not homeless, f"not in the floors of pyproject.toml: {homeless}"
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "complaint"),
+    [
+        ("model", "import undertow.codegen", "undertow.model is not allowed to import undertow.codegen"),
+        ("model", "import numpy", "undertow.model is not allowed to import numpy"),
+        ("model", "def late():\n    import casadi", "undertow.model is not allowed to import casadi"),
+        (
+            "identification",
+            "import undertow.control",
+            "undertow.identification is not allowed to import undertow.control",
+        ),
+        ("cli", "import control", "not allowed to import control"),
+        ("attic", "", "undertow.attic"),
+    ],
+)
+def test_a_breach_is_seen(tmp_path: Path, module: str, line: str, complaint: str) -> None:
+    package = tmp_path / "undertow"
+    for name in {*FLOORS, module}:
+        (package / name).mkdir(parents=True)
+        (package / name / "__init__.py").write_text("")
+    (package / "__init__.py").write_text("")
+    (package / "control" / "__init__.py").write_text("import control\n")
+    assert _check(tmp_path, ROOT / "pyproject.toml").returncode == (module == "attic")
+    (package / module / "__init__.py").write_text(line)
+    done = _check(tmp_path, ROOT / "pyproject.toml")
+    assert done.returncode == 1
+    assert complaint in done.stdout.replace("\n", " "), done.stdout
