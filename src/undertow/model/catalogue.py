@@ -9,7 +9,7 @@ import pkgutil
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 
@@ -30,16 +30,37 @@ def catalogue() -> Catalogue:
     UndertowError
         If two effects have the same id.
     """
-    modules = (importlib.import_module(f"{effects.__name__}.{m.name}") for m in pkgutil.iter_modules(effects.__path__))
+    modules = (
+        importlib.import_module(f"{effects.__name__}.{m.name}")
+        for m in pkgutil.iter_modules(effects.__path__)
+    )
     own = [cls for module in modules for cls in effects_in(module)]
-    added = [point.load() for point in entry_points(group="undertow.effects")]
+    added = [_installed(point) for point in entry_points(group="undertow.effects")]
     return MappingProxyType(merge({}, [*own, *added]))
+
+
+def _installed(point: EntryPoint) -> type[Effect]:
+    place = f"'{point.name}' of an installed package"
+    try:
+        cls = point.load()
+    except Exception as error:  # a broken package must be named, it is not ours to mend
+        why = f"{type(error).__name__}: {error}"
+        raise UndertowError(
+            f"effect {place} cannot be loaded from {point.value}: {why}; mend or uninstall it"
+        ) from error
+    if not (inspect.isclass(cls) and issubclass(cls, Effect)):
+        raise UndertowError(f"entry point {place}, {point.value}, is no effect class: mend or uninstall it")
+    return cls
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
     """Concrete effect classes that a module defines itself."""
     members = (m for _, m in inspect.getmembers(module, inspect.isclass))
-    return [c for c in members if issubclass(c, Effect) and not inspect.isabstract(c) and c.__module__ == module.__name__]
+    return [
+        c
+        for c in members
+        if issubclass(c, Effect) and not inspect.isabstract(c) and c.__module__ == module.__name__
+    ]
 
 
 def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Effect]]:
@@ -47,7 +68,9 @@ def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Eff
     result = dict(known)
     for cls in added:
         if not isinstance(getattr(cls, "id", None), str):
-            raise UndertowError(f"effect class {cls.__name__} has no id: give it a class attribute id = '...'")
+            raise UndertowError(
+                f"effect class {cls.__name__} has no id: give it a class attribute id = '...'"
+            )
         if result.get(cls.id, cls) is not cls:
             raise UndertowError(f"effect id '{cls.id}' of {cls.__name__} is taken already: choose another id")
         result[cls.id] = cls
@@ -72,11 +95,13 @@ def load_effects(path: Path) -> list[type[Effect]]:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a user's file raises is the user's to mend
+    except (Exception, SystemExit) as error:  # whatever a user's file raises is the user's to mend
         raise UndertowError(f"effect file '{path}' cannot be run: {type(error).__name__}: {error}") from error
     found = effects_in(module)
     if not found:
-        raise UndertowError(f"effect file '{path}' holds no effect: define a class derived from undertow.Wrench")
+        raise UndertowError(
+            f"effect file '{path}' holds no effect: define a class derived from undertow.Wrench"
+        )
     return found
 
 
@@ -89,7 +114,9 @@ def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
         If there is none; the nearest known id is named.
     """
     if effect_id not in known:
-        raise UndertowError(f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them")
+        raise UndertowError(
+            f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"
+        )
     return known[effect_id]
 
 

@@ -131,9 +131,11 @@ def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str
 
 
 def _id_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
-    if not _NAME.fullmatch(cls.id):
+    if not isinstance(getattr(cls, "id", None), str):
+        yield "id is missing: give the class an attribute id = 'my_effect'"
+    elif not _NAME.fullmatch(cls.id):
         yield f"id '{cls.id}' is no identifier: use letters, digits and underscores"
-    if known.get(cls.id, cls) is not cls:
+    elif known.get(cls.id, cls) is not cls:
         yield f"id '{cls.id}' belongs to {known[cls.id].__name__} already: choose another"
 
 
@@ -174,7 +176,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
 def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
     taken = {str(x): "a signal" for x in signal_units(signals())}
     for other in known.values():
-        if other is not cls and other.id != cls.id:
+        if other is not cls and other.id != getattr(cls, "id", None):
             specimen = other.specimen()
             names = [*(p.name for p in specimen.parameters), *specimen.states]
             taken |= dict.fromkeys(names, f"effect '{other.id}'")

@@ -21,7 +21,7 @@ ANY = None
 _PLAIN_ARGUMENT = (
     *(sm.sin, sm.cos, sm.tan, sm.asin, sm.acos, sm.atan, sm.sinh, sm.cosh, sm.tanh, sm.exp, sm.log),
 )
-_FAMILIAR = ("1", "N", "N m", "W", "m", "m/s", "m/s^2", "kg", "kg m", "kg m^2", "s", "rad/s^2")
+_FAMILIAR = ("N", "N m", "W", "m", "m/s", "m/s^2", "kg", "kg m", "kg m^2", "s", "rad/s^2")
 _BASE = {"[length]": "m", "[mass]": "kg", "[time]": "s", "[temperature]": "K", "[current]": "A"}
 _LONGEST_TERM = 70
 
@@ -39,12 +39,16 @@ def dimension(unit: str) -> Dimension:
 
 
 def unit_text(dim: Dimension | None) -> str:
-    """A readable unit of a dimension."""
+    """A dimension in words: ``in N m``, ``without a unit``."""
     if dim is ANY:
-        return "any unit"
+        return "zero"
+    return f"in {_unit_name(dim)}" if dim != dimension("1") else "without a unit"
+
+
+def _unit_name(dim: Dimension) -> str:
     familiar = [u for u in _FAMILIAR if dimension(u) == dim]
     if familiar:
-        return "no unit" if familiar[0] == "1" else familiar[0]
+        return familiar[0]
     powers = sorted(
         ((str(n), float(str(p))) for n, p in dim.items()), key=lambda item: (item[1] < 0, item[0])
     )
@@ -87,7 +91,7 @@ def require_unit(expression: sm.Expr, unit: str, units: Mapping[sm.Symbol, str])
     for term in sm.Add.make_args(sm.sympify(expression)):
         found = dimension_of(term, units)
         if found is not ANY and found != dimension(unit):
-            raise UndertowError(f"the term {_short(term)} is in {unit_text(found)} where {unit} is wanted")
+            raise UndertowError(f"the term {_short(term)} is {unit_text(found)} where {unit} is wanted")
 
 
 class _Analysis:
@@ -136,8 +140,8 @@ class _Analysis:
                 first = (arg, found)
             elif first is not None and found not in (ANY, first[1]):
                 raise UndertowError(
-                    f"in {_short(whole)} the term {_short(first[0])} is in {unit_text(first[1])} "
-                    f"but {_short(arg)} is in {unit_text(found)}"
+                    f"in {_short(whole)} the term {_short(first[0])} is {unit_text(first[1])} "
+                    f"but {_short(arg)} is {unit_text(found)}"
                 )
         return first[1] if first else ANY
 
@@ -157,7 +161,7 @@ class _Analysis:
         if found in (ANY, dimension("1")):
             return found
         if not exponent.is_Rational:
-            raise UndertowError(f"{_short(e)} raises {unit_text(found)} to a power that is no number")
+            raise UndertowError(f"{_short(e)} raises a term {unit_text(found)} to a power that is no number")
         return found ** (int(exponent) if exponent.is_Integer else float(exponent))
 
     def _plain(self, e: sm.Basic) -> Dimension | None:
@@ -168,7 +172,7 @@ class _Analysis:
         found = self.of(arg)
         if found not in (ANY, dimension("1")):
             raise UndertowError(
-                f"{_short(whole)} needs a pure number but {_short(arg)} is in {unit_text(found)}"
+                f"{_short(whole)} needs a pure number but {_short(arg)} is {unit_text(found)}"
             )
 
     def _sign(self, e: sm.Basic) -> Dimension | None:

@@ -64,13 +64,13 @@ def absent_at_neutral(s: Statement) -> Iterator[str]:
         left = (part.matrix - part.absent).xreplace(resting).subs(neutral)
         if left.has(sm.nan, sm.zoo, sm.oo):
             yield (
-                f"{part.name}() is not defined where {_settings(neutral)}: declare the neutral value of the "
+                f"{part.name}() is not defined {_settings(neutral)}: declare the neutral value of the "
                 f"parameter in question (neutral=None if it cannot switch the effect off)"
             )
             continue
         row = nonzero_row(left, s)
         if row is not None:
-            yield f"{part.rows[row]} does not vanish where {_settings(neutral)}: {_short(left[row])} is left"
+            yield f"{part.rows[row]} does not vanish {_settings(neutral)}: {_short(left[row])} is left"
 
 
 def _neutral_values(s: Statement) -> dict[sm.Symbol, sm.Expr]:
@@ -87,10 +87,10 @@ def _exact(number: float) -> sm.Expr:
 
 def _settings(values: dict[sm.Symbol, sm.Expr]) -> str:
     listed = [f"{x} = {v}" for x, v in values.items()]
-    return (
-        ", ".join(listed[:3]) + (f" and {len(listed) - 3} more are neutral" if len(listed) > 3 else "")
-        or "always"
-    )
+    if not listed:
+        return "although no parameter can switch the effect off"
+    more = f" and {len(listed) - 3} more are neutral" if len(listed) > 3 else ""
+    return f"where {', '.join(listed[:3])}{more}"
 
 
 def _rest_states(s: Statement) -> Sequence[sm.Expr]:
@@ -109,7 +109,8 @@ def rests_at_rest(s: Statement) -> Iterator[str]:
 # --- linearity --------------------------------------------------------------------------------
 def linearity_as_declared(s: Statement) -> Iterator[str]:
     """Parameters declared linear are regressor columns, together; the others are not."""
-    linear = [p for p in s.own if p.linear]
+    own = [p for p in s.own if symbol(p.name) in s.free_symbols]
+    linear = [p for p in own if p.linear]
     if s.kind in ("flow", "measurement"):
         for p in linear:
             yield f"parameter '{p.name}' of a {s.kind} effect is no regressor column: declare linear=False"
@@ -121,7 +122,7 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     together = [symbol(p.name) for p in linear]
     if not found and bent_row(main, together, s) is not None:
         yield f"the linear parameters {_names(linear)} multiply each other: declare all but one linear=False"
-    for p in s.own:
+    for p in own:
         if (
             not p.linear
             and symbol(p.name) not in hidden
@@ -255,7 +256,8 @@ def accelerates(s: Statement) -> bool:
 
 def has_own_inertia(s: Statement) -> bool:
     """Whether the effect has inertia of its own, and not only couplings."""
-    return accelerates(s) and any(inertia_of(s).diagonal())
+    inertia = inertia_of(s) if accelerates(s) else sm.zeros(6)
+    return any(inertia.diagonal()) and not inertia.free_symbols & set(s.signals.nu_dot)
 
 
 def claims(s: Statement, what: str) -> bool:

@@ -67,9 +67,9 @@ class Probe:
             return low + abs(step)
         if math.isinf(low):
             return high - abs(step)
-        if low > 0:
-            return math.exp(self._random.uniform(math.log(low), math.log(high)))
-        return self._random.uniform(low, high)
+        # Bounds may be far wider than any value of interest: half of the draws are of ordinary size.
+        ordinary = self._random.random() < 0.5 and low <= step <= high
+        return step if ordinary else self._random.uniform(low, high)
 
 
 def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, float]], list[float]]:
