@@ -23,18 +23,19 @@ test: $(VENV)/.installed-dev
 docs: $(VENV)/.installed
 	$(BIN)/python -m undertow.cli._docs docs/cli.md
 
-# The stamps stand in the environment: when it is thrown away, so are they.
-$(VENV)/.installed: pyproject.toml $(BIN)/python
+# The stamps stand in the environment: when it is thrown away, so are they. A half-made one is made again.
+$(VENV)/.installed: pyproject.toml | $(VENV)/.made
 	$(PIP) install --editable .
 	@touch $@
 
-$(VENV)/.installed-dev: pyproject.toml $(BIN)/python
+$(VENV)/.installed-dev: pyproject.toml | $(VENV)/.made
 	$(PIP) install --editable ".[dev]"
 	@touch $@ $(VENV)/.installed
 
-$(BIN)/python:
+$(VENV)/.made:
 	@$(PYTHON) -c '$(NEEDED)'
-	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv --clear $(VENV) || { echo "Python lacks its venv module (Debian, Ubuntu: apt install python3-venv)"; exit 1; }
+	@touch $@
 
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache demo-output
