@@ -1,10 +1,10 @@
 /* Classical fourth-order Runge-Kutta over a whole log, inputs held between samples.
 
-   Compiled together with the functions that CasADi generated. The including source defines
-     NX, NU, NP       numbers of states, inputs and parameters
+   Compiled together with the generated functions. What stands before this defines
+     NX, NU           numbers of states and inputs
      ND               number of degrees of freedom; rows ND .. 2 ND - 1 of x_dot hold the acceleration
-     DYNAMICS         name of x_dot = f(x, u, p, t)
-   or, for sensitivities, TANGENTS in place of DYNAMICS with the sparsity of R_x and R_p (compressed columns):
+     DYNAMICS         name of the function f(x, u, p, t, x_dot)
+   or, for sensitivities, TANGENTS (x, u, p, t, x_dot, W, R_x, R_p) in its place and the sparsity of R_x and R_p:
      RX_COLUMN, RX_ROW, RX_NONZEROS, RP_COLUMN, RP_ROW, RP_NONZEROS
    and SIMULATE, the name under which the entry point is exported.
 
@@ -40,14 +40,12 @@ static void fill_nan(double *x, int64_t n) {
 }
 
 static void evaluate(Workspace *work, const double *x, double t) {
-  const double *arg[8] = {x, work->u, work->p, &t};
   double *f = work->slopes;
 #ifdef TANGENTS
-  double *res[8] = {f, f + NX, f + NX + ND * ND, f + NX + ND * ND + RX_NONZEROS};
-  TANGENTS(arg, res, 0, 0, 0);
+  double *w = f + NX, *rx = w + ND * ND, *rp = rx + RX_NONZEROS;
+  TANGENTS(x, work->u, work->p, t, f, w, rx, rp);
 #else
-  double *res[8] = {f};
-  DYNAMICS(arg, res, 0, 0, 0);
+  DYNAMICS(x, work->u, work->p, t, f);
 #endif
 }
 

@@ -13,8 +13,9 @@ from undertow.errors import UndertowError
 from .cache import library_for
 from .compiler import Compiler
 from .functions import Functions
+from .plain import plain_c
 from .problem import Array, Problem
-from .source import c_source, with_unique_symbols
+from .source import digest
 
 
 class CompiledStepper:
@@ -61,17 +62,31 @@ def _shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return _pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
 
 
+# Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
+_SEPARATE = """\
+#if defined(__GNUC__)
+#define SEPARATE __attribute__((noinline))
+#else
+#define SEPARATE
+#endif
+"""
+
+
 def driver_source(function: ca.Function, n_dof: int) -> tuple[str, str]:
-    """C source of a simulation around `function` (dynamics or tangents), and the name of its entry point."""
-    sizes = {"NX": function.size1_in(0), "NU": function.size1_in(1), "NP": function.size1_in(2), "ND": n_dof}
+    """C source of a simulation around `function` (dynamics or tangents), and the name of its entry point.
+
+    The entry point carries the hash of the source, so that no other library in the process has the same one.
+    """
+    sizes = {"NX": function.size1_in(0), "NU": function.size1_in(1), "ND": n_dof}
     defines = [f"#define {k} {v}" for k, v in sizes.items()]
-    defines += [f"#define {function.name().upper()} {function.name()}", "#define SIMULATE simulate"]
+    defines += [f"#define {function.name().upper()} {function.name()}"]
     if function.name() == "tangents":
         defines += _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
-    text = "\n".join([c_source(function), *defines, "", driver])
-    source, prefix = with_unique_symbols(text, [function.name(), "simulate"])
-    return source, f"{prefix}simulate"
+    model = plain_c(function, function.name(), packed=("R_x", "R_p"), prefix="static SEPARATE ")
+    text = "\n".join([*defines, _SEPARATE, "#include <math.h>", "", model, driver])
+    name = f"undertow_{digest(text)[:16]}_simulate"
+    return f"#define SIMULATE {name}\n{text}", name
 
 
 def _pattern(name: str, sparsity: ca.Sparsity) -> list[str]:
