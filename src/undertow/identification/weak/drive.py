@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
+from .pointwise import call
+
 Array = NDArray[np.float64]
 _SUBSTEPS = 4
 
@@ -47,18 +49,14 @@ class Chain:
 
     def along(self, t: Array, u: Array, p: Array) -> Driven:
         """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
-        size = self.functions.actuation.shape[0]
-        count, n_free = len(t), len(self.free)
+        size, count = self.functions.actuation.shape[0], len(t)
         if size == 0:
-            return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)))
+            return _nothing(count, len(self.free))
         step = np.append(np.diff(t), 0.0)
-        start = np.asarray(self._rest(u[0], p)).ravel()
-        accumulated = _accumulated(self._advance, count)
-        _, flat = accumulated(start, u.T, step[None, :], np.tile(p[:, None], count))
-        table = np.asarray(flat).T
-        value = table[:, :size]
-        slope = table[:, size:].reshape(count, n_free, size).transpose(0, 2, 1)
-        return self._delayed(t, Driven(value, slope), p)
+        (start,) = call(self._rest, [u[0], p])
+        _, flat = call(_accumulated(self._advance, count), [start, u, step, np.tile(p, (count, 1))])
+        table = flat.reshape(count, -1)
+        return self._delayed(t, _spread(table, size, self._felt, len(self.free)), p)
 
     @cached_property
     def _rest(self) -> ca.Function:
@@ -67,9 +65,15 @@ class Chain:
         slope = ca.jacobian(f.chain_rest, self._free)
         return ca.Function("rest", [f.u, f.p], [ca.vertcat(f.chain_rest, ca.vec(ca.densify(slope)))])
 
+    @cached_property
+    def _felt(self) -> list[int]:
+        """Which of the free parameters the chain depends on."""
+        f = self.functions
+        return _dependence(f, self.free, ca.vertcat(f.chain_output, f.chain_rates, f.chain_rest))
+
     @property
     def _free(self) -> ca.SX:
-        return ca.vertcat(*[self.functions.p[i] for i in self.free])
+        return _chosen(self.functions, [self.free[k] for k in self._felt])
 
     @cached_property
     def _advance(self) -> ca.Function:
@@ -91,7 +95,8 @@ class Chain:
     def _dead_time(self) -> ca.Function:
         f = self.functions
         expression = f.convert(f.vehicle.composition.dead_time)
-        return ca.Function("dead_time", [f.p], [expression, ca.densify(ca.jacobian(expression, self._free))])
+        slope = ca.jacobian(expression, _chosen(f, list(self.free)))
+        return ca.Function("dead_time", [f.p], [expression, ca.densify(slope)])
 
     def _delayed(self, t: Array, driven: Driven, p: Array) -> Driven:
         if self.functions.vehicle.composition.dead_time == 0:
@@ -145,37 +150,65 @@ class Memory:
 
     def along(self, t: Array, measured: Array, actuation: Array, u: Array, p: Array) -> Driven:
         """States at the samples, zero at the first; the motion is taken as linear between samples."""
-        size = self.functions.memory.shape[0]
-        count, n_free = len(t), len(self.free)
+        size, count = self.functions.memory.shape[0], len(t)
         if size == 0:
-            return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)))
+            return _nothing(count, len(self.free))
         steps = np.diff(t)
-        columns = [measured[:-1].T, measured[1:].T, actuation[:-1].T, u[:-1].T, steps[None, :]]
-        run = _accumulated(self._advance, count - 1)
-        states, _ = run(np.zeros(size * (1 + n_free)), *columns, np.tile(p[:, None], count - 1))
-        table = np.vstack([np.zeros(size * (1 + n_free)), np.asarray(states).T])
-        return Driven(table[:, :size], table[:, size:].reshape(count, n_free, size).transpose(0, 2, 1))
+        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1], steps, np.tile(p, (count - 1, 1))]
+        start = np.zeros(size * (1 + len(self._felt)))
+        states, _ = call(_accumulated(self._advance, count - 1), [start, *columns])
+        table = np.vstack([start, states.reshape(count - 1, -1)])
+        return _spread(table, size, self._felt, len(self.free))
+
+    @cached_property
+    def _rates(self) -> ca.SX:
+        f = self.functions
+        return ca.substitute(f.memory_rates, ca.vertcat(f.eta, f.nu), self._true_motion)
+
+    @cached_property
+    def _felt(self) -> list[int]:
+        """Which of the free parameters the memory depends on."""
+        return _dependence(self.functions, self.free, self._rates)
 
     @cached_property
     def _advance(self) -> ca.Function:
         f = self.functions
         z, dt, after = f.memory, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
-        free = ca.vertcat(*[f.p[i] for i in self.free])
-        motion = ca.vertcat(f.eta, f.nu)
-        expression = ca.substitute(f.memory_rates, motion, self._true_motion)
-        rate = ca.Function("rate", [z, self._measured, f.actuation, f.u, f.p], [expression])
+        free = _chosen(f, [self.free[k] for k in self._felt])
+        rate = ca.Function("rate", [z, self._measured, f.actuation, f.u, f.p], [self._rates])
 
         def at(state: ca.SX, share: float) -> ca.SX:
             here = self._measured + share * (after - self._measured)
             return rate(state, here, f.actuation, f.u, f.p)
 
         end = _integrated_along(at, z, dt)
-        slope = ca.SX.sym("slope", z.shape[0], len(self.free))
+        slope = ca.SX.sym("slope", z.shape[0], free.shape[0])
         new_slope = ca.jacobian(end, z) @ slope + ca.jacobian(end, free)
         state = ca.vertcat(z, ca.vec(slope))
         carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
         inputs = [state, self._measured, after, f.actuation, f.u, dt, f.p]
         return ca.Function("advance", inputs, [carried, ca.SX(0)])
+
+
+def _nothing(count: int, n_free: int) -> Driven:
+    return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)))
+
+
+def _chosen(functions: Functions, places: list[int]) -> ca.SX:
+    return ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
+
+
+def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) -> list[int]:
+    pattern = ca.jacobian_sparsity(expression, functions.p)
+    used = set(pattern.get_col())
+    return [k for k, place in enumerate(free) if place in used]
+
+
+def _spread(table: Array, size: int, felt: list[int], n_free: int) -> Driven:
+    """Values, and slopes put in the columns of the parameters that they belong to."""
+    slope = np.zeros((len(table), size, n_free))
+    slope[:, :, felt] = table[:, size:].reshape(len(table), len(felt), size).transpose(0, 2, 1)
+    return Driven(table[:, :size], slope)
 
 
 def _integrated(rate, output, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:  # type: ignore[no-untyped-def]

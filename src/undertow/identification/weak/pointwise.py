@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions
+from undertow.codegen.functions import Functions, solve_symmetric
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,9 @@ class Pointwise:
     """Terms of the weak form at a sample, for one vehicle.
 
     The measured pose and velocity are first turned back into the true ones (inverse of the measurement effects).
-    Rows: momentum M nu, forcing without commands, pose, pose rate, forcing by the commands; n rows each.
+    Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration by the commands; n rows
+    each. The equations of motion are divided by the mass matrix: their noise then hardly depends on the parameters,
+    and least squares is not drawn to small inertia, as it is where the noise is multiplied by what is estimated.
 
     Parameters
     ----------
@@ -37,14 +39,27 @@ class Pointwise:
     @cached_property
     def _rows(self) -> ca.SX:
         f = self.functions
-        inputs = ca.vertcat(f.actuation, f.u[f.actuation.shape[0] :])
-        zero = ca.SX.zeros(inputs.shape)
-        still = ca.substitute(f.forcing, inputs, zero)
-        rows = ca.vertcat(f.mass_matrix @ f.nu, still, f.eta, f.pose_rate, f.forcing - still)
-        return ca.cse(ca.substitute(rows, ca.vertcat(f.eta, f.nu), self._true_motion))
+        still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
+        accelerations = solve_symmetric(f.mass_matrix, ca.horzcat(still, self._by_commands))
+        rows = ca.vertcat(f.nu, accelerations[:, 0], f.eta, f.pose_rate, accelerations[:, 1])
+        return ca.cse(ca.substitute(rows, ca.vertcat(f.eta, f.nu), self.true_motion))
 
     @cached_property
-    def _true_motion(self) -> ca.SX:
+    def _drive(self) -> ca.SX:
+        f = self.functions
+        return ca.vertcat(f.actuation, f.u[f.actuation.shape[0] :])
+
+    @cached_property
+    def _by_commands(self) -> ca.SX:
+        """Part of the forcing that the commands bring in."""
+        f = self.functions
+        slope = ca.jacobian(f.forcing, self._drive)
+        if not ca.depends_on(slope, ca.vertcat(self._drive, f.eta, f.nu)):
+            return slope @ self._drive
+        return f.forcing - ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
+
+    @cached_property
+    def true_motion(self) -> ca.SX:
         """Pose and velocity from what the sensors report; the report is affine in them."""
         f = self.functions
         motion = ca.vertcat(f.eta, f.nu)
@@ -82,20 +97,33 @@ class Pointwise:
     @cached_property
     def held_depends_on_motion(self) -> bool:
         """Whether the force of the commands depends on the motion."""
-        slope = ca.jacobian(self._rows[4 * self.size :], self.measured)
-        return bool(slope.nnz())
+        motion = ca.vertcat(self.functions.eta, self.functions.nu)
+        return bool(ca.depends_on(ca.vertcat(self._by_commands, ca.vec(self.functions.mass_matrix)), motion))
 
 
 def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> list[Array]:
     """Evaluate at N samples: `columns` are (N, k) arrays; results have shape (N, rows, columns)."""
     count = len(t)
-    arguments = [ca.DM(c.T) if c.size else ca.DM.zeros(c.shape[1], count) for c in columns]
-    results = function.map(count)(*arguments, p, t[None, :]) if count else []
+    arguments = [*columns, np.tile(p, (count, 1)), t[:, None]]
+    flat = call(_map(function, count), arguments)
     shapes = [function.size_out(i) for i in range(function.n_out())]
-    found = results if isinstance(results, tuple | list) else [results]
-    return [_stacked(np.asarray(r), shape, count) for r, shape in zip(found, shapes, strict=True)]
+    # CasADi is column-major: a sample's matrix lies transposed in the flat result.
+    return [f.reshape(count, c, r).transpose(0, 2, 1) for f, (r, c) in zip(flat, shapes, strict=True)]
 
 
-def _stacked(flat: Array, shape: tuple[int, int], count: int) -> Array:
-    rows, columns = shape
-    return flat.reshape(rows, count, columns).transpose(1, 0, 2) if columns else np.zeros((count, rows, 0))
+def call(function: ca.Function, arguments: list[Array]) -> list[Array]:
+    """Call a function through its buffers; arguments and results are flat, column-major, without copies by CasADi."""
+    buffer, evaluate = function.buffer()
+    inputs = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+    results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, memoryview(array.ravel()))
+    for i, array in enumerate(results):
+        buffer.set_res(i, memoryview(array))
+    evaluate()
+    return results
+
+
+@lru_cache(maxsize=256)
+def _map(function: ca.Function, count: int) -> ca.Function:
+    return function.map(count)

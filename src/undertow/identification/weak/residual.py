@@ -43,7 +43,7 @@ class WeakModel:
         self.places = tuple(functions.parameter_names.index(n) for n in self.free)
         self._points = Pointwise(functions, self.places)
         self._chain = Chain(functions, self.places)
-        self._memory = Memory(functions, self.places, self._points.measured, self._points._true_motion)
+        self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""

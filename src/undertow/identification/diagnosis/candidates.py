@@ -1,0 +1,90 @@
+"""Effects that could be missing: what each would add to a vehicle, and where a search for it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+from undertow.model.catalogue import Catalogue
+from undertow.model.effect import Effect
+from undertow.model.parameter import Parameter
+from undertow.model.vehicle import Value, Vehicle
+
+from ..weak.fit import free_parameters
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect that the model may lack, or lacks some parameters of.
+
+    Attributes
+    ----------
+    effect : type of Effect
+        The effect.
+    base : Vehicle
+        The model without it.
+    """
+
+    effect: type[Effect]
+    base: Vehicle
+
+    @property
+    def id(self) -> str:
+        """Id of the effect."""
+        return self.effect.id
+
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        """The model with the effect, at values that change nothing yet."""
+        return self.base.with_effect(self.effect, {})
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters that the effect adds to the equations and that have to be found."""
+        known = {n.removesuffix("_forward").removesuffix("_backward") for n in self.base.values}
+        names = set(self.vehicle.parameter_names)
+        own = next(e for e in self.vehicle.effects if e.id == self.id).parameters
+        return tuple(p for p in own if p.name in names and p.name not in known and p.default is None)
+
+    @property
+    def adds_nothing(self) -> bool:
+        """Whether the model already has all of the effect that its degrees of freedom can show."""
+        present = any(e.id == self.id for e in self.base.effects)
+        return not self.parameters and (present or self.vehicle.residual == self.base.residual)
+
+    @property
+    def removable(self) -> tuple[str, ...]:
+        """Parameters that may be left out if they prove to be zero.
+
+        A time constant next to gains of the same effect says nothing by itself: the gains decide.
+        """
+        linear = tuple(p.name for p in self.parameters if p.linear)
+        return linear or tuple(p.name for p in self.parameters)
+
+    def free(self) -> tuple[str, ...]:
+        """What a fit of the model with the effect may change."""
+        return (*free_parameters(self.base), *(p.name for p in self.parameters))
+
+    def starts(self, command_scale: float) -> list[dict[str, float]]:
+        """Starting points of the search, one for each combination of the shape parameters' starts."""
+        shaped = [p for p in self.parameters if p.starts]
+        grids = [[_start(p, s, command_scale) for s in p.starts] for p in shaped]
+        return [dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)]
+
+    def with_values(self, values: Mapping[str, Value]) -> Vehicle:
+        """The model with the effect at found values."""
+        return self.base.with_effect(self.effect, {}).with_values(values)
+
+
+def _start(parameter: Parameter, start: float, command_scale: float) -> float:
+    return start * command_scale if parameter.unit == "command" else start
+
+
+def candidates(vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
+    """All effects of the catalogue that could be added to a vehicle."""
+    present = {e.id for e in vehicle.effects}
+    possible = [c for c in known.values() if not c.built_in and set(c.requires) <= present]
+    found = [Candidate(cls, vehicle) for cls in possible]
+    return [c for c in found if not c.adds_nothing]

@@ -1,0 +1,112 @@
+"""What a diagnosis says, as it is written to JSON."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+SCHEMA = "undertow/diagnosis/1"
+Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]
+
+
+class Table(BaseModel):
+    """A table of the result."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class RunInfo(Table):
+    """A log and what was done with it."""
+
+    name: str
+    source: str
+    sha256: str
+    role: Literal["train", "holdout", "blocks"]
+    samples: int
+    duration: float
+    notes: list[str]
+
+
+class Estimate(Table):
+    """A parameter after the fit, in the sign convention of the vehicle file."""
+
+    name: str
+    effect: str
+    value: float
+    standard_error: float | None
+    unit: str
+    about: str
+    prior: float | None = None
+    prior_sigma: float | None = None
+
+
+class Ranked(Table):
+    """A candidate: what it would add and what that does to the error on kept-aside data.
+
+    `error_before` and `error_after` are normalised (1 is the noise floor); `explained` is the share of what
+    exceeds the floor that goes away; `improvement` is the mean fall of the mean square over the blocks of the
+    kept-aside data with its 95 % interval.
+    """
+
+    effect: str
+    family: str
+    about: str
+    parameters: list[Estimate]
+    error_before: float
+    error_after: float
+    explained: float
+    improvement: float
+    interval: tuple[float, float]
+    significant: bool
+    prediction_before: float | None = None
+    prediction_after: float | None = None
+
+
+class Step(Table):
+    """The model with one more effect."""
+
+    added: list[str]
+    error: float
+    prediction: float | None = None
+
+
+class Indistinguishable(Table):
+    """Effects that these data cannot tell apart, and why."""
+
+    effects: list[str]
+    reason: str
+
+
+class Remaining(Table):
+    """What the final model leaves in one degree of freedom on kept-aside data."""
+
+    degree_of_freedom: str
+    normalised_error: float
+    residual_rms: float
+    noise_rms: float
+    unit: str
+    note: str
+
+
+class Diagnosis(Table):
+    """Outcome of `undertow diagnose`."""
+
+    schema_id: str = SCHEMA
+    undertow: str
+    vehicle: str
+    degrees_of_freedom: list[str]
+    signs: str
+    runs: list[RunInfo]
+    verdict: Verdict
+    headline: str
+    effects: list[str]
+    ranking: list[Ranked]
+    steps: list[Step]
+    indistinguishable: list[Indistinguishable]
+    warnings: list[str]
+    remaining: list[Remaining]
+    parameters: list[Estimate]
+    false_alarm_rate: float
+    noise: dict[str, float]
+    seconds: float

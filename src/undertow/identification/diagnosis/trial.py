@@ -1,0 +1,180 @@
+"""Trying one candidate: fit it with the rest of the model, keep the parameters that matter, judge it on kept-aside data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.model.vehicle import Vehicle
+
+from ..weak.data import WeakData
+from ..weak.fit import WeakFit, fit_weak, inverse_of, mean_square
+from ..weak.noise import Whitening
+from ..weak.residual import whitened
+from .candidates import Candidate
+
+Array = NDArray[np.float64]
+# |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
+T_KEEP = 4.0
+_REWEIGHTINGS = 4
+
+
+@dataclass(frozen=True)
+class Score:
+    """A model on data that it was not fitted to.
+
+    Attributes
+    ----------
+    r : (m,) array
+        Whitened residual.
+    mean_square : (2n,) array
+        Mean square for each equation; 1 is the noise floor.
+    error : float
+        Normalised error: geometric mean over the equations of the rms; 1 is the noise floor.
+    """
+
+    r: Array
+    mean_square: Array
+
+    @property
+    def error(self) -> float:
+        return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.mean_square, 1e-12)))))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate after its fit."""
+
+    candidate: Candidate
+    fit: WeakFit
+    kept: tuple[str, ...]
+    score: Score
+
+    @property
+    def id(self) -> str:
+        """Id of the effect."""
+        return self.candidate.id
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Data and noise model that all candidates face alike.
+
+    Attributes
+    ----------
+    train, test : WeakData
+        What models are fitted to, and what they are judged by.
+    train_whitening, test_whitening : list of Whitening
+        Noise of both, the same for all candidates.
+    base : WeakFit
+        The model without any candidate, fitted to the training data.
+    """
+
+    train: WeakData
+    test: WeakData
+    train_whitening: list[Whitening]
+    test_whitening: list[Whitening]
+    base: WeakFit
+
+    def judge(self, fit: WeakFit) -> Score:
+        """Score of a fitted model on the kept-aside data."""
+        r = whitened(fit.model.linearise(self.test, fit.p), self.test_whitening).r
+        return Score(r, mean_square(r, self.test))
+
+    def fit(
+        self,
+        vehicle: Vehicle,
+        free: Sequence[str],
+        start: dict[str, float] | None = None,
+        *,
+        most: int = 15,
+        dispersion: Array | None = None,
+    ) -> WeakFit:
+        """Fit a model to the training data, by default weighted as the base was."""
+        return fit_weak(
+            vehicle,
+            self.train,
+            free,
+            start=start,
+            whitening=self.train_whitening,
+            dispersion=self.base.dispersion if dispersion is None else dispersion,
+            max_iterations=most,
+        )
+
+    def sharpened(self, fit: WeakFit) -> Bench:
+        """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
+        train = fit.model.whitening(self.train, fit.p)
+        base = fit_weak(
+            self.base.model.functions.vehicle,
+            self.train,
+            self.base.model.free,
+            start=self.base.values,
+            whitening=train,
+            dispersion=self.base.dispersion,
+        )
+        return Bench(self.train, self.test, train, fit.model.whitening(self.test, fit.p), base)
+
+    @property
+    def command_scale(self) -> float:
+        """Typical large command, for starting values in units of the command."""
+        pieces = [np.abs(s.u) for s in self.train.segments if s.u.size]
+        return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
+
+
+def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float] | None = None) -> Trial:
+    """Fit a candidate from all of its starting points (or a known one), drop what does not matter, and judge it."""
+    fit = bench.fit(candidate.vehicle, candidate.free(), start) if start else _best_fit(candidate, bench)
+    kept = _parameters_that_matter(fit, candidate.removable)
+    if candidate.removable and not kept:
+        return Trial(candidate, bench.base, (), bench.judge(bench.base))
+    if len(kept) < len(candidate.removable):
+        fit = _refit(candidate, fit, kept, bench)
+    fit = _reweighted(candidate, fit, bench)
+    return Trial(candidate, fit, kept, bench.judge(fit))
+
+
+def _reweighted(candidate: Candidate, fit: WeakFit, bench: Bench) -> WeakFit:
+    """A candidate that explains much earns a finer noise model than the incomplete model had."""
+    for _ in range(_REWEIGHTINGS):
+        finer = np.maximum(1.0, np.nan_to_num(fit.mean_square(), nan=1.0))
+        if not np.any(finer < 0.5 * fit.dispersion):
+            break
+        fit = bench.fit(candidate.vehicle, fit.model.free, fit.values, dispersion=finer)
+    return fit
+
+
+def _best_fit(candidate: Candidate, bench: Bench) -> WeakFit:
+    starts = candidate.starts(bench.command_scale)
+    scouts = [bench.fit(candidate.vehicle, candidate.free(), s, most=2) for s in starts] if len(starts) > 1 else []
+    start = min(scouts, key=lambda f: f.cost).values if scouts else starts[0]
+    return bench.fit(candidate.vehicle, candidate.free(), start)
+
+
+def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], bench: Bench) -> WeakFit:
+    dropped = set(candidate.removable) - set(kept)
+    # What is left out goes back to zero, which is where the candidate's vehicle has it.
+    start = {n: v for n, v in fit.values.items() if n not in dropped}
+    return bench.fit(candidate.vehicle, [n for n in fit.model.free if n not in dropped], start)
+
+
+def _parameters_that_matter(fit: WeakFit, removable: tuple[str, ...]) -> tuple[str, ...]:
+    """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation."""
+    names = list(fit.model.free)
+    information = fit.information
+    inflation = np.sqrt(np.diag(fit.covariance) / np.diag(inverse_of(information)))
+    active = list(range(len(names)))
+    estimate = np.array([fit.values[n] for n in names])
+    while True:
+        spread = np.sqrt(np.diag(inverse_of(information[np.ix_(active, active)]))) * inflation[active]
+        t = np.abs(estimate[active]) / spread
+        open_to_drop = [i for i, k in enumerate(active) if names[k] in removable]
+        weakest = min(open_to_drop, key=lambda i: t[i], default=None)
+        if weakest is None or t[weakest] >= T_KEEP:
+            return tuple(names[k] for k in active if names[k] in removable)
+        gone = active.pop(weakest)
+        # Fixing one parameter at zero moves the others along the valley of the cost.
+        valley = inverse_of(information[np.ix_(active, active)]) @ information[np.ix_(active, [gone])].ravel()
+        estimate[active] += valley * estimate[gone]
