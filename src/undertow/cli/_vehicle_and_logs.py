@@ -1,0 +1,160 @@
+"""What the commands that work on a vehicle and logs share: their options, and the reading of both."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from undertow.errors import UndertowError
+
+from ._progress import Report, progress
+
+if TYPE_CHECKING:
+    from undertow.identification.logs import Mapping, Run
+    from undertow.model.vehicle import Vehicle
+
+Fill = Literal["refuse", "hold", "gap"]
+VehicleArgument = Annotated[
+    str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
+]
+LogsArgument = Annotated[list[Path], typer.Argument(metavar="LOG", help="Logs: CSV, CSV.gz or Parquet.")]
+HoldoutOption = Annotated[
+    list[Path] | None,
+    typer.Option("--holdout", metavar="LOG", help="Log kept aside for judging; give it once for each log."),
+]
+MapOption = Annotated[
+    Path | None,
+    typer.Option("--map", metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
+]
+EffectsOption = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE", help="Python file with effects of your own; it is executed."),
+]
+FromOption = Annotated[
+    float | None, typer.Option("--from", metavar="SECONDS", help="Leave out what is earlier in the logs.")
+]
+ToOption = Annotated[
+    float | None, typer.Option("--to", metavar="SECONDS", help="Leave out what is later in the logs.")
+]
+FillOption = Annotated[
+    Fill | None,
+    typer.Option(
+        "--fill",
+        help="Where a command has no sample: refuse the log, hold the last value, or leave a gap.",
+        show_default="refuse, or what the mapping file says",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A vehicle with its logs.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The model.
+    path : Path
+        The file it was read from.
+    train, holdout : list of Run
+        Logs to work on, and logs kept aside; where a log has only pose, velocities are derived from it.
+    """
+
+    vehicle: Vehicle
+    path: Path
+    train: list[Run]
+    holdout: list[Run]
+
+
+def load(
+    vehicle: str,
+    logs: Sequence[Path],
+    holdout: Sequence[Path] | None = None,
+    *,
+    map: Path | None = None,
+    effects: Sequence[Path] | None = None,
+    window: tuple[float | None, float | None] = (None, None),
+    fill: Fill | None = None,
+) -> Loaded:
+    """Read a vehicle and logs that are driven by its commands, with a progress bar.
+
+    Parameters
+    ----------
+    vehicle : str
+        Path of a vehicle file, or name of a bundled vehicle.
+    logs, holdout : sequence of Path
+        Logs to work on, and logs kept aside.
+    map : Path, optional
+        Mapping file for all of the logs.
+    effects : sequence of Path, optional
+        Files with effects of the user; they are executed.
+    window : (t_min, t_max)
+        Part of every log that is used, s.
+    fill : "refuse", "hold" or "gap", optional
+        What to do where a command has no sample.
+
+    Raises
+    ------
+    UndertowError
+        If a file cannot be read or does not fit the vehicle, or a log is given twice.
+    """
+    from undertow.identification.logs import read_mapping
+    from undertow.model.loading import load_vehicle, resolve_vehicle
+
+    model = load_vehicle(vehicle, effect_files=effects or ())
+    mapping = None if map is None else read_mapping(map)
+    paths = [*logs, *(holdout or ())]
+    with progress("reading logs", total=len(paths)) as report:
+        runs = _runs(paths, model, mapping, window, fill, report)
+    _refuse_twins(runs)
+    runs = _distinct(runs)
+    return Loaded(model, resolve_vehicle(vehicle), runs[: len(logs)], runs[len(logs) :])
+
+
+def _runs(
+    paths: list[Path],
+    vehicle: Vehicle,
+    mapping: Mapping | None,
+    window: tuple[float | None, float | None],
+    fill: Fill | None,
+    report: Report,
+) -> list[Run]:
+    from undertow.identification.logs import read_log, velocities_from_pose
+
+    runs = []
+    for done, path in enumerate(paths):
+        report(done, f"reading {path.name}")
+        run = read_log(path, mapping, vehicle.command_names, window=window, missing_commands=fill)
+        runs.append(velocities_from_pose(run, vehicle.degrees_of_freedom))
+    return runs
+
+
+def _refuse_twins(runs: list[Run]) -> None:
+    """The same data twice would be judged by what it was fitted to, or weigh double."""
+    seen: dict[str, str] = {}
+    for run in runs:
+        if run.sha256 in seen:
+            raise UndertowError(
+                f"logs {seen[run.sha256]} and {run.source} have the same content: give each once, either to "
+                "work on or to keep aside"
+            )
+        seen[run.sha256] = run.source
+
+
+def _distinct(runs: list[Run]) -> list[Run]:
+    """Runs with names that tell them apart: the folder is added where file names are the same."""
+    count = Counter(run.name for run in runs)
+    longer = [_with_folder(run) if count[run.name] > 1 else run for run in runs]
+    again = Counter(run.name for run in longer)
+    return [
+        replace(r, name=f"{r.name} ({i})") if again[r.name] > 1 else r for i, r in enumerate(longer, start=1)
+    ]
+
+
+def _with_folder(run: Run) -> Run:
+    return replace(run, name=f"{Path(run.source).resolve().parent.name}/{run.name}")
