@@ -77,7 +77,7 @@ def dimension_of(expression: sm.Expr, units: Mapping[sm.Symbol, str]) -> Dimensi
         If terms of different units are added or compared, a function that needs a pure number gets another
         unit, or something in the expression has no rule or no unit; the term and both units are named.
     """
-    return _Analysis(units).of(sm.sympify(expression))
+    return _Analysis(units).of(sm.sympify(expression, strict=True))
 
 
 def require_unit(expression: sm.Expr, unit: str, units: Mapping[sm.Symbol, str]) -> None:
@@ -88,7 +88,7 @@ def require_unit(expression: sm.Expr, unit: str, units: Mapping[sm.Symbol, str])
     UndertowError
         As `dimension_of`, and if the whole has another unit; the first term of it is named.
     """
-    for term in sm.Add.make_args(sm.sympify(expression)):
+    for term in sm.Add.make_args(sm.sympify(expression, strict=True)):
         found = dimension_of(term, units)
         if found is not ANY and found != dimension(unit):
             raise UndertowError(f"the term {_short(term)} is {unit_text(found)} where {unit} is wanted")

@@ -196,17 +196,21 @@ def inertia_positive(s: Statement) -> Iterator[str]:
 
 
 def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _ROUNDING) -> bool:
-    """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace (by Cholesky)."""
-    n = len(rows)
-    shift = margin * sum(abs(rows[i][i]) for i in range(n)) or margin
-    factor = [[0.0] * n for _ in range(n)]
-    for i in range(n):
+    """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
+    trace = sum(abs(rows[i][i]) for i in range(len(rows)))
+    return failing_pivot(rows, margin * trace or margin) is None
+
+
+def failing_pivot(rows: Sequence[Sequence[float]], shift: float = 0.0) -> int | None:
+    """Row at which Cholesky's factorisation of a symmetric matrix, plus `shift` on its diagonal, fails."""
+    factor = [[0.0] * len(rows) for _ in rows]
+    for i in range(len(rows)):
         for j in range(i + 1):
             rest = rows[i][j] + shift * (i == j) - sum(factor[i][k] * factor[j][k] for k in range(j))
             if i == j and not rest > 0:
-                return False
+                return i
             factor[i][j] = math.sqrt(rest) if i == j else rest / factor[j][j]
-    return True
+    return None
 
 
 # --- energy -------------------------------------------------------------------------------------

@@ -162,3 +162,19 @@ def declared(owner: type) -> Iterable[Parameter | DerivativeMatrix]:
 def renamed(parameter: Parameter, suffix: str) -> Parameter:
     """The same parameter under a longer name (forward and backward values of one coefficient)."""
     return replace(parameter, name=f"{parameter.name}_{suffix}", about=f"{parameter.about} ({suffix})")
+
+
+def printed(parameter: Parameter, value: float, signs: str) -> float:
+    """A value in SNAME signs as a file or a table of the convention `signs` has it, and the way back as well.
+
+    Parameters
+    ----------
+    parameter : Parameter
+        What the value belongs to.
+    value : float
+        The number, SI; under "magnitudes" a derivative on the left-hand side changes its sign.
+    signs : str
+        "sname" or "magnitudes".
+    """
+    # A difference, because -value would turn zero into -0.0.
+    return 0.0 - value if signs == "magnitudes" and parameter.on_left_side else value

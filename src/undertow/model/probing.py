@@ -74,7 +74,7 @@ class Probe:
 
 def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, float]], list[float]]:
     """A function from a point to the values of expressions; NaN where they are not defined."""
-    rows = [sm.sympify(e) for e in expressions]
+    rows = [sm.sympify(e, strict=True) for e in expressions]
     names = sorted({x for e in rows for x in e.free_symbols}, key=str)
     function = sm.lambdify(names, rows, "math", cse=True)
 

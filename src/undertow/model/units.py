@@ -67,6 +67,17 @@ def to_si(value: str | float, unit: str) -> float:
     return _finite(value, value, unit)
 
 
+def unit_of(value: str) -> str:
+    """Return the unit text of a quantity as it is written: ``"7.5 kg"`` gives ``" kg"``.
+
+    Raises
+    ------
+    UndertowError
+        If the text does not begin with a number.
+    """
+    return _split(value, "m")[1].rstrip()
+
+
 def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, float]:
     """Return `scale` and `offset` such that ``in_unit_to = scale * in_unit_from + offset``.
 
@@ -163,5 +174,7 @@ def _finite(number: float, value: object, unit: str) -> float:
     except OverflowError:
         result = math.inf
     if not math.isfinite(result):
-        raise UndertowError(f"{str(value)[:_LONGEST]!r} is not a finite quantity: give {wanted}")
+        # An integer of thousands of digits cannot even be printed.
+        shown = value if isinstance(value, str | float) else f"{type(value).__name__} out of range"
+        raise UndertowError(f"{str(shown)[:_LONGEST]!r} is not a finite quantity: give {wanted}")
     return result

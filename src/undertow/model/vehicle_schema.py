@@ -5,7 +5,16 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    StrictStr,
+)
 
 from .symbols import DOFS
 
@@ -37,9 +46,16 @@ class ParameterTable(Table):
     backward: Quantity | None = None
     estimate: StrictBool = False
     sigma: Quantity | None = None
+    sigma_forward: Quantity | None = None
+    sigma_backward: Quantity | None = None
     source: StrictStr = ""
     assumed: StrictBool = False
     allow_sign: StrictBool = False
+
+    def one_way(self, way: str) -> ParameterTable:
+        """What the table says about the value `forward` or `backward`, whose standard deviation may be its own."""
+        own = getattr(self, f"sigma_{way}")
+        return self.model_copy(update={"sigma": self.sigma if own is None else own})
 
 
 class ThrusterTable(Table):
