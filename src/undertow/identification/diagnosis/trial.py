@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,11 @@ class Bench:
     test_whitening: list[Whitening]
     base: WeakFit
 
+    @cached_property
+    def base_score(self) -> Score:
+        """How the model without any candidate does on the kept-aside data."""
+        return self.judge(self.base)
+
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the kept-aside data."""
         r = whitened(fit.model.linearise(self.test, fit.p), self.test_whitening).r
@@ -124,16 +130,27 @@ class Bench:
         return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
 
 
-def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float] | None = None) -> Trial:
-    """Fit a candidate from all of its starting points (or a known one), drop what does not matter, and judge it."""
-    fit = bench.fit(candidate.vehicle, candidate.free(), start) if start else _best_fit(candidate, bench)
+def scout(candidate: Candidate, bench: Bench) -> WeakFit:
+    """One Gauss-Newton step from every starting point; the best of them tells whether a full fit is worth its time."""
+    starts = candidate.starts(bench.command_scale)
+    return min((bench.fit(candidate.vehicle, candidate.free(), s, most=1) for s in starts), key=lambda f: f.cost)
+
+
+def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
+    """Fit a candidate, drop the parameters that do not matter, and judge it."""
+    fit = bench.fit(candidate.vehicle, candidate.free(), start)
     kept = _parameters_that_matter(fit, candidate.removable)
     if candidate.removable and not kept:
-        return Trial(candidate, bench.base, (), bench.judge(bench.base))
+        return rejected(candidate, bench)
     if len(kept) < len(candidate.removable):
         fit = _refit(candidate, fit, kept, bench)
     fit = _reweighted(candidate, fit, bench)
     return Trial(candidate, fit, kept, bench.judge(fit))
+
+
+def rejected(candidate: Candidate, bench: Bench) -> Trial:
+    """A candidate none of whose parameters matters: the model stays as it was."""
+    return Trial(candidate, bench.base, (), bench.base_score)
 
 
 def _reweighted(candidate: Candidate, fit: WeakFit, bench: Bench) -> WeakFit:
@@ -144,13 +161,6 @@ def _reweighted(candidate: Candidate, fit: WeakFit, bench: Bench) -> WeakFit:
             break
         fit = bench.fit(candidate.vehicle, fit.model.free, fit.values, dispersion=finer)
     return fit
-
-
-def _best_fit(candidate: Candidate, bench: Bench) -> WeakFit:
-    starts = candidate.starts(bench.command_scale)
-    scouts = [bench.fit(candidate.vehicle, candidate.free(), s, most=2) for s in starts] if len(starts) > 1 else []
-    start = min(scouts, key=lambda f: f.cost).values if scouts else starts[0]
-    return bench.fit(candidate.vehicle, candidate.free(), start)
 
 
 def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], bench: Bench) -> WeakFit:

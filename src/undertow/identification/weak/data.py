@@ -132,7 +132,7 @@ def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
     kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
-    noise = _noise(runs, names) if sigma is None else sigma
+    noise = channel_noise(runs, names) if sigma is None else sigma
     return WeakData(tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names)
 
 
@@ -159,7 +159,8 @@ def _segments(index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...
     return found
 
 
-def _noise(runs: Sequence[Run], names: tuple[str, ...]) -> Array:
+def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:
+    """Standard deviation of the noise of channels, in their units; zero for a channel that no run has."""
     return np.array([_channel_noise(runs, n) for n in names])
 
 

@@ -27,10 +27,13 @@ class Driven:
         Value at each sample, or mean over the interval that follows it.
     slope : (N, k, n_free) array
         Its derivative.
+    start : (N, k, n_states) array
+        Its derivative in the states that it started from, which no log tells.
     """
 
     value: Array
     slope: Array
+    start: Array
 
 
 class Chain:
@@ -58,11 +61,21 @@ class Chain:
         table = flat.reshape(count, -1)
         return self._delayed(t, _spread(table, size, self._felt, len(self.free)), p)
 
+    def states(self, t: Array, u: Array, p: Array) -> Array:
+        """Actuator states at the samples, shape (N, k), from rest under the first command; no delay is applied."""
+        size, felt = self.functions.actuator_states.shape[0], len(self._felt)
+        if size == 0:
+            return np.zeros((len(t), size))
+        (start,) = call(self._rest, [u[0], p])
+        columns = [u[:-1], np.diff(t), np.tile(p, (len(t) - 1, 1))]
+        after, _ = call(_accumulated(self._advance, len(t) - 1), [start, *columns])
+        return np.vstack([start, after.reshape(-1, size * (1 + felt))])[:, :size]
+
     @cached_property
     def _rest(self) -> ca.Function:
         """States at rest with their derivatives, stacked."""
         f = self.functions
-        slope = ca.jacobian(f.chain_rest, self._free)
+        slope = ca.horzcat(ca.jacobian(f.chain_rest, self._free), ca.SX.eye(f.chain_rest.shape[0]))
         return ca.Function("rest", [f.u, f.p], [ca.vertcat(f.chain_rest, ca.vec(ca.densify(slope)))])
 
     @cached_property
@@ -83,9 +96,8 @@ class Chain:
         rates = ca.Function("rates", [z, f.u, f.p], [f.chain_rates])
         output = ca.Function("output", [z, f.u, f.p], [f.chain_output])
         end, mean = _integrated(lambda s: rates(s, f.u, f.p), lambda s: output(s, f.u, f.p), z, dt)
-        n, k = z.shape[0], self._free.shape[0]
-        slope = ca.SX.sym("slope", n, k)
-        new_slope, mean_slope = (ca.jacobian(v, z) @ slope + ca.jacobian(v, self._free) for v in (end, mean))
+        slope = ca.SX.sym("slope", z.shape[0], self._free.shape[0] + z.shape[0])
+        new_slope, mean_slope = (_moved(v, z, slope, self._free) for v in (end, mean))
         carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
         emitted = ca.vertcat(mean, ca.vec(ca.densify(mean_slope)))
         state = ca.vertcat(z, ca.vec(slope))
@@ -104,9 +116,11 @@ class Chain:
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         seconds = float(delay[0, 0])
         value = shifted_mean(t, driven.value, seconds)
-        moved = shifted_mean(t, driven.slope.reshape(len(t), -1), seconds).reshape(driven.slope.shape)
+        moved, start = (
+            shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape) for s in (driven.slope, driven.start)
+        )
         per_second = -shift_rate(t, driven.value, seconds)
-        return Driven(value, moved + per_second[:, :, None] * slope.ravel())
+        return Driven(value, moved + per_second[:, :, None] * slope.ravel(), start)
 
 
 def shifted_mean(t: Array, held: Array, delay: float) -> Array:
@@ -155,7 +169,7 @@ class Memory:
             return _nothing(count, len(self.free))
         steps = np.diff(t)
         columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1], steps, np.tile(p, (count - 1, 1))]
-        start = np.zeros(size * (1 + len(self._felt)))
+        start = np.concatenate([np.zeros(size * (1 + len(self._felt))), np.eye(size).ravel()])
         states, _ = call(_accumulated(self._advance, count - 1), [start, *columns])
         table = np.vstack([start, states.reshape(count - 1, -1)])
         return _spread(table, size, self._felt, len(self.free))
@@ -182,8 +196,8 @@ class Memory:
             return rate(state, here, f.actuation, f.u, f.p)
 
         end = _integrated_along(at, z, dt)
-        slope = ca.SX.sym("slope", z.shape[0], free.shape[0])
-        new_slope = ca.jacobian(end, z) @ slope + ca.jacobian(end, free)
+        slope = ca.SX.sym("slope", z.shape[0], free.shape[0] + z.shape[0])
+        new_slope = _moved(end, z, slope, free)
         state = ca.vertcat(z, ca.vec(slope))
         carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
         inputs = [state, self._measured, after, f.actuation, f.u, dt, f.p]
@@ -191,7 +205,13 @@ class Memory:
 
 
 def _nothing(count: int, n_free: int) -> Driven:
-    return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)))
+    return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)), np.zeros((count, 0, 0)))
+
+
+def _moved(value: ca.SX, z: ca.SX, slope: ca.SX, free: ca.SX) -> ca.SX:
+    """Slopes of `value` in the free parameters and in the first states, from those of z."""
+    direct = ca.horzcat(ca.jacobian(value, free), ca.SX(value.shape[0], z.shape[0]))
+    return ca.jacobian(value, z) @ slope + direct
 
 
 def _chosen(functions: Functions, places: list[int]) -> ca.SX:
@@ -206,9 +226,10 @@ def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) 
 
 def _spread(table: Array, size: int, felt: list[int], n_free: int) -> Driven:
     """Values, and slopes put in the columns of the parameters that they belong to."""
+    slopes = table[:, size:].reshape(len(table), -1, size).transpose(0, 2, 1)
     slope = np.zeros((len(table), size, n_free))
-    slope[:, :, felt] = table[:, size:].reshape(len(table), len(felt), size).transpose(0, 2, 1)
-    return Driven(table[:, :size], slope)
+    slope[:, :, felt] = slopes[:, :, : len(felt)]
+    return Driven(table[:, :size], slope, slopes[:, :, len(felt) :])
 
 
 def _integrated(rate, output, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:  # type: ignore[no-untyped-def]

@@ -20,10 +20,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Linearised:
-    """A residual and its derivative in the free parameters: r of shape (m,), J of shape (m, n_free)."""
+    """A residual and its derivatives.
+
+    Attributes
+    ----------
+    r : (m,) array
+        Residual.
+    J : (m, n_free) array
+        Derivative in the free parameters.
+    start : (m, n_states) array
+        Derivative in the effects' own states at the start of the segment.
+    """
 
     r: Array
     J: Array
+    start: Array
 
 
 class WeakModel:
@@ -53,20 +64,23 @@ class WeakModel:
     def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = [s.measured, actuation.value, memory.value, s.u]
-        value, free, by_actuation, by_memory = mapped(self._points.value_and_derivatives, inputs, p, s.t)
-        total = free + by_actuation @ actuation.slope + by_memory @ memory.slope
-        table = np.concatenate([value, total], axis=2)
+        table = self._total(inputs, actuation, memory, p, s.t)
         if self._points.held_depends_on_motion:
             table = self._averaged_over_steps(table, s, actuation, memory, p)
         return self._tested(table, s, rows)
+
+    def _total(self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array) -> Array:
+        """Pointwise rows beside their total derivatives in the free parameters and in the first states."""
+        value, free, by_actuation, by_memory = mapped(self._points.value_and_derivatives, inputs, p, t)
+        total = free + by_actuation @ actuation.slope + by_memory @ memory.slope
+        return np.concatenate([value, total, by_actuation @ actuation.start, by_memory @ memory.start], axis=2)
 
     def _averaged_over_steps(self, table: Array, s: Segment, actuation: Driven, memory: Driven, p: Array) -> Array:
         """Take the force of the commands at both ends of the interval in which they are held."""
         n = self._points.size
         later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
         inputs = [later[0], actuation.value, later[1], s.u]
-        value, free, by_actuation, _ = mapped(self._points.value_and_derivatives, inputs, p, s.t)
-        end = np.concatenate([value, free + by_actuation @ actuation.slope], axis=2)
+        end = self._total(inputs, actuation, memory, p, s.t)
         table[:, 4 * n :] = 0.5 * (table[:, 4 * n :] + end[:, 4 * n :])
         return table
 
@@ -79,7 +93,8 @@ class WeakModel:
         kinematic = f.rate @ blocks[2] + f.value @ blocks[3]
         both = np.concatenate([force, kinematic], axis=1).reshape(f.count, 2 * n, width)[:, list(rows)]
         stacked = both.reshape(-1, width)
-        return Linearised(stacked[:, 0].copy(), stacked[:, 1:].copy())
+        last = 1 + len(self.free)
+        return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
         """Whitening of every segment under the noise of the channels, at parameters p."""
@@ -94,11 +109,21 @@ class WeakModel:
 
 
 def _cut(driven: Driven, s: Segment) -> Driven:
-    return Driven(driven.value[s.samples], driven.slope[s.samples])
+    return Driven(driven.value[s.samples], driven.slope[s.samples], driven.start[s.samples])
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening]) -> Linearised:
-    """All segments together, in units of their noise."""
-    done = [w(np.column_stack([part.r, part.J])) for part, w in zip(parts, whitening, strict=True)]
-    table = np.vstack(done)
-    return Linearised(table[:, 0], table[:, 1:])
+    """All segments together, in units of their noise, free of what the unknown first states of effects contribute."""
+    tables = [_without_start(part, w) for part, w in zip(parts, whitening, strict=True)]
+    table = np.vstack(tables)
+    return Linearised(table[:, 0], table[:, 1:], np.zeros((len(table), 0)))
+
+
+def _without_start(part: Linearised, whitening: Whitening) -> Array:
+    """Project out the directions of the first states: the rest of the residual does not depend on them."""
+    table = whitening(np.column_stack([part.r, part.J, part.start]))
+    last = 1 + part.J.shape[1]
+    kept, start = table[:, :last], table[:, last:]
+    size = np.linalg.norm(start, axis=0)
+    directions = np.linalg.qr(start[:, size > 1e-9 * size.max(initial=0.0)])[0] if start.shape[1] else start
+    return np.asarray(kept - directions @ (directions.T @ kept))
