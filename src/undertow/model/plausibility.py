@@ -66,11 +66,6 @@ def _check_complete(vehicle: Vehicle) -> None:
             )
     if not vehicle.mass_matrix.free_symbols:
         raise UndertowError("the vehicle has no inertia: add [effects.rigid_body]")
-    for i, dof in enumerate(vehicle.degrees_of_freedom):
-        if vehicle.mass_matrix[i, i] == 0:
-            raise UndertowError(
-                f"nothing has inertia in {dof}: add it to [effects.rigid_body] or leave {dof} out"
-            )
 
 
 def _check_inertia(vehicle: Vehicle) -> None:
@@ -81,6 +76,10 @@ def _check_inertia(vehicle: Vehicle) -> None:
         pivot = failing_pivot(rows, -_ROUNDING * abs(trace))
         if pivot is not None:
             dof, value = vehicle.degrees_of_freedom[pivot], rows[pivot][pivot]
+            if value == 0:
+                raise UndertowError(
+                    f"nothing has inertia in {dof}: add it to [effects.rigid_body] or leave {dof} out"
+                )
             raise UndertowError(
                 f"the mass matrix is not positive definite in {way} motion: its entry for {dof}, {value:g}, "
                 f"is too little for its couplings; check centre of gravity, inertias and added mass"

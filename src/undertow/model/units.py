@@ -161,7 +161,8 @@ def _unit(text: str) -> Unit:
 
 
 def _split(text: str, wanted: str) -> tuple[float, str]:
-    match = _NUMBER.fullmatch(text.strip()[: 2 * _LONGEST])
+    plain = text.strip()
+    match = _NUMBER.fullmatch(plain) if len(plain) <= 2 * _LONGEST else None
     if match is None:
         raise UndertowError(f"{text[:_LONGEST]!r} is not a number with a unit: write it like '1.5 {wanted}'")
     return float(match[1]), match[2]

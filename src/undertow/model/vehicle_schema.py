@@ -1,4 +1,4 @@
-"""The vehicle file as pydantic sees it: unknown keys and wrong types are refused with the place they stand in."""
+"""The vehicle file as pydantic sees it: unknown keys and wrong types are refused, with their place."""
 
 from __future__ import annotations
 
@@ -29,6 +29,12 @@ def _identifier(name: object) -> object:
     return name
 
 
+def _printable(text: object) -> object:
+    if isinstance(text, str) and not text.isprintable():
+        raise ValueError("a name must be printable, without line breaks and control characters")
+    return text
+
+
 Identifier = Annotated[StrictStr, BeforeValidator(_identifier)]
 
 
@@ -53,7 +59,7 @@ class ParameterTable(Table):
     allow_sign: StrictBool = False
 
     def one_way(self, way: str) -> ParameterTable:
-        """What the table says about the value `forward` or `backward`, whose standard deviation may be its own."""
+        """What the table says about the value `forward` or `backward`; its sigma may be its own."""
         own = getattr(self, f"sigma_{way}")
         return self.model_copy(update={"sigma": self.sigma if own is None else own})
 
@@ -74,7 +80,7 @@ class VehicleTable(Table):
     """The whole file."""
 
     schema_: Annotated[Literal["undertow/vehicle/1"], Field(alias="schema")]
-    name: Annotated[StrictStr, Field(min_length=1, max_length=80)]
+    name: Annotated[StrictStr, Field(min_length=1, max_length=80), BeforeValidator(_printable)]
     description: StrictStr = ""
     source: StrictStr = ""
     degrees_of_freedom: Annotated[list[Literal[DOFS]], Field(min_length=1)]  # type: ignore[valid-type]
