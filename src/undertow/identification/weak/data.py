@@ -19,6 +19,11 @@ from .testfunctions import TestFunctions, knot_spacing, test_functions
 Array = NDArray[np.float64]
 # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
 _WIDER_FOR_DERIVED = 2.0
+_BLOCKS = 24
+_LONGEST_BLOCK = 5.0
+_SHORTEST_BLOCK = 1.0
+# Quadrature over samples is not exact, so no channel counts as better known than this share of its variation.
+_FINEST = 2e-3
 
 
 @dataclass(frozen=True)
@@ -96,8 +101,16 @@ class WeakData:
         """Run of every residual entry."""
         return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
 
-    def block(self, seconds: float) -> NDArray[np.intp]:
+    @cached_property
+    def block_seconds(self) -> float:
+        """Length of blocks: long against the memory of vehicles, short enough that there are enough of them."""
+        total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
+        return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
+
+    @cached_property
+    def block(self) -> NDArray[np.intp]:
         """Number of the time block that every residual entry belongs to; blocks never span two runs."""
+        seconds = self.block_seconds
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
         within = ((self.time - start) // seconds).astype(np.intp)
         pairs = np.column_stack([self.run_of, within])
@@ -165,7 +178,8 @@ def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:
 
 
 def _channel_noise(runs: Sequence[Run], name: str) -> float:
-    known = [r.sigma[name] for r in runs if name in r.sigma]
-    if known:
-        return float(np.median(known))
-    return float(np.median([white_noise(r.t, r.channels[name]) for r in runs if r.has(name)] or [0.0]))
+    present = [r for r in runs if r.has(name)]
+    known = [r.sigma[name] for r in present if name in r.sigma]
+    found = known or [white_noise(r.t, r.channels[name]) for r in present]
+    variation = [float(np.nanstd(r.channels[name])) for r in present]
+    return max(float(np.median(found or [0.0])), _FINEST * float(np.median(variation or [0.0])))

@@ -1,0 +1,218 @@
+"""Runs cut into windows of equal length, each with the motion at its start as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+from undertow.identification.logs import Run
+from undertow.model.vehicle import Vehicle
+
+from ..weak.data import channel_noise
+from .starting import local_value
+
+Array = NDArray[np.float64]
+_ANGLES = ("phi", "psi")
+_FEWEST = 3  # samples of a window
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of several runs, side by side; those with fewer samples than others are padded.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        The logs.
+    horizon : float or None
+        Length of a window in s; None: as long as there is no gap.
+    names : tuple of str
+        Names of the 2n channels, pose then velocity of the degrees of freedom.
+    commands : tuple of str
+        Names of the command columns.
+    sigma : (2n,) array
+        Noise of the channels, in their units.
+    run : (b,) array of int
+        Run of every window.
+    first : (b,) array of int
+        Sample of the run at which a window starts.
+    segment : (b,) array of int
+        Sample of the run at which the stretch without gaps starts that a window lies in.
+    count : (b,) array of int
+        Samples of every window.
+    t : (b, k) array
+        Time, s; the padding repeats the last.
+    measured : (b, k, 2n) array
+        Pose and velocity as reported; NaN in the padding and for pose that the log lacks.
+    start : (b, 2n) array
+        Reported pose and velocity at the start, smoothed locally; zero for pose that the log lacks.
+    """
+
+    runs: tuple[Run, ...]
+    horizon: float | None
+    names: tuple[str, ...]
+    commands: tuple[str, ...]
+    sigma: Array
+    run: NDArray[np.intp]
+    first: NDArray[np.intp]
+    segment: NDArray[np.intp]
+    count: NDArray[np.intp]
+    t: Array
+    measured: Array
+    start: Array
+
+    @property
+    def samples(self) -> NDArray[np.intp]:
+        """Index in its run of every sample, shape (b, k); the padding repeats the last."""
+        steps = np.minimum(np.arange(self.t.shape[1]), self.count[:, None] - 1)
+        return self.first[:, None] + steps
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which samples are no padding, shape (b, k)."""
+        return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Part of a run without gaps, and the windows in it, as counted from its first sample."""
+
+    run: int
+    first: int
+    t: Array
+    measured: Array
+    starts: NDArray[np.intp]
+    stops: NDArray[np.intp]
+
+
+def cut(
+    runs: Sequence[Run],
+    vehicle: Vehicle,
+    horizon: float | None,
+    *,
+    overlap: float = 0.0,
+    sigma: Array | None = None,
+) -> Windows:
+    """Cut runs into windows and take the motion at each start from the measurement.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs with the velocities and commands of the vehicle.
+    vehicle : Vehicle
+        Whose degrees of freedom and commands are wanted.
+    horizon : float or None
+        Length of a window in s; None makes one window of every stretch without gaps.
+    overlap : float
+        Share of a window that the next one repeats, 0 to less than 1.
+    sigma : (2n,) array, optional
+        Noise of the channels; estimated where it is not given.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, or no stretch without gaps is as long as the horizon.
+    """
+    if horizon is not None and not horizon > 0:
+        raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    noise = channel_noise(runs, names) if sigma is None else sigma
+    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap)]
+    if not any(len(s.starts) for s in stretches):
+        _refuse(runs, stretches, horizon)
+    return _side_by_side(tuple(runs), horizon, names, vehicle.command_names, noise, stretches)
+
+
+def _refuse(runs: Sequence[Run], stretches: list[_Stretch], horizon: float | None) -> None:
+    longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
+    wanted = f"{_FEWEST} samples" if horizon is None else f"{horizon:g} s"
+    raise UndertowError(
+        f"no stretch without gaps is long enough to predict over {wanted}: the longest in "
+        f"{', '.join(repr(r.name) for r in runs)} lasts {longest:g} s; give a longer log or a shorter horizon"
+    )
+
+
+def _stretches(
+    index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float
+) -> list[_Stretch]:
+    pose = [n for n in vehicle.pose_names if run.has(n)]
+    needed = [*pose, *vehicle.velocity_names]
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    found = []
+    for piece in run.segments([*needed, *vehicle.command_names]):
+        t = run.t[piece]
+        measured = np.column_stack([_column(run, n, piece) for n in names])
+        found.append(_Stretch(index, piece.start, t, measured, *_windows(t, horizon, overlap)))
+    return found
+
+
+def _column(run: Run, name: str, piece: slice) -> Array:
+    if not run.has(name):
+        return np.full(piece.stop - piece.start, np.nan)
+    values = run.channels[name][piece]
+    return np.unwrap(values) if name in _ANGLES else values
+
+
+def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample, and one after the last sample, of every window; a window ends where the next starts."""
+    if horizon is None:
+        found = [(0, len(t))] if len(t) >= _FEWEST else []
+        return _columns(found)
+    step = np.median(np.diff(t)) if len(t) > 1 else 0.0
+    found, first = [], 0
+    while True:
+        stop = int(np.searchsorted(t, t[first] + horizon - 1e-3 * step))
+        if stop >= len(t):
+            return _columns(found)
+        if stop + 1 - first >= _FEWEST:
+            found.append((first, stop + 1))
+        following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - 1e-3 * step))
+        first = max(following, first + 1)
+
+
+def _columns(pairs: list[tuple[int, int]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    table = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _side_by_side(
+    runs: tuple[Run, ...],
+    horizon: float | None,
+    names: tuple[str, ...],
+    commands: tuple[str, ...],
+    sigma: Array,
+    stretches: list[_Stretch],
+) -> Windows:
+    count = np.concatenate([s.stops - s.starts for s in stretches])
+    most = int(count.max())
+    pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in stretches]
+    measured = np.concatenate([s.measured[i] for s, i in zip(stretches, pick, strict=True)])
+    measured[np.arange(most) >= count[:, None]] = np.nan
+    return Windows(
+        runs=runs,
+        horizon=horizon,
+        names=names,
+        commands=commands,
+        sigma=sigma,
+        run=np.concatenate([np.full(len(s.starts), s.run) for s in stretches]),
+        first=np.concatenate([s.first + s.starts for s in stretches]),
+        segment=np.concatenate([np.full(len(s.starts), s.first) for s in stretches]),
+        count=count,
+        t=np.concatenate([s.t[i] for s, i in zip(stretches, pick, strict=True)]),
+        measured=measured,
+        start=np.concatenate([_starts(s, sigma) for s in stretches]),
+    )
+
+
+def _starts(s: _Stretch, sigma: Array) -> Array:
+    value = np.zeros((len(s.starts), len(sigma)))
+    for i in np.flatnonzero(np.isfinite(s.measured).all(axis=0)):
+        value[:, i] = local_value(s.t, s.measured[:, i], s.starts, float(sigma[i]))
+    return value
