@@ -145,7 +145,7 @@ def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
     kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
-    noise = channel_noise(runs, names) if sigma is None else sigma
+    noise = _floored(channel_noise(runs, names), runs, names) if sigma is None else sigma
     return WeakData(tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names)
 
 
@@ -174,12 +174,16 @@ def _segments(index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...
 
 def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:
     """Standard deviation of the noise of channels, in their units; zero for a channel that no run has."""
-    return np.array([_channel_noise(runs, n) for n in names])
+    return np.array([_channel_noise([r for r in runs if r.has(n)], n) for n in names])
 
 
-def _channel_noise(runs: Sequence[Run], name: str) -> float:
-    present = [r for r in runs if r.has(name)]
+def _channel_noise(present: Sequence[Run], name: str) -> float:
     known = [r.sigma[name] for r in present if name in r.sigma]
     found = known or [white_noise(r.t, r.channels[name]) for r in present]
-    variation = [float(np.nanstd(r.channels[name])) for r in present]
-    return max(float(np.median(found or [0.0])), _FINEST * float(np.median(variation or [0.0])))
+    return float(np.median(found or [0.0]))
+
+
+def _floored(noise: Array, runs: Sequence[Run], names: Sequence[str]) -> Array:
+    """Noise, but at least what the quadrature over samples resolves."""
+    variation = [[np.nanstd(r.channels[n]) for r in runs if r.has(n)] for n in names]
+    return np.maximum(noise, [_FINEST * float(np.median(v or [0.0])) for v in variation])
