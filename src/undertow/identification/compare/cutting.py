@@ -13,7 +13,7 @@ from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import channel_noise
-from .starting import local_value
+from .starting import start_values
 
 Array = NDArray[np.float64]
 _ANGLES = ("phi", "psi")
@@ -207,12 +207,5 @@ def _side_by_side(
         count=count,
         t=np.concatenate([s.t[i] for s, i in zip(stretches, pick, strict=True)]),
         measured=measured,
-        start=np.concatenate([_starts(s, sigma) for s in stretches]),
+        start=np.concatenate([start_values(s.t, s.measured, names, sigma, s.starts) for s in stretches]),
     )
-
-
-def _starts(s: _Stretch, sigma: Array) -> Array:
-    value = np.zeros((len(s.starts), len(sigma)))
-    for i in np.flatnonzero(np.isfinite(s.measured).all(axis=0)):
-        value[:, i] = local_value(s.t, s.measured[:, i], s.starts, float(sigma[i]))
-    return value
