@@ -15,20 +15,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
+
 if TYPE_CHECKING:
     from undertow.codegen.export import Report
 
-_VEHICLE = typer.Argument(metavar="VEHICLE", help="Vehicle file, or the name of a bundled vehicle.")
 _OUT = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
 _CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
-_EFFECTS = typer.Option("--effects", metavar="FILE", help="Python file with further effects; it is run.")
 
 
 def codegen(
-    vehicle: Annotated[str, _VEHICLE],
+    vehicle: VehicleArgument,
     out: Annotated[Path, _OUT] = Path("build"),
     check: Annotated[bool, _CHECK] = False,
-    effects: Annotated[list[Path] | None, _EFFECTS] = None,
+    effects: EffectsOption = None,
 ) -> int:
     from undertow.codegen.export import Export
     from undertow.model.loading import load_vehicle

@@ -7,10 +7,13 @@ import hashlib
 import json
 import logging
 import os
+import re
 import shutil
 import stat
 import sys
 import tempfile
+import time
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -20,6 +23,9 @@ from .compiler import Compiler
 from .source import digest
 
 _LOG = logging.getLogger("undertow")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+")
+# Seconds that an unused library is kept.
+_KEPT_FOR = 90 * 86400.0
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -45,6 +51,7 @@ def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> 
         If the compiler fails or there is no room.
     """
     place = folder or cache_folder()
+    _forget_old(place)
     expected = {"source": digest(source), "compiler": compiler.identity}
     manifest = place / f"{digest(json.dumps(expected))[:24]}.json"
     known = _trusted(manifest, expected)
@@ -60,6 +67,8 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
         found = json.loads(manifest.read_text(encoding="utf-8"))
         library = manifest.parent / f"{manifest.stem}-{str(found['library'])[:16]}{_SUFFIX}"
         fits = {k: found[k] for k in expected} == expected and _sha256(library) == found["library"]
+        for used in (manifest, library):
+            os.utime(used)
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return library if fits else None
@@ -83,6 +92,15 @@ def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, 
             f"cannot keep compiled code in '{manifest.parent}': {error}; make room or set XDG_CACHE_HOME"
         ) from error
     return library
+
+
+@cache
+def _forget_old(folder: Path) -> None:
+    """Remove what has not been used for months; once in a process."""
+    limit = time.time() - _KEPT_FOR
+    with suppress(OSError):
+        for path in [p for p in folder.iterdir() if _OURS.fullmatch(p.name) and p.lstat().st_mtime < limit]:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def _sha256(path: Path) -> str:
@@ -110,7 +128,7 @@ def _user_cache() -> Path:
 def _unsafe(folder: Path) -> str | None:
     """Why nothing in this folder can be trusted, or None; the folder is made if it is missing."""
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
     except OSError as error:

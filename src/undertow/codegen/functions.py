@@ -18,7 +18,7 @@ class Functions:
     """Everything numeric that follows from a vehicle, as CasADi expressions and functions.
 
     The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the
-    commands (thrusters, then known forces), p the parameters in the order of `parameter_names`, t the time, s.
+    commands (thrusters, then known forces), p the parameters as in `parameter_names`, t the time in s.
 
     Parameters
     ----------

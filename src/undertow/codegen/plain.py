@@ -83,8 +83,9 @@ class _Body:
             self._instruction(k)
 
     def unused(self) -> list[str]:
-        """Inputs without a use, told to the compiler."""
-        return [f"(void){n};" for n in self._inputs if n not in self._read]
+        """Inputs without a use and outputs without an entry, told to the compiler."""
+        empty = [n for n, (size, _) in zip(self._outputs, self._place, strict=True) if not size]
+        return [f"(void){n};" for n in [*self._inputs, *empty] if n not in self._read]
 
     def cleared(self) -> list[str]:
         """Outputs with entries that are always zero are zeroed first."""
@@ -110,9 +111,13 @@ class _Body:
                 f"operation {operation} of a model has no counterpart in C: restate the effect"
             )
         expression = _FORM[operation].format(*(self._register[i] for i in operands))
-        self._register[into[0]] = f"a{self._count}"
-        self.statements.append(f"const double a{self._count} = {expression};")
+        self._register[into[0]] = self._local(expression)
+
+    def _local(self, expression: str) -> str:
+        name = f"a{self._count}"
         self._count += 1
+        self.statements.append(f"const double {name} = {expression};")
+        return name
 
     def _input(self, k: int, into: list[int], operands: list[int]) -> None:
         name = self._inputs[operands[0]]
@@ -123,6 +128,8 @@ class _Body:
         value = self._register[operands[0]]
         if value == "0.0":
             return
+        if "[" in value:  # an input that is handed on, and may be overwritten by then
+            value = self._register[operands[0]] = self._local(value)
         name = self._outputs[into[0]]
         self._written[name] += 1
         self.results.append(f"{name}[{self._place[into[0]][1][into[1]]}] = {value};")

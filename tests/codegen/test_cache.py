@@ -1,0 +1,338 @@
+"""Which compiled code is trusted, and what happens without a compiler."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import stat
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.codegen.support import functions_of
+from undertow import UndertowError
+from undertow.codegen import Compiled, Simulator, cache
+from undertow.codegen.cache import cache_folder, library_for
+from undertow.codegen.compiler import Compiler, find_compiler
+from undertow.codegen.driver import driver_source
+
+SOURCE = "double undertow_test_answer(void);\ndouble undertow_test_answer(void) { return 42; }\n"
+posix = pytest.mark.skipif(sys.platform == "win32", reason="permission bits of POSIX")
+
+
+class Counted(Compiler):
+    """A compiler that counts how often it is called."""
+
+    calls = 0
+
+    def build(self, source: Path, library: Path) -> None:
+        type(self).calls += 1
+        super().build(source, library)
+
+
+@pytest.fixture
+def counted(c_compiler: Compiler, own_cache: Path) -> Counted:
+    Counted.calls = 0
+    return Counted(c_compiler.command, c_compiler.version)
+
+
+def _manifest() -> Path:
+    return next(cache_folder().glob("*.json"))
+
+
+# --- trust --------------------------------------------------------------------------------------
+
+
+def test_a_library_is_compiled_once(counted: Counted) -> None:
+    first = library_for(SOURCE, counted)
+    assert library_for(SOURCE, counted) == first
+    assert counted.calls == 1
+    assert not list(cache_folder().glob("build-*"))
+
+
+def test_another_source_or_compiler_has_its_own_library(counted: Counted) -> None:
+    first = library_for(SOURCE, counted)
+    assert library_for(SOURCE.replace("42", "43"), counted) != first
+    library_for(SOURCE, replace(counted, version="another version"))
+    assert counted.calls == 3
+
+
+def _append_to_library(library: Path) -> None:
+    library.write_bytes(library.read_bytes() + b"x")
+
+
+def _truncate_library(library: Path) -> None:
+    library.write_bytes(b"")
+
+
+def _remove_library(library: Path) -> None:
+    library.unlink()
+
+
+def _forge_hash(library: Path) -> None:
+    _append_to_library(library)
+    content = json.loads(_manifest().read_text())
+    _manifest().write_text(json.dumps({**content, "source": "0" * 64, "library": cache._sha256(library)}))
+
+
+def _break_manifest(library: Path) -> None:
+    _manifest().write_text("{")
+
+
+def _empty_manifest(library: Path) -> None:
+    _manifest().write_text("[]")
+
+
+def _point_elsewhere(library: Path) -> None:
+    content = json.loads(_manifest().read_text())
+    _manifest().write_text(json.dumps({**content, "library": "/../../../evil"}))
+
+
+DAMAGE = [
+    _append_to_library,
+    _truncate_library,
+    _remove_library,
+    _forge_hash,
+    _break_manifest,
+    _empty_manifest,
+    _point_elsewhere,
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_what_does_not_fit_is_built_again_and_not_loaded(damage, counted: Counted) -> None:
+    library = library_for(SOURCE, counted)
+    sound = library.read_bytes()
+    damage(library)
+    again = library_for(SOURCE, counted)
+    assert counted.calls == 2
+    assert again.read_bytes() == sound
+    assert library_for(SOURCE, counted) == again
+    assert counted.calls == 2
+
+
+def test_processes_may_race(counted: Counted) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        libraries = list(pool.map(lambda _: library_for(SOURCE, counted), range(4)))
+    assert all(path.is_file() for path in libraries)
+    assert library_for(SOURCE, counted) in libraries
+    assert len(list(cache_folder().glob("*.json"))) == 1
+
+
+def test_libraries_without_use_are_forgotten(counted: Counted) -> None:
+    library, foreign = library_for(SOURCE, counted), cache_folder() / "notes.txt"
+    foreign.write_text("not ours")
+    for path in (library, _manifest(), foreign):
+        os.utime(path, (0, 0))
+    cache._forget_old.cache_clear()
+    library_for(SOURCE.replace("42", "43"), counted)
+    assert not library.exists()
+    assert foreign.exists()
+
+
+# --- the folder ---------------------------------------------------------------------------------
+
+
+@posix
+def test_the_cache_belongs_to_the_user_alone(own_cache: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert cache_folder() == own_cache
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(own_cache.stat().st_mode) == 0o700
+
+
+def _private(reason: str, caplog: pytest.LogCaptureFixture) -> Path:
+    """The folder in use, after making sure that it is private and that the reason is told once."""
+    folder = cache_folder()
+    assert cache_folder() == folder
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert [reason in record.getMessage() for record in caplog.records] == [True]
+    return folder
+
+
+@posix
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o1777])
+def test_a_folder_that_others_can_write_is_refused(
+    mode: int, own_cache: Path, c_compiler: Compiler, caplog: pytest.LogCaptureFixture
+) -> None:
+    own_cache.mkdir(parents=True)
+    own_cache.chmod(mode)
+    folder = _private("written by others", caplog)
+    assert library_for(SOURCE, c_compiler).parent == folder
+    assert not list(own_cache.iterdir())
+
+
+@posix
+def test_a_folder_below_one_that_everybody_can_write_is_refused(
+    own_cache: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    own_cache.parent.mkdir()
+    own_cache.parent.chmod(0o777)
+    assert _private("everybody can write", caplog) != own_cache
+
+
+@posix
+def test_a_folder_of_somebody_else_is_refused(
+    own_cache: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    assert _private("belongs to user", caplog) != own_cache
+
+
+@posix
+def test_a_link_in_place_of_the_folder_is_refused(own_cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+    own_cache.parent.mkdir()
+    (own_cache.parent / "elsewhere").mkdir(mode=0o700)
+    own_cache.symlink_to(own_cache.parent / "elsewhere")
+    assert _private("not a folder of its own", caplog) != own_cache
+
+
+@posix
+def test_a_cache_that_cannot_be_made_is_replaced(own_cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+    own_cache.parent.write_text("a file where a folder should be")
+    assert _private("cannot be used", caplog) != own_cache
+
+
+# --- symbols ------------------------------------------------------------------------------------
+
+TRAP = """
+#include <stdlib.h>
+double dynamics(void) { abort(); }
+double tangents(void) { abort(); }
+double step(void) { abort(); }
+double advance(void) { abort(); }
+double evaluate(void) { abort(); }
+double simulate(void) { abort(); }
+"""
+TRAPPED = """
+import ctypes, sys
+import numpy as np
+ctypes.CDLL(sys.argv[1], mode=ctypes.RTLD_GLOBAL)
+from tests.codegen.support import functions_of
+from undertow.codegen import Compiled, Simulator
+for name in ("mini-auv", "box-hull"):
+    functions = functions_of(name)
+    x, u, p = np.ones(len(functions.state_names)), np.ones((9, functions.u.numel())), functions.values()
+    Simulator(functions, compiled=True).run_with_sensitivities(x, np.arange(9.0), u, p, [0])
+    assert Compiled(functions, compiled=True).dynamics(x, u[0], p, 0).shape == (x.size, 1)
+print("alive")
+"""
+
+
+@posix
+def test_functions_of_other_libraries_are_not_called(c_compiler: Compiler, tmp_path: Path) -> None:
+    """A library in the process that has functions of the same names does not get into the way."""
+    (tmp_path / "trap.c").write_text(TRAP)
+    c_compiler.build(tmp_path / "trap.c", tmp_path / "trap.so")
+    (tmp_path / "visible.c").write_text(TRAP)
+    subprocess.run(
+        [*c_compiler.command, "-shared", "-fPIC", "-o", "visible.so", "visible.c"], cwd=tmp_path, check=True
+    )
+    done = _python(TRAPPED, str(tmp_path / "visible.so"))
+    assert done.stdout.strip() == "alive"
+
+
+def _python(program: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(["src", "."]), **environment},
+    )
+
+
+HASHES = """
+from tests.codegen.support import functions_of
+from undertow.codegen.driver import driver_source
+from undertow.codegen.source import c_source, digest
+for name in ("bluerov2", "full"):
+    functions = functions_of(name)
+    for f in (functions.dynamics, functions.tangents("x", "p")):
+        print(driver_source(f, functions.nu_dot.numel())[1])
+    print(digest(c_source(functions.regressor)))
+"""
+
+
+def test_the_same_model_is_the_same_source_in_every_process() -> None:
+    first, second = (_python(HASHES, PYTHONHASHSEED=seed).stdout for seed in ("1", "2"))
+    assert first == second
+    here = functions_of("bluerov2")
+    assert driver_source(here.dynamics, here.nu_dot.numel())[1] == first.split()[0]
+
+
+# --- no compiler --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_compiler(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
+
+
+def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
+    no_compiler: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    functions = functions_of("box-hull")
+    for _ in range(2):
+        simulator = Simulator(functions)
+        assert not simulator.compiled
+        assert Compiled(functions).dynamics is functions.dynamics
+    x, _ = simulator.run_with_sensitivities(
+        np.zeros(2), np.arange(3.0), np.ones((3, 1)), np.array(functions.values()), [0]
+    )
+    assert x[2, 1] > 0
+    assert [r.levelno for r in caplog.records] == [logging.WARNING]
+    assert "no C compiler" in caplog.text
+    assert "CasADi virtual machine" in caplog.text
+
+
+def test_who_insists_on_compiled_code_is_told(no_compiler: None) -> None:
+    with pytest.raises(UndertowError, match="no C compiler found"):
+        Simulator(functions_of("box-hull"), compiled=True)
+
+
+@posix
+def test_a_path_without_compilers(own_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("UNDERTOW_CC", raising=False)
+    assert find_compiler() is None
+
+
+def test_a_compiler_that_is_named_is_used(c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERTOW_CC", f"{c_compiler.command[0]} -g0")
+    found = find_compiler()
+    assert found is not None
+    assert found.command == (c_compiler.command[0], "-g0")
+
+
+@pytest.mark.parametrize("wanted", ["no-such-compiler-anywhere", " "])
+def test_a_named_compiler_that_does_not_run_is_told(wanted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERTOW_CC", wanted)
+    with pytest.raises(UndertowError, match="UNDERTOW_CC"):
+        find_compiler()
+
+
+@posix
+def test_a_broken_compiler_is_told_and_replaced(
+    own_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    script = tmp_path / "broken-cc"
+    version = '[ "$1" = --version ] && echo "broken 1.0" && exit 0'
+    script.write_text(f'#!/bin/sh\n{version}\necho "math.h: no such file" >&2\nexit 1\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("UNDERTOW_CC", str(script))
+    functions = functions_of("box-hull")
+    with pytest.raises(UndertowError, match=r"failed, code 1: math\.h: no such file"):
+        Simulator(functions, compiled=True)
+    assert not Simulator(functions).compiled
+    assert "math.h" in caplog.text
+    assert not list(cache_folder().glob("*"))
