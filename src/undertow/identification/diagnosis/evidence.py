@@ -13,9 +13,6 @@ from ..weak.data import WeakData
 from .trial import Score
 
 Array = NDArray[np.float64]
-_BLOCKS = 24
-_LONGEST_BLOCK = 5.0
-_SHORTEST_BLOCK = 1.0
 
 
 @dataclass(frozen=True)
@@ -25,7 +22,7 @@ class Comparison:
     Attributes
     ----------
     mean : float
-        Mean fall, in units of what the better model leaves (its own mean square for each equation).
+        Mean fall of the whitened mean square.
     interval : (float, float)
         95 % interval of the mean over blocks.
     p_value : float
@@ -37,20 +34,10 @@ class Comparison:
     p_value: float
 
 
-def block_seconds(data: WeakData) -> float:
-    """Length of blocks: long against the memory of vehicles, short enough that there are enough of them."""
-    total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
-    return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
-
-
 def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
-    """Compare two models on the same data.
-
-    Every equation is weighed by what the better model leaves in it, at least by the noise.
-    """
-    scale = np.maximum(1.0, np.nan_to_num(better.mean_square, nan=1.0))[data.equation]
-    fall = (worse.r**2 - better.r**2) / scale
-    block = data.block(block_seconds(data))
+    """Compare two models on the same data, both whitened by the same noise model."""
+    fall = worse.r**2 - better.r**2
+    block = data.block
     total, count = np.bincount(block, weights=fall), np.bincount(block)
     means = total / np.maximum(count, 1)
     return _summary(means)
@@ -65,7 +52,8 @@ def _summary(means: Array) -> Comparison:
     return Comparison(mean, (mean - half, mean + half), float(wilcoxon(means, alternative="greater").pvalue))
 
 
-def explained(before: float, after: float) -> float:
-    """Share of the mean square above the noise floor that went away, from two normalised errors."""
-    excess = before**2 - 1.0
-    return float(np.clip((before**2 - max(after, 1.0) ** 2) / excess, -1.0, 1.0)) if excess > 0 else 0.0
+def explained(before: Score, after: Score, noise: Array) -> float:
+    """Share of the mean square above the level of the channels' noise that went away."""
+    floor = np.exp(np.nanmean(np.log(np.maximum(noise, 1e-12))))
+    excess = before.error**2 - floor
+    return float(np.clip((before.error**2 - max(after.error**2, floor)) / excess, -1.0, 1.0)) if excess > 0 else 0.0

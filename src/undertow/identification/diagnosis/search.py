@@ -10,7 +10,7 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, fit_weak
+from ..weak.fit import WeakFit, disturbed, fit_weak
 from .candidates import Candidate, candidates
 from .evidence import Comparison, compare_scores, explained
 from .trial import Bench, Score, Trial, rejected, scout, try_candidate
@@ -103,7 +103,8 @@ def search(
     rounds: list[Round] = []
     report(0.0, "fitting the model as it is")
     base = fit_weak(vehicle, train)
-    bench = Bench(train, test, base.whitening, base.model.whitening(test, base.p), base)
+    quiet = base.model.whitening(test, base.p)
+    bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
     fit, score = base, bench.base_score
     while len(rounds) < MAX_EFFECTS and (not rounds or score.error > FLOOR):
         share = len(rounds) / MAX_EFFECTS
@@ -163,7 +164,7 @@ def _judged(bench: Bench, trials: list[Trial], count: int) -> Round:
 def _finding(trial: Trial, bench: Bench, count: int) -> Finding:
     evidence = compare_scores(bench.base_score, trial.score, bench.test)
     strong = evidence.p_value < FALSE_ALARM_RATE / count and evidence.mean > SMALLEST_FALL
-    share = explained(bench.base_score.error, trial.score.error)
+    share = explained(bench.base_score, trial.score, bench.noise_level)
     return Finding(trial, evidence, share, strong and trial.score.error < bench.base_score.error)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, fit_weak, inverse_of, mean_square
+from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, settled
 from ..weak.noise import Whitening
 from ..weak.residual import whitened
 from .candidates import Candidate
@@ -20,7 +20,6 @@ from .candidates import Candidate
 Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
-_REWEIGHTINGS = 4
 
 
 @dataclass(frozen=True)
@@ -32,9 +31,9 @@ class Score:
     r : (m,) array
         Whitened residual.
     mean_square : (2n,) array
-        Mean square for each equation; 1 is the noise floor.
+        Mean square for each equation.
     error : float
-        Normalised error: geometric mean over the equations of the rms; 1 is the noise floor.
+        Normalised error: geometric mean over the equations of the whitened rms.
     """
 
     r: Array
@@ -97,31 +96,36 @@ class Bench:
         start: dict[str, float] | None = None,
         *,
         most: int = 15,
-        dispersion: Array | None = None,
+        noise: tuple[list[Whitening], Array] | None = None,
     ) -> WeakFit:
-        """Fit a model to the training data, by default weighted as the base was."""
+        """Fit a model to the training data, by default under the noise model of the base."""
+        whitening, disturbance = noise or (self.train_whitening, self.base.disturbance)
         return fit_weak(
             vehicle,
             self.train,
             free,
             start=start,
-            whitening=self.train_whitening,
-            dispersion=self.base.dispersion if dispersion is None else dispersion,
+            whitening=whitening,
+            disturbance=disturbance,
             max_iterations=most,
         )
 
+    @cached_property
+    def noise_level(self) -> Array:
+        """Mean square that the noise of the channels alone would have on the kept-aside data, for each equation."""
+        rng = np.random.default_rng(0)
+        return mean_square(np.concatenate([w.noise_sample(rng) for w in self.test_whitening]), self.test)
+
     def sharpened(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        train = fit.model.whitening(self.train, fit.p)
-        base = fit_weak(
-            self.base.model.functions.vehicle,
-            self.train,
-            self.base.model.free,
-            start=self.base.values,
-            whitening=train,
-            dispersion=self.base.dispersion,
+        fit = settled(fit)
+        test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
+        base = self.base
+        vehicle, free = base.model.functions.vehicle, base.model.free
+        refitted = fit_weak(
+            vehicle, self.train, free, start=base.values, whitening=fit.whitening, disturbance=fit.disturbance
         )
-        return Bench(self.train, self.test, train, fit.model.whitening(self.test, fit.p), base)
+        return Bench(self.train, self.test, fit.whitening, test, refitted)
 
     @property
     def command_scale(self) -> float:
@@ -144,23 +148,15 @@ def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float]) -
         return rejected(candidate, bench)
     if len(kept) < len(candidate.removable):
         fit = _refit(candidate, fit, kept, bench)
-    fit = _reweighted(candidate, fit, bench)
+    # A candidate that explains much earns a finer noise model than the incomplete model had.
+    if fit.cost < 0.5 * len(fit.at.r):
+        fit = settled(fit, most=1)
     return Trial(candidate, fit, kept, bench.judge(fit))
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
     """A candidate none of whose parameters matters: the model stays as it was."""
     return Trial(candidate, bench.base, (), bench.base_score)
-
-
-def _reweighted(candidate: Candidate, fit: WeakFit, bench: Bench) -> WeakFit:
-    """A candidate that explains much earns a finer noise model than the incomplete model had."""
-    for _ in range(_REWEIGHTINGS):
-        finer = np.maximum(1.0, np.nan_to_num(fit.mean_square(), nan=1.0))
-        if not np.any(finer < 0.5 * fit.dispersion):
-            break
-        fit = bench.fit(candidate.vehicle, fit.model.free, fit.values, dispersion=finer)
-    return fit
 
 
 def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], bench: Bench) -> WeakFit:

@@ -22,7 +22,7 @@ _WIDER_FOR_DERIVED = 2.0
 _BLOCKS = 24
 _LONGEST_BLOCK = 5.0
 _SHORTEST_BLOCK = 1.0
-# Quadrature over samples is not exact, so no channel counts as better known than this share of its variation.
+# Quadrature over samples is not exact, so no channel counts as better known than this share of its change in 1 s.
 _FINEST = 2e-3
 
 
@@ -185,5 +185,14 @@ def _channel_noise(present: Sequence[Run], name: str) -> float:
 
 def _floored(noise: Array, runs: Sequence[Run], names: Sequence[str]) -> Array:
     """Noise, but at least what the quadrature over samples resolves."""
-    variation = [[np.nanstd(r.channels[n]) for r in runs if r.has(n)] for n in names]
-    return np.maximum(noise, [_FINEST * float(np.median(v or [0.0])) for v in variation])
+    change = [[_change_in_a_second(r, n) for r in runs if r.has(n)] for n in names]
+    return np.maximum(noise, [_FINEST * float(np.median(c or [0.0])) for c in change])
+
+
+def _change_in_a_second(run: Run, name: str) -> float:
+    """Rms change of a channel from one second to the next."""
+    step = float(np.median(np.diff(run.t)))
+    lag = int(np.clip(round(1.0 / step), 1, len(run.t) - 1))
+    change = run.channels[name][lag:] - run.channels[name][:-lag]
+    known = change[np.isfinite(change)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0

@@ -62,14 +62,14 @@ class Chain:
         return self._delayed(t, _spread(table, size, self._felt, len(self.free)), p)
 
     def states(self, t: Array, u: Array, p: Array) -> Array:
-        """Actuator states at the samples, shape (N, k), from rest under the first command; no delay is applied."""
-        size, felt = self.functions.actuator_states.shape[0], len(self._felt)
+        """Actuator states at the samples, shape (N, k), from rest under the first command, without delay."""
+        size = self.functions.actuator_states.shape[0]
         if size == 0:
             return np.zeros((len(t), size))
         (start,) = call(self._rest, [u[0], p])
         columns = [u[:-1], np.diff(t), np.tile(p, (len(t) - 1, 1))]
         after, _ = call(_accumulated(self._advance, len(t) - 1), [start, *columns])
-        return np.vstack([start, after.reshape(-1, size * (1 + felt))])[:, :size]
+        return np.vstack([start, after.reshape(len(t) - 1, -1)])[:, :size]
 
     @cached_property
     def _rest(self) -> ca.Function:

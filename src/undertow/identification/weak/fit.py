@@ -18,10 +18,14 @@ from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
 
 Array = NDArray[np.float64]
-BLOCK_SECONDS = 5.0
 _MAX_ITERATIONS = 15
 # A step that promises less than this in chi-square cannot change any judgement.
 _ENOUGH = 0.05
+_NOISE_ROUNDS = 6
+_NOISE_SETTLED = 0.2
+_MATCHING_STEPS = 4
+# Largest mean square of an equation that still counts as noise of the channels.
+_NOISE_EXPLAINS = 1.6
 # A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
 _PRIOR_WIDTH = 5.0
 
@@ -42,8 +46,8 @@ class WeakFit:
         Noise model that was used.
     at : Linearised
         Whitened residual and derivative at p.
-    dispersion : (2n,) array
-        Mean square of the whitened residual for each equation that the fit was weighted with, at least 1.
+    disturbance : (2n,) array
+        Intensity of what the model leaves beyond the noise, for each equation, (m/s^2)^2 s and the like.
     iterations : int
         Gauss-Newton steps taken.
     """
@@ -53,7 +57,7 @@ class WeakFit:
     data: WeakData
     whitening: list[Whitening]
     at: Linearised
-    dispersion: Array
+    disturbance: Array
     iterations: int
 
     @property
@@ -68,14 +72,9 @@ class WeakFit:
         return old.with_values(values)
 
     @cached_property
-    def _weight(self) -> Array:
-        return 1.0 / np.sqrt(self.dispersion[self.data.equation])
-
-    @cached_property
     def gram(self) -> Array:
-        """J' J in weighted units, shape (n_free, n_free)."""
-        weighted = self.at.J * self._weight[:, None]
-        return weighted.T @ weighted
+        """J' J of the whitened residual, shape (n_free, n_free)."""
+        return self.at.J.T @ self.at.J
 
     @cached_property
     def information(self) -> Array:
@@ -86,11 +85,11 @@ class WeakFit:
     def covariance(self) -> Array:
         """Covariance of the free parameters: never less than noise alone gives, and robust to autocorrelation.
 
-        Blocks of `BLOCK_SECONDS` are taken as independent (sandwich estimator with clusters).
+        Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
         """
         inverse = inverse_of(self.information)
-        scores = self.at.J * (self.at.r * self._weight**2)[:, None]
-        block = self.data.block(BLOCK_SECONDS)
+        scores = self.at.J * self.at.r[:, None]
+        block = self.data.block
         summed = np.zeros((int(block.max(initial=0)) + 1, scores.shape[1]))
         np.add.at(summed, block, scores)
         robust = inverse @ (summed.T @ summed) @ inverse
@@ -115,8 +114,8 @@ class WeakFit:
 
     @property
     def cost(self) -> float:
-        """Weighted sum of squares."""
-        return _squares(self.at.r, self._weight)
+        """Sum of squares of the whitened residual."""
+        return float(np.sum(self.at.r**2))
 
     def mean_square(self) -> Array:
         """Mean square of the whitened residual for each of the 2n equations (NaN where not used)."""
@@ -150,7 +149,7 @@ def fit_weak(
     *,
     start: Mapping[str, float] | None = None,
     whitening: list[Whitening] | None = None,
-    dispersion: Array | None = None,
+    disturbance: Array | None = None,
     max_iterations: int = _MAX_ITERATIONS,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle.
@@ -165,45 +164,90 @@ def fit_weak(
         Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
     start : mapping, optional
         Starting values that differ from the vehicle's.
-    whitening, dispersion : optional
-        Noise model to use; worked out from the first fit where not given.
+    whitening, disturbance : optional
+        Noise model to use; worked out from the residual of the fit itself where not given.
     """
     functions = Functions(vehicle)
     model = WeakModel(functions, free_parameters(vehicle) if free is None else free)
     p = np.array(functions.values(), dtype=float)
     for name, value in (start or {}).items():
         p[functions.parameter_names.index(name)] = value
-    if whitening is not None and dispersion is not None:
-        return _solved(model, p, data, whitening, dispersion, max_iterations)
-    fit = _solved(model, p, data, model.whitening(data, p), np.ones(len(data.names)), max_iterations)
-    for _ in range(2):
-        spread = np.maximum(1.0, np.nan_to_num(fit.mean_square(), nan=1.0))
-        fit = _solved(model, fit.p, data, model.whitening(data, fit.p), spread, max_iterations)
+    if whitening is not None and disturbance is not None:
+        return _solved(model, p, data, whitening, disturbance, max_iterations)
+    disturbance = _first_guess(model, data, p)
+    loud = disturbed(model.whitening(data, p), disturbance, data)
+    return settled(_solved(model, p, data, loud, disturbance, max_iterations))
+
+
+def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
+    """Match the noise model to what a fit leaves, and fit again, until neither changes."""
+    for _ in range(most):
+        quiet = fit.model.whitening(fit.data, fit.p)
+        disturbance = matched_disturbance(fit, quiet)
+        changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
+        whitening = disturbed(quiet, disturbance, fit.data)
+        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, _MAX_ITERATIONS)
+        if changed < _NOISE_SETTLED or not np.any(disturbance):
+            break
     return fit
 
 
+def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
+    """A noise model with a disturbance of the given intensity in each equation."""
+    level = disturbance[list(data.rows)]
+    return [
+        w.with_disturbance(np.tile(level, s.functions.count)) for w, s in zip(quiet, data.segments, strict=True)
+    ]
+
+
+def _first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
+    """Intensity that would explain the raw residual of the unfitted model all by itself."""
+    raw = np.concatenate([part.r for part in model.linearise(data, p)])
+    lengths = [float(np.mean(s.functions.held.sum(axis=1))) for s in data.segments]
+    return np.nan_to_num(mean_square(raw, data)) / float(np.mean(lengths))
+
+
+def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
+    """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
+
+    Zero where the noise of the channels explains the residual by itself.
+    """
+    data = fit.data
+    parts = fit.model.linearise(data, fit.p)
+    if _fits_noise(whitened(parts, quiet), data):
+        return np.zeros(len(data.names))
+    level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
+    for _ in range(_MATCHING_STEPS):
+        square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
+        level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
+    return np.asarray(level)
+
+
+def _fits_noise(at: Linearised, data: WeakData) -> bool:
+    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
+
+
 def _solved(
-    model: WeakModel, p: Array, data: WeakData, whitening: list[Whitening], dispersion: Array, max_iterations: int
+    model: WeakModel, p: Array, data: WeakData, whitening: list[Whitening], disturbance: Array, max_iterations: int
 ) -> WeakFit:
     bounds = _bounds(model)
     prior = _prior(model)
-    weight = 1.0 / np.sqrt(dispersion[data.equation])
     places = list(model.places)
     p = p.copy()
     p[places] = np.clip(p[places], *bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for iteration in range(1, max_iterations + 1):
-        step = _step(at, weight, p[places], bounds, prior)
-        promised = _squares(at.r, weight) - _squares(at.r + at.J @ step, weight)
-        p, at = _line_search(model, p, places, step, at, weight, data, whitening, bounds)
+        step = _step(at, p[places], bounds, prior)
+        promised = _squares(at.r) - _squares(at.r + at.J @ step)
+        p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
         if promised < _ENOUGH:
             break
-    return WeakFit(model, p, data, whitening, at, dispersion, iteration)
+    return WeakFit(model, p, data, whitening, at, disturbance, iteration)
 
 
-def _squares(r: Array, weight: Array) -> float:
-    return float(np.sum((r * weight) ** 2))
+def _squares(r: Array) -> float:
+    return float(np.sum(r**2))
 
 
 def _bounds(model: WeakModel) -> tuple[Array, Array]:
@@ -227,16 +271,13 @@ def _prior(model: WeakModel) -> tuple[Array, Array]:
     return centre, weight
 
 
-def _step(
-    at: Linearised, weight: Array, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]
-) -> Array:
+def _step(at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]) -> Array:
     """Bounded least-squares step of the linearised problem."""
     if not len(now):
         return np.zeros(0)
-    weighted = at.J * weight[:, None]
     centre, stiffness = prior
-    gram = weighted.T @ weighted + np.diag(stiffness**2)
-    slope = weighted.T @ (at.r * weight) + stiffness**2 * (now - centre)
+    gram = at.J.T @ at.J + np.diag(stiffness**2)
+    slope = at.J.T @ at.r + stiffness**2 * (now - centre)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
     factor = np.linalg.cholesky(scaled).T
@@ -253,18 +294,17 @@ def _line_search(
     places: list[int],
     step: Array,
     at: Linearised,
-    weight: Array,
     data: WeakData,
     whitening: list[Whitening],
     bounds: tuple[Array, Array],
 ) -> tuple[Array, Linearised]:
     """Halve the step until the weighted error falls."""
-    before = _squares(at.r, weight)
+    before = _squares(at.r)
     for share in (1.0, 0.5, 0.25, 0.1, 0.02):
         tried = p.copy()
         tried[places] = np.clip(p[places] + share * step, *bounds)
         after = whitened(model.linearise(data, tried), whitening)
-        if _squares(after.r, weight) <= before * (1 + 1e-12):
+        if _squares(after.r) <= before * (1 + 1e-12):
             return tried, after
     return p, at
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
-from scipy.sparse import block_array, csr_array, diags_array
+from scipy.sparse import block_array, csr_array, diags_array, eye_array, kron
 
 from .testfunctions import TestFunctions
 
@@ -39,29 +39,71 @@ def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
 
 
 class Whitening:
-    """Turns residuals into ones of unit variance under the measurement noise, by a banded Cholesky factor.
+    """Turns residuals into ones of unit variance, by a banded Cholesky factor.
 
     Parameters
     ----------
     covariance : sparse (m, m)
-        Covariance of the residual, rows ordered by test function, then by equation.
+        Covariance of the residual from the noise of the channels, rows ordered by test function, then by equation.
+    overlap : sparse (m, m)
+        Integrals of products of test functions of the same equation: the covariance of a white disturbance.
+    intensity : (m,) array
+        Intensity of the disturbance in each row's equation: what the model leaves beyond the noise.
     """
 
-    def __init__(self, covariance: csr_array) -> None:
-        coordinates = covariance.tocoo()
-        self._band = int(np.max(coordinates.row - coordinates.col, initial=0))
-        banded = np.zeros((self._band + 1, covariance.shape[0]))
-        lower = coordinates.row >= coordinates.col
-        banded[(coordinates.row - coordinates.col)[lower], coordinates.col[lower]] = coordinates.data[lower]
-        # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
-        banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
-        self._factor = cholesky_banded(banded, lower=True, check_finite=False)
+    def __init__(self, covariance: csr_array, overlap: csr_array, intensity: Array) -> None:
+        self._covariance, self._overlap = covariance, overlap
+        spread = diags_array(np.sqrt(intensity))
+        self._factor = _cholesky(csr_array(covariance + spread @ overlap @ spread))
+
+    @property
+    def covariance(self) -> csr_array:
+        """Covariance of the residual from the noise of the channels alone, in the order of its rows."""
+        return self._covariance
+
+    def with_disturbance(self, intensity: Array) -> Whitening:
+        """The same noise with another disturbance."""
+        return Whitening(self._covariance, self._overlap, intensity)
 
     def __call__(self, right: Array) -> Array:
         """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
         solution, info = dtbtrs(self._factor, np.asarray(right), uplo="L")
         assert info == 0
         return np.asarray(solution.reshape(np.shape(right)))
+
+    def noise_sample(self, rng: np.random.Generator) -> Array:
+        """What the noise of the channels alone would look like after whitening: one draw, shape (m,)."""
+        factor = _cholesky(self._covariance)
+        draw = rng.standard_normal(factor.shape[1])
+        return self(_times(factor, draw))
+
+
+def _cholesky(covariance: csr_array) -> Array:
+    """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
+    coordinates = covariance.tocoo()
+    offset = coordinates.row - coordinates.col
+    banded = np.zeros((int(np.max(offset, initial=0)) + 1, covariance.shape[0]))
+    lower = offset >= 0
+    banded[offset[lower], coordinates.col[lower]] = coordinates.data[lower]
+    # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
+    banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
+    return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+
+
+def _times(factor: Array, vector: Array) -> Array:
+    """Product of a lower banded factor and a vector."""
+    size = factor.shape[1]
+    result = np.zeros(size)
+    for offset, diagonal in enumerate(factor):
+        result[offset:] += diagonal[: size - offset] * vector[: size - offset]
+    return result
+
+
+def overlap(functions: TestFunctions, t: Array, equations: int) -> csr_array:
+    """Covariance of the weak residual under a white disturbance of unit intensity in every equation, (m, m)."""
+    step = np.append(np.diff(t), 1.0)
+    gram = functions.held @ diags_array(1.0 / step) @ functions.held.T
+    return csr_array(kron(gram, eye_array(equations)))
 
 
 def residual_covariance(functions: TestFunctions, slope: Array, sigma: Array, rows: list[int]) -> csr_array:

@@ -12,7 +12,7 @@ from undertow.codegen.functions import Functions
 
 from .data import Segment, WeakData
 from .drive import Chain, Driven, Memory
-from .noise import Whitening, residual_covariance
+from .noise import Whitening, overlap, residual_covariance
 from .pointwise import Pointwise, mapped
 
 Array = NDArray[np.float64]
@@ -105,7 +105,9 @@ class WeakModel:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = [s.measured, actuation.value, memory.value, s.u]
         (slope,) = mapped(self._points.noise, inputs, p, s.t)
-        return Whitening(residual_covariance(s.functions, slope, data.sigma, list(data.rows)))
+        noise = residual_covariance(s.functions, slope, data.sigma, list(data.rows))
+        rows = len(data.rows)
+        return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
 
 def _cut(driven: Driven, s: Segment) -> Driven:
