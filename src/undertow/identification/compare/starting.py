@@ -47,7 +47,7 @@ def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, 
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
     turned = _angles_turned(t, dict(zip(names, measured.T, strict=True)))
-    for i in np.flatnonzero(there):
+    for i in np.flatnonzero(there).tolist():
         known = turned.get(names[i], np.zeros(len(t)))
         widths, degree = (_WIDTHS, 2) if names[i] not in turned else (_WIDE, 1)
         rest = local_value(t, measured[:, i] - known, at, float(sigma[i]), widths, degree)

@@ -74,6 +74,16 @@ class Prediction:
         return {n: self.rms[n] / float(s) for n, s in sizes.items() if s > 0}
 
     @cached_property
+    def fit(self) -> dict[str, float]:
+        """Share of the variation that is predicted, by channel, %: 100 is perfect, 0 is as a mean."""
+        centred = self.windows.measured[:, 1:].copy()
+        for run in np.unique(self.windows.run):
+            inside = self.windows.run == run
+            centred[inside] -= _mean(centred[inside])
+        size = self._by_channel(_rms(centred))
+        return {n: 100.0 * (1.0 - self.rms[n] / s) for n, s in size.items() if s > 0}
+
+    @cached_property
     def _there(self) -> NDArray[np.intp]:
         return np.flatnonzero(np.isfinite(self.windows.measured).any(axis=(0, 1)))
 
@@ -249,12 +259,16 @@ def _gather(commands: list[Array], windows: Windows) -> Array:
     return np.stack([commands[run][row] for run, row in zip(windows.run, samples, strict=True)])
 
 
-def _rms(values: Array) -> Array:
-    """Root mean square of each channel over what there is; NaN for a channel with nothing."""
+def _mean(values: Array) -> Array:
+    """Mean of each channel over what there is; NaN for a channel with nothing."""
     there = np.isfinite(values)
     count = there.sum(axis=(0, 1))
-    total = np.sum(np.where(there, values, 0.0) ** 2, axis=(0, 1))
-    return np.sqrt(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
+    total = np.sum(np.where(there, values, 0.0), axis=(0, 1))
+    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+
+
+def _rms(values: Array) -> Array:
+    return np.sqrt(_mean(values**2))
 
 
 __all__ = ["Prediction", "Predictor", "Windows", "cut", "predict", "prediction_error"]

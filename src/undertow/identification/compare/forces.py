@@ -1,0 +1,200 @@
+"""What a model leaves unexplained, as a force: the weak residual in N and N m, and the motion beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array
+
+from undertow.codegen.functions import Functions
+from undertow.identification.logs import Run
+from undertow.model.vehicle import Vehicle
+
+from ..weak.data import Segment, WeakData, prepare
+from ..weak.drive import Chain, Memory
+from ..weak.pointwise import Pointwise, mapped
+from ..weak.residual import WeakModel, whitened
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Force that the motion needs and the model lacks, averaged with K test functions.
+
+    Attributes
+    ----------
+    run : (K,) array of int
+        Run that a test function belongs to.
+    segment : (K,) array of int
+        Stretch without gaps that it belongs to.
+    t : (K,) array
+        Its middle, s.
+    missing : (K, n) array
+        Force to be added to the model, body axes, N and N m.
+    noise : (K, n) array
+        Standard deviation of `missing` from the noise of the channels alone.
+    whitened : (K, n) array
+        `missing` in units of its noise, free of the correlation that the noise brings in.
+    pose, velocity : (K, n) array
+        Measured motion, averaged likewise.
+    commands : (K, n_commands) array
+        Commands, averaged likewise.
+    wrenches : dict of (K, n) arrays
+        Force of every effect along the measured motion, by effect id, N and N m.
+    """
+
+    run: NDArray[np.intp]
+    segment: NDArray[np.intp]
+    t: Array
+    missing: Array
+    noise: Array
+    whitened: Array
+    pose: Array
+    velocity: Array
+    commands: Array
+    wrenches: dict[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def drive(self) -> Array:
+        """Force of thrusters and known forces, shape (K, n)."""
+        parts = [self.wrenches[i] for i in ("thrusters", "generalised_force") if i in self.wrenches]
+        return np.asarray(sum(parts, np.zeros_like(self.missing)))
+
+
+def residual_forces(model: Vehicle | Functions, runs: Sequence[Run], data: WeakData | None = None) -> Forces:
+    """Forces that logs show and a model lacks.
+
+    Parameters
+    ----------
+    model : Vehicle or Functions
+        The model, at its values.
+    runs : sequence of Run
+        Logs with the velocities and commands of the vehicle.
+    data : WeakData, optional
+        The same logs prepared already.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, or no stretch without gaps is long enough.
+    """
+    functions = model if isinstance(model, Functions) else Functions(model)
+    data = prepare(runs, functions.vehicle) if data is None else data
+    return _Evaluation(functions, data).forces()
+
+
+class _Evaluation:
+    """One model along prepared logs."""
+
+    def __init__(self, functions: Functions, data: WeakData) -> None:
+        self.functions, self.data = functions, data
+        self.size = len(functions.vehicle.dof_indices)
+        self.p = np.array(functions.values(), dtype=float)
+        self._weak = WeakModel(functions, ())
+        self._points = Pointwise(functions, ())
+        self._chain = Chain(functions, ())
+        self._memory = Memory(functions, (), self._points.measured, self._points.true_motion)
+
+    def forces(self) -> Forces:
+        parts = self._weak.linearise(self.data, self.p)
+        noise = self._weak.whitening(self.data, self.p)
+        white = self._by_segment(-whitened(parts, noise).r)
+        commands = [r.matrix(self.data.commands) for r in self.data.runs]
+        actuation = [
+            self._chain.along(r.t, u, self.p).value for r, u in zip(self.data.runs, commands, strict=True)
+        ]
+        pieces = []
+        for i, s in enumerate(self.data.segments):
+            mass, along = self._along(s, actuation[s.run][s.samples])
+            # The weak residual is the acceleration of the model minus the measured one.
+            acceleration = -self._table(parts[i].r) / _weight(s)[:, None]
+            along["missing"] = np.einsum("kij,kj->ki", mass, acceleration)
+            along["noise"] = self._spread(noise[i].covariance, mass) / _weight(s)[:, None]
+            pieces.append(along | {"whitened": white[i]} | _places(i, s))
+        return _joined(pieces)
+
+    def _by_segment(self, r: Array) -> list[Array]:
+        ends = np.cumsum([s.functions.count * len(self.data.rows) for s in self.data.segments])
+        return [self._table(part) for part in np.split(r, ends[:-1])]
+
+    def _table(self, r: Array) -> Array:
+        """Entries of the force equations, shape (K, n)."""
+        return r.reshape(-1, len(self.data.rows))[:, : self.size]
+
+    def _spread(self, covariance: csr_array, mass: Array) -> Array:
+        """Standard deviation of the force times the weight of the test function, shape (K, n)."""
+        count, rows = len(mass), len(self.data.rows)
+        blocks = np.concatenate([mass, np.zeros((count, self.size, rows - self.size))], axis=2)
+        to_force = bsr_array((blocks, np.arange(count), np.arange(count + 1)))
+        variance = (to_force @ covariance).multiply(to_force).sum(axis=1)
+        return np.sqrt(np.asarray(variance).reshape(-1, self.size))
+
+    def _along(self, s: Segment, actuation: Array) -> tuple[Array, dict[str, Any]]:
+        """Mass matrix at every test function, shape (K, n, n), and averages of all else."""
+        memory = self._memory.along(s.t, s.measured, actuation, s.u, self.p).value
+        (motion,) = mapped(self._true_motion, [s.measured, actuation, memory, s.u], self.p, s.t)
+        smooth, held = _averages(s)
+        mean = smooth @ motion[:, :, 0]
+        rate = -(s.functions.rate @ motion[:, self.size :, 0]) / _weight(s)[:, None]
+        columns = [mean, rate, held @ actuation, smooth @ memory, held @ s.u]
+        mass, *values = mapped(self._wrenches, columns, self.p, s.functions.centre)
+        measured = smooth @ s.measured
+        return mass, {
+            "pose": measured[:, : self.size],
+            "velocity": measured[:, self.size :],
+            "commands": held @ s.u,
+            "wrenches": {k: v[:, :, 0] for k, v in zip(self.functions.wrenches, values, strict=True)},
+        }
+
+    @cached_property
+    def _true_motion(self) -> ca.Function:
+        f, points = self.functions, self._points
+        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
+        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
+
+    @cached_property
+    def _wrenches(self) -> ca.Function:
+        f = self.functions
+        inputs = [ca.vertcat(f.eta, f.nu), f.nu_dot, f.actuation, f.memory, f.u, f.p, f.t]
+        outputs = [f.mass_matrix, *f.wrenches.values()]
+        return ca.Function("wrenches", inputs, [ca.densify(w) for w in outputs])
+
+
+def _weight(s: Segment) -> Array:
+    """Integral of every test function, s."""
+    return np.asarray(s.functions.held.sum(axis=1)).ravel()
+
+
+def _averages(s: Segment) -> tuple[csr_array, csr_array]:
+    """Operators that average smooth and held signals with the test functions."""
+    return _rows_to_one(s.functions.value), _rows_to_one(s.functions.held)
+
+
+def _rows_to_one(weights: csr_array) -> csr_array:
+    return csr_array(weights.multiply(1.0 / weights.sum(axis=1)[:, None]))
+
+
+def _places(index: int, s: Segment) -> dict[str, Any]:
+    count = s.functions.count
+    return {"run": np.full(count, s.run), "segment": np.full(count, index), "t": s.functions.centre}
+
+
+def _joined(pieces: list[dict[str, Any]]) -> Forces:
+    columns: dict[str, Any] = {}
+    for name in pieces[0]:
+        values = [piece[name] for piece in pieces]
+        if name == "wrenches":
+            columns[name] = {k: np.concatenate([v[k] for v in values]) for k in values[0]}
+        else:
+            columns[name] = np.concatenate(values)
+    return Forces(**columns)
