@@ -1,0 +1,1 @@
+"""Programs that measure undertow from outside; not part of the installed package."""

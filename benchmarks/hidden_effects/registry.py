@@ -1,0 +1,84 @@
+"""The one dictionary of hidden effects, and the dice their sizes are drawn with."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .world import World
+
+ALL = ("mini-auv", "rov", "usv")
+SUBMERGED = ("mini-auv", "rov")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Random values of one effect; `strength` multiplies sizes, never shapes (angles, periods, positions)."""
+
+    rng: np.random.Generator
+    strength: float
+
+    def size(self, low: float, high: float) -> float:
+        """Strength times a log-uniform value: weak, medium and strong cases are equally likely."""
+        return self.strength * float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+
+    def signed(self, low: float, high: float) -> float:
+        """A size of either sign."""
+        value = self.size(low, high)
+        return value if self.rng.random() < 0.5 else -value
+
+    def shape(self, low: float, high: float) -> float:
+        """A uniform value that strength does not touch."""
+        return float(self.rng.uniform(low, high))
+
+    def pick(self, options: Sequence[int]) -> int:
+        """One of the options."""
+        return int(options[int(self.rng.integers(len(options)))])
+
+    def some(self, options: Sequence[int]) -> list[int]:
+        """A random, never empty part of the options, in their order."""
+        kept = self.rng.permutation(len(options))[: self.rng.integers(1, len(options) + 1)]
+        return [int(options[i]) for i in sorted(kept)]
+
+
+Values = dict[str, float]
+Apply = Callable[[World, Draw], Values]
+
+
+@dataclass(frozen=True)
+class HiddenEffect:
+    """One effect: name, id in the catalogue (None: in none), vehicles, and what it does to a world.
+
+    `kind` is "library" (in the catalogue), "alien" (in none), or "prior" (nothing hidden, a guess is wrong).
+    """
+
+    name: str
+    catalogue: str | None
+    kind: str
+    vehicles: tuple[str, ...]
+    apply: Apply
+
+    @property
+    def equation(self) -> str:
+        """First paragraph of the docstring: the physics in a sentence."""
+        first = inspect.cleandoc(self.apply.__doc__ or "").split("\n\n")[0]
+        return " ".join(first.split())
+
+
+EFFECTS: dict[str, HiddenEffect] = {}
+
+
+def hidden(
+    name: str, vehicles: tuple[str, ...] = ALL, *, kind: str = "library", catalogue: str | None = None
+) -> Callable[[Apply], Apply]:
+    """Decorator that puts a function `apply(world, draw) -> values` into `EFFECTS`."""
+
+    def enter(apply: Apply) -> Apply:
+        listed = (catalogue or name) if kind == "library" else None
+        EFFECTS[name] = HiddenEffect(name, listed, kind, vehicles, apply)
+        return apply
+
+    return enter

@@ -1,0 +1,124 @@
+"""Hidden effects of the water around the hull and of a tether."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .registry import SUBMERGED, Draw, Values, hidden
+from .vehicles import GRAVITY
+from .world import Memory, Moment, World, force_at, to_body, to_ned, velocity_at
+
+# Where the tether is made fast, body axes, m.
+_TETHER_POINT = {"mini-auv": np.array([-0.25, 0.0, 0.0]), "rov": np.array([-0.15, 0.0, -0.1])}
+
+
+@hidden("ocean_current")
+def ocean_current(world: World, draw: Draw) -> Values:
+    """The water moves with V = (V_N, V_E, 0): nu_r = nu - R^T V, nu_r_dot = nu_dot + omega x R^T V."""
+    speed, towards = draw.size(0.1, 0.9) * world.vehicle.pace[0], draw.shape(-np.pi, np.pi)
+    velocity = speed * np.array([[np.cos(towards)], [np.sin(towards)], [0.0]])
+    world.flows.append(lambda t, eta, over_ground: (velocity, np.zeros((3, 1))))
+    return {"V_N": float(velocity[0, 0]), "V_E": float(velocity[1, 0])}
+
+
+@hidden("waves")
+def waves(world: World, draw: Draw) -> Values:
+    """Regular deep-water wave: orbital velocity a w exp(-k z) (cos p along, -sin p down), p = k s - w t.
+
+    w^2 = g k; s = position of the vehicle along the wave. The wave's pressure acts on the displaced mass
+    (Froude-Krylov force rho V Du/Dt), so that a neutrally buoyant hull is carried along.
+    """
+    period, towards = draw.shape(4.0, 7.0), draw.shape(-np.pi, np.pi)
+    omega = 2 * np.pi / period
+    k = omega**2 / GRAVITY
+    orbital = draw.size(0.08, 0.8) * world.vehicle.pace[0]
+    amplitude = orbital / omega * np.exp(k * world.vehicle.depth)
+    along = np.array([[np.cos(towards)], [np.sin(towards)], [0.0]])
+    down = np.array([[0.0], [0.0], [1.0]])
+
+    def flow(t: float, eta: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phase = k * (eta[0] * along[0] + eta[1] * along[1]) - omega * t
+        speed = amplitude * omega * np.exp(-k * np.maximum(eta[2], 0.0))
+        cosine, sine = speed * np.cos(phase), speed * np.sin(phase)
+        turning = k * (moving[0] * along[0] + moving[1] * along[1]) - omega
+        fading = -k * moving[2]
+        velocity = along * cosine - down * sine
+        return velocity, along * (fading * cosine - turning * sine) - down * (
+            fading * sine + turning * cosine
+        )
+
+    def pressure(now: Moment) -> np.ndarray:
+        # Du/Dt follows the water, not the hull; the hull is small against the wave.
+        water = flow(now.t, now.eta, now.nu[:3])[0]
+        here = flow(now.t, now.eta, water)[1]
+        out = np.zeros_like(now.nu)
+        out[:3] = world.vehicle.mass * to_body(now.turn, here)
+        return out
+
+    world.flows.append(flow)
+    world.wrenches.append(pressure)
+    return {"amplitude": amplitude, "period": period, "direction": towards}
+
+
+@hidden("boundary_proximity")
+def boundary_proximity(world: World, draw: Draw) -> Values:
+    """Damping times 1 + a exp(-h / L), h = distance to the bottom z = z_w (usv: to the wall y = y_w)."""
+    excess, length = draw.size(0.3, 4.0), draw.shape(0.5, 1.5)
+    axis = 2 if 2 in world.dofs else 1
+    place = world.vehicle.depth + draw.shape(0.5, 2.0)
+
+    def wrench(now: Moment) -> np.ndarray:
+        gap = np.maximum(place - now.eta[axis], 0.0)
+        return excess * np.exp(-gap / length) * now.drag
+
+    world.wrenches.append(wrench)
+    return {"a": excess, "L": length, "zy"[axis == 1] + "_w": place}
+
+
+@hidden("tether_drag", SUBMERGED)
+def tether_drag(world: World, draw: Draw) -> Values:
+    """Force -c l |v_a| v_a at body point r_a, v_a = its velocity in the water, l = distance to (0, 0, 0)."""
+    point, pace, depth = _TETHER_POINT[world.vehicle.name], world.vehicle.pace, world.vehicle.depth
+    per_metre = draw.size(0.05, 1.5) * world.vehicle.drag_at_pace(0) / (depth * pace[0] ** 2)
+
+    def wrench(now: Moment) -> np.ndarray:
+        speed = velocity_at(point, now.nu_r)
+        length = np.sqrt(np.sum(now.eta[:3] ** 2, axis=0))
+        return force_at(point, -per_metre * length * np.sqrt(np.sum(speed**2, axis=0)) * speed)
+
+    world.wrenches.append(wrench)
+    return {"c": per_metre, **dict(zip(("x_a", "y_a", "z_a"), map(float, point), strict=True))}
+
+
+@hidden("tether_tension", SUBMERGED)
+def tether_tension(world: World, draw: Draw) -> Values:
+    """Force k max(0, d - L_0) at body point r_a towards a winch at (0, 0, z_0 - 2 m) of NED; d = distance."""
+    point, stiffness = _TETHER_POINT[world.vehicle.name], draw.size(0.02, 0.3) * world.vehicle.reach[0]
+    slack = draw.shape(2.1, 3.0)
+    winch = np.array([[0.0], [0.0], [world.vehicle.depth - 2.0]])
+
+    def wrench(now: Moment) -> np.ndarray:
+        reach = now.eta[:3] + to_ned(now.turn, np.broadcast_to(point[:, None], now.nu[:3].shape)) - winch
+        distance = np.sqrt(np.sum(reach**2, axis=0))
+        pull = stiffness * np.maximum(distance - slack, 0.0) / np.maximum(distance, 1e-9)
+        return force_at(point, to_body(now.turn, -pull * reach))
+
+    world.wrenches.append(wrench)
+    return {"k": stiffness, "L_0": slack, **dict(zip(("x_a", "y_a", "z_a"), map(float, point), strict=True))}
+
+
+@hidden("radiation_memory")
+def radiation_memory(world: World, draw: Draw) -> Values:
+    """tau_i = X_m,i s_i, T_m ds_i/dt = nu_r_i - s_i: drag that lags the motion (steady value X_m nu_r)."""
+    rows = np.array(draw.some(world.dofs))
+    drag = np.array([world.vehicle.drag_at_pace(i) / world.vehicle.pace[i] for i in rows])
+    gains = -drag * np.array([draw.size(0.3, 2.0) for _ in rows])
+    time = draw.shape(0.5, 4.0)
+
+    def wrench(now: Moment, state: np.ndarray) -> np.ndarray:
+        out = np.zeros_like(now.nu)
+        out[rows] = gains[:, None] * state
+        return out
+
+    world.memories.append(Memory(len(rows), lambda now, state: (now.nu_r[rows] - state) / time, wrench))
+    return {"T_m": time, **{f"{'XYZKMN'[i]}_m": float(g) for i, g in zip(rows, gains, strict=True)}}
