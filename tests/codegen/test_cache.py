@@ -75,10 +75,13 @@ def _remove_library(library: Path) -> None:
     library.unlink()
 
 
-def _forge_hash(library: Path) -> None:
+def _library_of_another_source(library: Path) -> None:
+    """A library and a manifest that fit each other, but were made from something else."""
     _append_to_library(library)
+    found = cache._sha256(library)
+    library.rename(library.with_name(f"{_manifest().stem}-{found[:16]}{library.suffix}"))
     content = json.loads(_manifest().read_text())
-    _manifest().write_text(json.dumps({**content, "source": "0" * 64, "library": cache._sha256(library)}))
+    _manifest().write_text(json.dumps({**content, "source": "0" * 64, "library": found}))
 
 
 def _break_manifest(library: Path) -> None:
@@ -98,7 +101,7 @@ DAMAGE = [
     _append_to_library,
     _truncate_library,
     _remove_library,
-    _forge_hash,
+    _library_of_another_source,
     _break_manifest,
     _empty_manifest,
     _point_elsewhere,
@@ -211,6 +214,9 @@ double step(void) { abort(); }
 double advance(void) { abort(); }
 double evaluate(void) { abort(); }
 double simulate(void) { abort(); }
+double undertow_model_sq(void) { abort(); }
+double undertow_model_sign(void) { abort(); }
+double undertow_model_fabs(void) { abort(); }
 """
 TRAPPED = """
 import ctypes, sys

@@ -265,6 +265,11 @@ def test_a_new_effect_is_told_with_its_parameters_and_rows(tmp_path: Path) -> No
     assert back[1].startswith("parameters removed: Y_uv")
 
 
+def test_an_effect_of_backward_motion_is_seen(tmp_path: Path) -> None:
+    before, after = vehicle_with(thrusters=0), vehicle_with("drag_asymmetry", thrusters=0)
+    assert _changes(before, after, tmp_path)[-1] == "rows changed: u_dot, v_dot, w_dot (3 of 12)"
+
+
 def test_a_new_value_is_told(tmp_path: Path) -> None:
     before = named_vehicle("cybership2")
     after = before.with_values({"X_u": Value(-0.8)})
