@@ -120,11 +120,11 @@ def search(
 def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
     possible = candidates(bench.base.vehicle, known)
     scouted = _scouted(possible, bench, report)
-    worth = [(c, s) for c, s in scouted if bench.base.cost - s.cost > _WORTH_A_FIT][:_FULL_FITS]
+    worth = [(c, start) for c, cost, start in scouted if bench.base.cost - cost > _WORTH_A_FIT][:_FULL_FITS]
     trials = []
-    for i, (candidate, scouting) in enumerate(worth):
+    for i, (candidate, start) in enumerate(worth):
         report(0.5 + 0.3 * i / len(worth), f"fitting {candidate.id}")
-        trials.append(try_candidate(candidate, bench, scouting.values))
+        trials.append(try_candidate(candidate, bench, start))
     finalists = sorted((t for t in trials if t.kept or not t.candidate.removable), key=lambda t: t.score.error)
     bench, finalists = _final(bench, finalists[:_FINALISTS], report)
     tried = {t.id for t in finalists}
@@ -132,12 +132,12 @@ def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
     return _judged(bench, finalists + others, len(possible))
 
 
-def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[tuple[Candidate, WeakFit]]:
+def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[tuple[Candidate, float, dict[str, float]]]:
     found = []
     for i, candidate in enumerate(possible):
         report(0.5 * i / len(possible), f"trying {candidate.id}")
-        found.append((candidate, scout(candidate, bench)))
-    return sorted(found, key=lambda pair: pair[1].cost)
+        found.append((candidate, *scout(candidate, bench)))
+    return sorted(found, key=lambda entry: entry[1])
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:

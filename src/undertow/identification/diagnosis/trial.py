@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, settled
+from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, promise, settled
 from ..weak.noise import Whitening
 from ..weak.residual import whitened
 from .candidates import Candidate
@@ -134,10 +134,13 @@ class Bench:
         return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
 
 
-def scout(candidate: Candidate, bench: Bench) -> WeakFit:
-    """One Gauss-Newton step from every starting point; the best of them tells whether a full fit is worth its time."""
+def scout(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float]]:
+    """What one Gauss-Newton step from the best starting point promises: sum of squares, and where it leads."""
     starts = candidate.starts(bench.command_scale)
-    return min((bench.fit(candidate.vehicle, candidate.free(), s, most=1) for s in starts), key=lambda f: f.cost)
+    noise = (bench.train_whitening, bench.base.disturbance)
+    begin = bench.base.values
+    steps = [promise(candidate.vehicle, bench.train, candidate.free(), begin | s, *noise) for s in starts]
+    return min(steps, key=lambda step: step[0])
 
 
 def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:

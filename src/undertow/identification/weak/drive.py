@@ -55,6 +55,8 @@ class Chain:
         size, count = self.functions.actuation.shape[0], len(t)
         if size == 0:
             return _nothing(count, len(self.free))
+        if not self.functions.actuator_states.shape[0]:
+            return self._delayed(t, self._static(u, p), p)
         step = np.append(np.diff(t), 0.0)
         (start,) = call(self._rest, [u[0], p])
         _, flat = call(_accumulated(self._advance, count), [start, u, step, np.tile(p, (count, 1))])
@@ -70,6 +72,20 @@ class Chain:
         columns = [u[:-1], np.diff(t), np.tile(p, (len(t) - 1, 1))]
         after, _ = call(_accumulated(self._advance, len(t) - 1), [start, *columns])
         return np.vstack([start, after.reshape(len(t) - 1, -1)])[:, :size]
+
+    def _static(self, u: Array, p: Array) -> Driven:
+        """A chain without states: its output, sample by sample."""
+        function, count = self._output, len(u)
+        value, slope = call(_mapped(function, count), [u, np.tile(p, (count, 1))])
+        size = self.functions.actuation.shape[0]
+        table = np.concatenate([value.reshape(count, size), slope.reshape(count, -1)], axis=1)
+        return _spread(table, size, self._felt, len(self.free))
+
+    @cached_property
+    def _output(self) -> ca.Function:
+        f = self.functions
+        slope = ca.densify(ca.jacobian(f.chain_output, self._free))
+        return ca.Function("output", [f.u, f.p], [ca.densify(f.chain_output), slope])
 
     @cached_property
     def _rest(self) -> ca.Function:
@@ -256,6 +272,11 @@ def _runge_kutta(rate, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:
     k3 = rate(z + h / 2 * k2, share + width / 2)
     k4 = rate(z + h * k3, share + width)
     return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@lru_cache(maxsize=64)
+def _mapped(function: ca.Function, count: int) -> ca.Function:
+    return function.map(count)
 
 
 @lru_cache(maxsize=64)

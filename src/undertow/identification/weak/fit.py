@@ -167,11 +167,8 @@ def fit_weak(
     whitening, disturbance : optional
         Noise model to use; worked out from the residual of the fit itself where not given.
     """
-    functions = Functions(vehicle)
-    model = WeakModel(functions, free_parameters(vehicle) if free is None else free)
-    p = np.array(functions.values(), dtype=float)
-    for name, value in (start or {}).items():
-        p[functions.parameter_names.index(name)] = value
+    model = WeakModel(Functions(vehicle), free_parameters(vehicle) if free is None else free)
+    p = _started(vehicle, start or {})
     if whitening is not None and disturbance is not None:
         return _solved(model, p, data, whitening, disturbance, max_iterations)
     disturbance = _first_guess(model, data, p)
@@ -225,6 +222,27 @@ def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
 
 def _fits_noise(at: Linearised, data: WeakData) -> bool:
     return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
+
+
+def promise(
+    vehicle: Vehicle,
+    data: WeakData,
+    free: Sequence[str],
+    start: Mapping[str, float],
+    whitening: list[Whitening],
+    disturbance: Array,
+) -> tuple[float, dict[str, float]]:
+    """Sum of squares that one Gauss-Newton step promises, and the free parameters after it."""
+    fit = _solved(WeakModel(Functions(vehicle), free), _started(vehicle, start), data, whitening, disturbance, 0)
+    places = list(fit.model.places)
+    bounds = _bounds(fit.model)
+    step = _step(fit.at, fit.p[places], bounds, _prior(fit.model))
+    after = np.clip(fit.p[places] + step, *bounds)
+    return _squares(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
+
+
+def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
+    return np.array([start.get(n, vehicle.value_of(n).value) for n in vehicle.parameter_names], dtype=float)
 
 
 def _solved(

@@ -126,19 +126,23 @@ def residual_covariance(functions: TestFunctions, slope: Array, sigma: Array, ro
         Ordered by test function, then by equation.
     """
     n = slope.shape[2] // 2
-    blocks = [[_channel(functions, slope, row, c, n) * sigma[c] for c in range(2 * n)] for row in rows]
+    blocks = [[_channel(functions, slope, row, c, n, sigma[c]) for c in range(2 * n)] for row in rows]
     stacked = block_array(blocks, format="csr")
     order = np.arange(len(rows) * functions.count).reshape(len(rows), -1).T.ravel()
     stacked = csr_array(stacked[order])
     return csr_array(stacked @ stacked.T)
 
 
-def _channel(functions: TestFunctions, slope: Array, row: int, channel: int, n: int) -> csr_array:
-    """Sensitivity of equation `row` to the noise of one channel, shape (K, N)."""
-    differentiated, plain = (0, n) if row < n else (2 * n, 3 * n)
+def _channel(functions: TestFunctions, slope: Array, row: int, channel: int, n: int, sigma: float) -> csr_array:
+    """Sensitivity of equation `row` to one standard deviation of a channel, shape (K, N)."""
+    differentiated, plain, held = (0, n, 4 * n) if row < n else (2 * n, 3 * n, None)
     place = row % n
-    momentum, forcing = slope[:, differentiated + place, channel], slope[:, plain + place, channel]
-    total = functions.rate @ diags_array(momentum) + functions.value @ diags_array(forcing)
-    if row < n:
-        total = total + functions.held @ diags_array(slope[:, 4 * n + place, channel])
+    terms = [(functions.rate, differentiated), (functions.value, plain)]
+    if held is not None:
+        terms.append((functions.held, held))
+    total = csr_array(functions.value.shape)
+    for weights, first in terms:
+        column = sigma * slope[:, first + place, channel]
+        if np.any(column):
+            total = total + csr_array(weights.multiply(column[None, :]))
     return csr_array(total)

@@ -37,12 +37,58 @@ class Pointwise:
         self.measured = ca.SX.sym("measured", 2 * self.size)
 
     @cached_property
-    def _rows(self) -> ca.SX:
+    def inverse(self) -> ca.SX:
+        """Inverse of the mass matrix: a number from outside where it does not depend on the motion."""
+        if self.mass_is_constant:
+            return ca.SX.sym("inverse", self.size, self.size)
+        return solve_symmetric(self._true(self.functions.mass_matrix), ca.SX.eye(self.size))
+
+    @cached_property
+    def mass_is_constant(self) -> bool:
+        """Whether the mass matrix is the same at all samples."""
+        f = self.functions
+        return not ca.depends_on(ca.vec(f.mass_matrix), ca.vertcat(f.eta, f.nu, f.t))
+
+    def mass_inverse(self, p: Array) -> Array:
+        """Value of `inverse` at parameters p, column-major, shape (n * n,); empty where it varies."""
+        if not self.mass_is_constant:
+            return np.zeros(0)
+        (mass,) = call(self._mass, [p])
+        return np.linalg.inv(mass.reshape(self.size, self.size)).ravel()
+
+    @cached_property
+    def _mass(self) -> ca.Function:
+        return ca.Function("mass", [self.functions.p], [ca.densify(self.functions.mass_matrix)])
+
+    def _true(self, expression: ca.SX) -> ca.SX:
+        f = self.functions
+        return ca.substitute(expression, ca.vertcat(f.eta, f.nu), self.true_motion)
+
+    @cached_property
+    def _forces(self) -> tuple[ca.SX, ca.SX]:
+        """Forcing without the commands, and by the commands."""
         f = self.functions
         still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
-        accelerations = solve_symmetric(f.mass_matrix, ca.horzcat(still, self._by_commands))
-        rows = ca.vertcat(f.nu, accelerations[:, 0], f.eta, f.pose_rate, accelerations[:, 1])
-        return ca.cse(ca.substitute(rows, ca.vertcat(f.eta, f.nu), self.true_motion))
+        return self._true(still), self._true(self._by_commands)
+
+    @cached_property
+    def _rows(self) -> ca.SX:
+        f = self.functions
+        still, driven = self._forces
+        velocity, pose, rate = self._true(f.nu), self._true(f.eta), self._true(f.pose_rate)
+        return ca.cse(ca.vertcat(velocity, self.inverse @ still, pose, rate, self.inverse @ driven))
+
+    def _slope(self, variables: ca.SX) -> ca.SX:
+        """Derivative of the rows: that of an acceleration M^-1 h is M^-1 (dh - dM M^-1 h)."""
+        n = self.size
+        mass = self._true(self.functions.mass_matrix)
+        kinematic = ca.jacobian(self._rows, variables)
+        parts = []
+        for force in self._forces:
+            acceleration = ca.SX.sym("acceleration", n)
+            slope = ca.jacobian(force - mass @ acceleration, variables)
+            parts.append(self.inverse @ ca.substitute(slope, acceleration, self.inverse @ force))
+        return ca.vertcat(kinematic[:n, :], parts[0], kinematic[2 * n : 4 * n, :], parts[1])
 
     @cached_property
     def _drive(self) -> ca.SX:
@@ -74,7 +120,8 @@ class Pointwise:
     @cached_property
     def _inputs(self) -> list[ca.SX]:
         f = self.functions
-        return [self.measured, f.actuation, f.memory, f.u, f.p, f.t]
+        constant = ca.vec(self.inverse) if self.mass_is_constant else ca.SX(0, 1)
+        return [self.measured, f.actuation, f.memory, f.u, constant, f.p, f.t]
 
     @cached_property
     def value(self) -> ca.Function:
@@ -86,13 +133,14 @@ class Pointwise:
         """The rows, and their derivatives in the free parameters, the actuation and the memory states."""
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.free])
-        derivatives = [ca.jacobian(self._rows, v) for v in (free, f.actuation, f.memory)]
-        return ca.Function("weak_derivatives", self._inputs, [ca.densify(v) for v in (self._rows, *derivatives)])
+        derivatives = [self._slope(v) for v in (free, f.actuation, f.memory)]
+        results = ca.cse([self._rows, *derivatives])
+        return ca.Function("weak_derivatives", self._inputs, [ca.densify(v) for v in results])
 
     @cached_property
     def noise(self) -> ca.Function:
         """Derivative of the rows in the measured pose and velocity, shape (5n, 2n)."""
-        return ca.Function("weak_noise", self._inputs, [ca.densify(ca.jacobian(self._rows, self.measured))])
+        return ca.Function("weak_noise", self._inputs, [ca.densify(self._slope(self.measured))])
 
     @cached_property
     def held_depends_on_motion(self) -> bool:

@@ -63,11 +63,15 @@ class WeakModel:
 
     def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = [s.measured, actuation.value, memory.value, s.u]
+        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
         table = self._total(inputs, actuation, memory, p, s.t)
         if self._points.held_depends_on_motion:
             table = self._averaged_over_steps(table, s, actuation, memory, p)
         return self._tested(table, s, rows)
+
+    def _inputs(self, measured: Array, actuation: Array, memory: Array, u: Array, p: Array) -> list[Array]:
+        constant = self._points.mass_inverse(p)
+        return [measured, actuation, memory, u, np.tile(constant, (len(u), 1))]
 
     def _total(self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array) -> Array:
         """Pointwise rows beside their total derivatives in the free parameters and in the first states."""
@@ -79,7 +83,7 @@ class WeakModel:
         """Take the force of the commands at both ends of the interval in which they are held."""
         n = self._points.size
         later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
-        inputs = [later[0], actuation.value, later[1], s.u]
+        inputs = self._inputs(later[0], actuation.value, later[1], s.u, p)
         end = self._total(inputs, actuation, memory, p, s.t)
         table[:, 4 * n :] = 0.5 * (table[:, 4 * n :] + end[:, 4 * n :])
         return table
@@ -103,7 +107,7 @@ class WeakModel:
 
     def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = [s.measured, actuation.value, memory.value, s.u]
+        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
         (slope,) = mapped(self._points.noise, inputs, p, s.t)
         noise = residual_covariance(s.functions, slope, data.sigma, list(data.rows))
         rows = len(data.rows)
@@ -127,5 +131,7 @@ def _without_start(part: Linearised, whitening: Whitening) -> Array:
     last = 1 + part.J.shape[1]
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
-    directions = np.linalg.qr(start[:, size > 1e-9 * size.max(initial=0.0)])[0] if start.shape[1] else start
-    return np.asarray(kept - directions @ (directions.T @ kept))
+    start = start[:, size > 1e-9 * size.max(initial=0.0)]
+    if not start.shape[1]:
+        return kept
+    return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ kept)))
