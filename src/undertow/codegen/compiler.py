@@ -25,7 +25,7 @@ _GNU_FLAGS = (
     *("-std=c99", "-O1", "-ftree-vectorize", "-ffp-contract=off", "-w"),
     *("-fPIC", "-shared", "-fvisibility=hidden"),
 )
-_MSVC_FLAGS = ("/nologo", "/O1", "/fp:precise", "/LD", "/w")
+_MSVC_FLAGS = ("/nologo", "/std:c11", "/O1", "/fp:precise", "/LD", "/w")
 _TIME_LIMIT = 600.0
 
 

@@ -60,7 +60,7 @@ class Converter:
     def __call__(self, expression: sm.Expr) -> ca.SX:
         found = self._known.get(expression)
         if found is None:
-            found = self._known[expression] = self._convert(sm.sympify(expression))
+            found = self._known[expression] = self._convert(sm.sympify(expression, strict=True))
         return found
 
     def _convert(self, e: sm.Expr) -> ca.SX:
