@@ -18,6 +18,8 @@ from .starting import start_values
 Array = NDArray[np.float64]
 _ANGLES = ("phi", "psi")
 _FEWEST = 3  # samples of a window
+# The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
+_LACKING = 0.1
 
 
 @dataclass(frozen=True)
@@ -165,16 +167,17 @@ def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[n
     if horizon is None:
         found = [(0, len(t))] if len(t) >= _FEWEST else []
         return _columns(found)
-    step = np.median(np.diff(t)) if len(t) > 1 else 0.0
+    slack = 1e-3 * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     found, first = [], 0
-    while True:
-        stop = int(np.searchsorted(t, t[first] + horizon - 1e-3 * step))
-        if stop >= len(t):
-            return _columns(found)
+    while t[first] + (1.0 - _LACKING) * horizon <= t[-1]:
+        stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)
         if stop + 1 - first >= _FEWEST:
             found.append((first, stop + 1))
-        following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - 1e-3 * step))
-        first = max(following, first + 1)
+        following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - slack))
+        first = min(max(following, first + 1), len(t) - 1)
+        if stop == len(t) - 1:
+            break
+    return _columns(found)
 
 
 def _columns(pairs: list[tuple[int, int]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,0 +1,173 @@
+"""Show where a model fails on logs: in which motion, in which regime, and how much of it is noise.
+
+The model is taken as it is. It is simulated from the measured motion, driven by the logged commands: once
+without any correction (the free run), and over short windows (the prediction ahead). What the motion needs
+and the model lacks is shown as a force, by the weak form, without differentiating any signal.
+
+--plots writes pictures (PNG) into a folder: measured against simulated, the error map of degrees of freedom
+and regimes, the force budget, and the residual force against every variable.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from undertow.cli._progress import progress
+from undertow.cli._vehicle_and_logs import (
+    EffectsOption,
+    FillOption,
+    FromOption,
+    LogsArgument,
+    MapOption,
+    ToOption,
+    VehicleArgument,
+    load,
+)
+
+if TYPE_CHECKING:
+    from undertow.identification.compare.comparison import Comparison
+    from undertow.identification.compare.result import ComparisonResult
+
+_HORIZON = typer.Option("--horizon", metavar="SECONDS", help="How far ahead is predicted.", min=0.001)
+_JSON = typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+_PLOTS = typer.Option("--plots", metavar="FOLDER", help="Write pictures (PNG) into this folder.")
+
+
+def compare(
+    vehicle: VehicleArgument,
+    logs: LogsArgument,
+    map: MapOption = None,
+    effects: EffectsOption = None,
+    from_: FromOption = None,
+    to: ToOption = None,
+    fill: FillOption = None,
+    horizon: Annotated[float, _HORIZON] = 5.0,
+    json: Annotated[Path | None, _JSON] = None,
+    plots: Annotated[Path | None, _PLOTS] = None,
+) -> None:
+    from undertow.files import write_whole
+    from undertow.identification.compare.comparison import compare as compared
+
+    loaded = load(vehicle, logs, map=map, effects=effects, window=(from_, to), fill=fill)
+    with progress("comparing") as report:
+        comparison = compared(loaded.vehicle, loaded.train, horizon=horizon, progress=report)
+    _show(comparison.result)
+    if json is not None:
+        write_whole(json, comparison.to_json())
+    if plots is not None:
+        _draw(comparison, plots)
+
+
+# --- tables -----------------------------------------------------------------------------------
+def _show(result: ComparisonResult) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    for table in (_channels(result), _forces(result), _error_map(result), _budget(result)):
+        console.print(table)
+    error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g} %"
+    console.print(Text(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)"))
+    console.print(Text(f"{result.vehicle}: {result.headline}", style="bold"), soft_wrap=True)
+
+
+def _table(title: str, *columns: str) -> Any:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="right" if i else "left")
+    return table
+
+
+def _channels(result: ComparisonResult) -> Any:
+    ahead = f"{result.horizon:g} s ahead"
+    table = _table(
+        "Simulated against measured",
+        "channel",
+        f"{ahead}: rms",
+        "times noise",
+        "% of motion",
+        "free run: fit %",
+    )
+    for c in result.channels:
+        percent = None if c.ahead_relative is None else 100 * c.ahead_relative
+        rms = "diverged" if c.ahead_rms is None else f"{c.ahead_rms:.3g} {c.unit}"
+        fit = "diverged" if result.diverged else _number(c.free_run_fit, ".1f")
+        table.add_row(c.channel, rms, _number(c.ahead_normalised), _number(percent), fit)
+    return table
+
+
+def _forces(result: ComparisonResult) -> Any:
+    table = _table(
+        "Force that the model lacks",
+        "motion",
+        "rms",
+        "noise",
+        "noise explains",
+        "lag 1",
+        "white: p",
+        "most with",
+    )
+    for d in result.dofs:
+        name, value = max(d.inputs.items(), key=lambda item: abs(item[1]), default=("", 0.0))
+        first = f"{d.autocorrelation[0]:.2f}" if d.autocorrelation else ""
+        row = (_number(d.residual_rms), _number(d.noise_rms), f"{100 * d.explained_by_noise:.0f} %", first)
+        table.add_row(f"{d.degree_of_freedom} [{d.unit}]", *row, f"{d.p_value:.1g}", f"{name} {value:+.2f}")
+    return table
+
+
+def _error_map(result: ComparisonResult) -> Any:
+    cells = {(c.regime, c.degree_of_freedom): c for c in result.cells}
+    table = _table("Residual force, times noise", "regime", *result.degrees_of_freedom)
+    for regime in dict.fromkeys(c.regime for c in result.cells):
+        row = [cells[regime, dof].normalised for dof in result.degrees_of_freedom]
+        if any(value is not None for value in row):
+            table.add_row(regime, *(_number(value) for value in row))
+    return table
+
+
+def _budget(result: ComparisonResult) -> Any:
+    shares = {(s.effect, s.degree_of_freedom): s.share for s in result.budget}
+    table = _table("Force budget, % of all rms", "effect", *result.degrees_of_freedom)
+    for effect in dict.fromkeys(s.effect for s in result.budget):
+        row = [shares.get((effect, dof)) for dof in result.degrees_of_freedom]
+        table.add_row(effect, *(_number(None if v is None else 100 * v, ".1f") for v in row))
+    return table
+
+
+def _number(value: float | None, style: str = ".3g") -> str:
+    return "" if value is None else format(value, style)
+
+
+# --- pictures ---------------------------------------------------------------------------------
+def _draw(comparison: Comparison, folder: Path) -> None:
+    from undertow.identification.report.style import save_png
+
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = list(_pictures(comparison))
+    for name, picture in drawn:
+        save_png(picture, folder / f"{name}.png")
+    typer.echo(f"{len(drawn)} pictures in {folder}")
+
+
+def _pictures(comparison: Comparison) -> Any:
+    from undertow.identification.compare import shown
+    from undertow.identification.report import pictures
+
+    names = (comparison.result.vehicle, "")
+    yield "error_map", pictures.error_map(shown.error_map(comparison), names)
+    yield "force_budget", pictures.force_budget(shown.budgets(comparison))
+    found = shown.curves(comparison)
+    for dof in comparison.result.degrees_of_freedom:
+        yield f"residual_{dof}", pictures.residual_against(shown.leading(found, dof), names)
+    for kind, free in (("ahead", False), ("free_run", True)):
+        for i, run in enumerate(shown.traces(comparison, free=free), start=1):
+            yield f"{kind}_{i}_{_safe(run.run)}", pictures.measured_vs_simulated(run, names)
+
+
+def _safe(name: str) -> str:
+    return "".join(c if (c.isalnum() and c.isascii()) or c in "-_." else "_" for c in name)[:60]
