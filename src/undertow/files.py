@@ -51,6 +51,23 @@ def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
         raise UndertowError(_refusal(target, failure)) from failure
 
 
+def check_writable(*paths: str | os.PathLike[str] | None) -> None:
+    """Refuse, before the work is done, outputs that could not be written after it.
+
+    Raises
+    ------
+    UndertowError
+        If a folder is missing or write-protected, or a target is a folder.
+    """
+    for path in (Path(p) for p in paths if p is not None):
+        if not path.parent.is_dir():
+            raise UndertowError(f"cannot write '{path}': folder '{path.parent}' does not exist: make it first")
+        if path.is_dir():
+            raise UndertowError(f"cannot write '{path}': it is a folder: name a file in it")
+        if not os.access(path.parent, os.W_OK):
+            raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
+
+
 def sha256_of(path: str | os.PathLike[str]) -> str:
     """The SHA-256 of a file's bytes as 64 hexadecimal digits.
 

@@ -1,0 +1,244 @@
+"""The whole diagnosis: split the data, search, judge, and put it into words and numbers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import sympy as sm
+
+from undertow import __version__
+from undertow.errors import UndertowError
+from undertow.model.catalogue import Catalogue, catalogue
+from undertow.model.symbols import FORCE_UNITS, symbol
+from undertow.model.vehicle import Vehicle
+
+from ..compare.windows import Predictor, prediction_error
+from ..compare.cutting import cut
+from ..logs import Run
+from ..weak.data import prepare
+from ..weak.fit import WeakFit
+from .estimates import estimate, estimates
+from .result import Diagnosis, Ranked, Remaining, RunInfo, Step
+from .search import FALSE_ALARM_RATE, Finding, Search, search
+from .split import keep_blocks_aside
+from .trial import Bench, Score
+from .verdict import Judgement, compensations, excess, judge
+
+Report = Callable[[float, str], None]
+Role = Literal["train", "holdout", "blocks"]
+HORIZON = 5.0
+# A velocity that never exceeds this many standard deviations of its noise was not moved.
+_EXCITED = 5.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis with the models it is about.
+
+    Attributes
+    ----------
+    diagnosis : Diagnosis
+        What is written to JSON.
+    before, after : Vehicle
+        The refitted model as it was, and with the named effects (the same where none is named).
+    train, test : list of Run
+        What was fitted to, and what was judged by.
+    fit : WeakFit
+        The fit of `after`.
+    """
+
+    diagnosis: Diagnosis
+    before: Vehicle
+    after: Vehicle
+    train: list[Run]
+    test: list[Run]
+    fit: WeakFit
+
+
+def diagnose(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    holdout: Sequence[Run] = (),
+    *,
+    known: Catalogue | None = None,
+    report: Report = lambda done, words: None,
+) -> Outcome:
+    """Find out which effect a model lacks, judged on data kept aside.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model; parameters marked `estimate` are refitted.
+    runs : sequence of Run
+        Logs to fit to.
+    holdout : sequence of Run
+        Logs to judge by; without any, stretches of `runs` are kept aside.
+    known : mapping, optional
+        Effects that may be missing; the whole catalogue by default.
+    report : callable
+        Told what share is done, and what is being done.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, a log is too short, or nothing moved in it.
+    """
+    began = time.perf_counter()
+    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    train = prepare(train_runs, vehicle)
+    _check_excitation(vehicle, train_runs, train.sigma)
+    test = prepare(test_runs, vehicle, sigma=train.sigma)
+    found = search(vehicle, train, test, known or catalogue(), lambda done, words: report(0.9 * done, words))
+    report(0.9, "judging the result")
+    story = _Story(vehicle, found, train_runs, test_runs)
+    roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
+    infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
+    return story.told(infos, time.perf_counter() - began)
+
+
+def _check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: np.ndarray) -> None:
+    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
+    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
+    if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
+        seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
+        raise UndertowError(
+            f"nothing moves in these logs: standard deviation of {seen}; log a manoeuvre in which the vehicle moves"
+        )
+
+
+def _info(run: Run, role: Role) -> RunInfo:
+    duration = float(run.t[-1] - run.t[0])
+    return RunInfo(
+        name=run.name,
+        source=run.source,
+        sha256=run.sha256,
+        role=role,
+        samples=len(run.t),
+        duration=duration,
+        notes=list(run.notes),
+    )
+
+
+class _Story:
+    """The outcome of a search, judged once more under one noise model for all steps."""
+
+    def __init__(self, vehicle: Vehicle, found: Search, train: list[Run], test: list[Run]) -> None:
+        self.vehicle, self.found, self.train, self.test = vehicle, found, train, test
+        self.base_fit = found.rounds[0].bench.base
+        self.bench: Bench = found.rounds[0].bench.sharpened(found.final_fit)
+        self.fits = [self.base_fit, *(w.trial.fit for w in found.winners)]
+        self.scores: list[Score] = [self.bench.judge(f) for f in self.fits]
+        self.floor = float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.bench.noise_level, 1e-12)))))
+        final = found.final_score if not found.winners else self.scores[-1]
+        self.judgement: Judgement = judge(_with_final(found, final), self.scores[0], self.bench.noise_level)
+        self.windows = cut(test, vehicle, min(HORIZON, _shortest(test)))
+
+    def told(self, infos: list[RunInfo], seconds: float) -> Outcome:
+        """The diagnosis."""
+        named = self.judgement.effects
+        after = self.fits[len(named)] if named else self.base_fit
+        diagnosis = Diagnosis(
+            undertow=__version__,
+            vehicle=self.vehicle.name,
+            degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
+            signs=self.vehicle.signs,
+            runs=infos,
+            verdict=self.judgement.verdict,
+            headline=self.judgement.headline,
+            effects=[f.id for f in named],
+            ranking=[self._ranked(f) for f in self.found.rounds[0].findings],
+            steps=self._steps(),
+            indistinguishable=self.judgement.sets,
+            warnings=self._warnings(after),
+            remaining=self._remaining(self.scores[len(named)]),
+            parameters=estimates(after, self.vehicle),
+            false_alarm_rate=FALSE_ALARM_RATE,
+            noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            seconds=seconds,
+        )
+        return Outcome(diagnosis, self.base_fit.vehicle, after.vehicle, self.train, self.test, after)
+
+    def _normalised(self, score: Score) -> float:
+        return score.error / self.floor
+
+    def _predicted(self, vehicle: Vehicle) -> float:
+        predictor = Predictor(vehicle, compiled=False)
+        return prediction_error(predictor.predict(self.windows, predictor.values))
+
+    def _steps(self) -> list[Step]:
+        ids = [w.id for w in self.found.winners]
+        return [
+            Step(added=ids[:i], error=self._normalised(score), prediction=self._predicted(fit.vehicle))
+            for i, (fit, score) in enumerate(zip(self.fits, self.scores, strict=True))
+        ]
+
+    def _ranked(self, finding: Finding) -> Ranked:
+        trial, bench = finding.trial, self.found.rounds[0].bench
+        floor = float(np.exp(0.5 * np.nanmean(np.log(np.maximum(bench.noise_level, 1e-12)))))
+        return Ranked(
+            effect=finding.id,
+            family=trial.candidate.effect.family,
+            about=trial.candidate.effect.about(),
+            parameters=[estimate(trial.fit, n, self.vehicle) for n in _new_parameters(finding)],
+            error_before=bench.base_score.error / floor,
+            error_after=trial.score.error / floor,
+            explained=finding.explained,
+            improvement=finding.evidence.mean,
+            interval=finding.evidence.interval,
+            significant=finding.significant,
+        )
+
+    def _warnings(self, after: WeakFit) -> list[str]:
+        errors = self.base_fit.standard_errors
+        fitted = {n: (v, errors[n]) for n, v in self.base_fit.values.items()}
+        return compensations(self.vehicle, fitted, after.values if self.judgement.effects else {})
+
+    def _remaining(self, score: Score) -> list[Remaining]:
+        ratio = excess(score, self.bench.noise_level, self.bench.test)
+        return [self._left(i, ratio[name], score) for i, name in enumerate(ratio)]
+
+    def _left(self, i: int, ratio: float, score: Score) -> Remaining:
+        inertia = self._inertia(i)
+        noise = inertia * self._acceleration_noise(i)
+        note = "explained by the noise" if ratio**2 < 2.0 else f"{ratio:.1f} times what the noise alone would leave"
+        return Remaining(
+            degree_of_freedom=self.vehicle.degrees_of_freedom[i],
+            normalised_error=ratio,
+            residual_rms=noise * ratio,
+            noise_rms=noise,
+            unit=FORCE_UNITS[self.vehicle.dof_indices[i]],
+            note=note,
+        )
+
+    def _inertia(self, i: int) -> float:
+        vehicle = self.base_fit.vehicle
+        values = {symbol(n): vehicle.value_of(n).value for n in vehicle.parameter_names}
+        entry = vehicle.mass_matrix[i, i].xreplace(values)
+        # What is left are motions inside sign functions, where added mass differs forward and backward.
+        return abs(float(entry.xreplace(dict.fromkeys(entry.free_symbols, sm.Integer(1)))))
+
+    def _acceleration_noise(self, i: int) -> float:
+        """Rms that the noise of the velocity gives to the mean acceleration under a test function."""
+        segment = self.bench.test.segments[0]
+        size = len(self.bench.test.names) // 2
+        weights = segment.functions.rate
+        width = float(np.mean(segment.functions.held.sum(axis=1)))
+        return float(self.bench.test.sigma[size + i] * np.sqrt(weights.multiply(weights).sum(axis=1).mean()) / width)
+
+
+def _new_parameters(finding: Finding) -> tuple[str, ...]:
+    own = [p.name for p in finding.trial.candidate.parameters]
+    removable = finding.trial.candidate.removable
+    return tuple(n for n in own if n in finding.trial.kept or (finding.trial.kept and n not in removable))
+
+
+def _with_final(found: Search, score: Score) -> Search:
+    return Search(found.rounds, found.final_fit, score)
+
+
+def _shortest(runs: Sequence[Run]) -> float:
+    return 0.9 * min(float(r.t[-1] - r.t[0]) for r in runs)

@@ -1,0 +1,40 @@
+"""Fitted parameters as a user reads them: in the vehicle file's sign convention, beside what was stated."""
+
+from __future__ import annotations
+
+from undertow.model.parameter import Parameter, printed
+from undertow.model.vehicle import Vehicle
+
+from ..weak.fit import WeakFit
+from .result import Estimate
+
+
+def estimates(fit: WeakFit, stated: Vehicle) -> list[Estimate]:
+    """All free parameters of a fit."""
+    return [estimate(fit, name, stated) for name in fit.model.free]
+
+
+def estimate(fit: WeakFit, name: str, stated: Vehicle) -> Estimate:
+    """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
+    vehicle = fit.model.functions.vehicle
+    bare = name.removesuffix("_forward").removesuffix("_backward")
+    parameter = vehicle.declared_parameters[bare]
+    prior = stated.values.get(name)
+    return Estimate(
+        name=name,
+        effect=_owner(vehicle, bare),
+        value=printed(parameter, fit.values[name], stated.signs),
+        standard_error=fit.standard_errors[name],
+        unit=_unit(parameter),
+        about=parameter.about,
+        prior=None if prior is None else printed(parameter, prior.value, stated.signs),
+        prior_sigma=None if prior is None else prior.sigma,
+    )
+
+
+def _owner(vehicle: Vehicle, name: str) -> str:
+    return next(e.id for e in vehicle.all_effects if any(p.name == name for p in e.parameters))
+
+
+def _unit(parameter: Parameter) -> str:
+    return "" if parameter.unit == "1" else parameter.unit

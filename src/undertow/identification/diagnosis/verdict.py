@@ -1,0 +1,148 @@
+"""From the search to a verdict, in words that claim no more than was shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.model.vehicle import Vehicle
+
+from ..weak.data import WeakData
+from .evidence import explained
+from .result import Indistinguishable, Verdict
+from .search import Finding, Search
+from .trial import Score
+
+Array = NDArray[np.float64]
+# An effect is named only where it (with those named before it) explains this share of what exceeds the noise:
+# a wrong effect often takes half of a residual, seldom four fifths of it.
+NAMED_SHARE = 0.8
+# Largest mean square of an equation, in units of the noise, that counts as explained by the noise.
+NOISE_EXPLAINS = 2.0
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict with its reasons.
+
+    Attributes
+    ----------
+    verdict : str
+        One of `Verdict`.
+    headline : str
+        One sentence.
+    effects : list of Finding
+        The effects that are named.
+    sets : list of Indistinguishable
+        Effects that the data cannot tell apart.
+    share : float
+        Share of the excess over the noise that the added effects explain.
+    """
+
+    verdict: Verdict
+    headline: str
+    effects: list[Finding]
+    sets: list[Indistinguishable]
+    share: float
+
+
+def judge(found: Search, base: Score, noise: Array) -> Judgement:
+    """Decide; `base` and `noise` are the incomplete model and the channels' noise under the final noise model."""
+    winners = found.winners
+    share = explained(base, found.final_score, noise)
+    quiet = _only_noise(found.final_score, noise)
+    sets = _sets(found)
+    if not winners:
+        return _without_effect(quiet, share)
+    if not quiet and share < NAMED_SHARE:
+        return _unexplained(winners, share)
+    verdict: Verdict = "indistinguishable" if sets else "missing_effect"
+    return Judgement(verdict, _named(winners, sets, share, quiet), winners, sets, share)
+
+
+def _only_noise(score: Score, noise: Array) -> bool:
+    return bool(np.nanmax(score.mean_square / np.maximum(noise, 1e-12)) < NOISE_EXPLAINS)
+
+
+def _without_effect(quiet: bool, share: float) -> Judgement:
+    if quiet:
+        text = "Nothing is missing: what the refitted model leaves is the noise of the sensors."
+        return Judgement("adequate", text, [], [], share)
+    text = (
+        "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect of the catalogue "
+        "lowers the error on kept-aside data."
+    )
+    return Judgement("unexplained", text, [], [], share)
+
+
+def _unexplained(winners: list[Finding], share: float) -> Judgement:
+    names = " and ".join(f.id for f in winners)
+    text = (
+        f"Unexplained: {names} lowers the kept-aside error but explains only {share:.0%} of what exceeds the noise, "
+        "too little to be named as what is missing."
+    )
+    return Judgement("unexplained", text, [], [], share)
+
+
+def _named(winners: list[Finding], sets: list[Indistinguishable], share: float, quiet: bool) -> str:
+    names = " and ".join(f.id for f in winners)
+    rest = "what remains is noise" if quiet else f"it explains {share:.0%} of what exceeds the noise"
+    if sets:
+        choice = "; ".join(" or ".join(s.effects) for s in sets)
+        return f"These data cannot tell: {choice}. Any of them brings the error down alike; {rest}."
+    return f"Missing: {names}; {rest}."
+
+
+def _sets(found: Search) -> list[Indistinguishable]:
+    rounds = [r for r in found.rounds if r.winner is not None and r.rivals]
+    return [
+        Indistinguishable(effects=[r.winner.id, *r.rivals], reason=_reason(r.winner))  # type: ignore[union-attr]
+        for r in rounds
+    ]
+
+
+def _reason(best: Finding) -> str:
+    return (
+        "their predictions of the kept-aside data differ by less than the noise lets one see "
+        f"(the best of them improves the mean square by {best.evidence.mean:.3g})"
+    )
+
+
+def compensations(before: Vehicle, fitted: dict[str, tuple[float, float]], helped: dict[str, float]) -> list[str]:
+    """Warnings for parameters that a fit pushed far from their prior.
+
+    Parameters
+    ----------
+    before : Vehicle
+        Model with stated priors.
+    fitted : mapping
+        Value and standard error of the refitted model, by parameter.
+    helped : mapping
+        Value of the same parameters once the named effects are in.
+    """
+    lines = []
+    for name, (value, error) in fitted.items():
+        prior = before.value_of(name)
+        if prior.sigma is None:
+            continue
+        distance = abs(value - prior.value) / float(np.hypot(prior.sigma, error))
+        if distance > 3.0:
+            lines.append(_compensation(name, value, prior.value, distance, helped.get(name)))
+    return lines
+
+
+def _compensation(name: str, value: float, prior: float, distance: float, after: float | None) -> str:
+    ratio = f"{value / prior:.3g} times its prior" if prior else f"{value:.3g} against a prior of 0"
+    line = f"{name} is {ratio} ({distance:.1f} standard deviations)"
+    if after is not None and abs(after - prior) < 0.5 * abs(value - prior):
+        return f"{line}: it was making up for what is missing, and returns to {after / prior:.3g} times with it"
+    return f"{line}: either the prior is wrong, or it makes up for something that is missing"
+
+
+def excess(score: Score, noise: Array, data: WeakData) -> dict[str, float]:
+    """Rms of the residual of every force equation, in units of what the noise alone would give."""
+    size = len(data.names) // 2
+    ratio = np.sqrt(score.mean_square[:size] / np.maximum(noise[:size], 1e-12))
+    return {data.names[size + i]: float(r) for i, r in enumerate(ratio) if np.isfinite(r)}
