@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
@@ -16,6 +15,7 @@ from undertow.model.vehicle import Vehicle
 from .data import WeakData
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
+from .step import bounded_step, bounds_of, inverse_of, prior_of
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -26,8 +26,6 @@ _NOISE_SETTLED = 0.2
 _MATCHING_STEPS = 4
 # Largest mean square of an equation that still counts as noise of the channels.
 _NOISE_EXPLAINS = 1.6
-# A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
-_PRIOR_WIDTH = 5.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class WeakFit:
     @cached_property
     def information(self) -> Array:
         """What data and stated priors say together: J' J plus the prior's weight."""
-        return self.gram + np.diag(_prior(self.model)[1] ** 2)
+        return self.gram + np.diag(prior_of(self.model)[1] ** 2)
 
     @cached_property
     def covariance(self) -> Array:
@@ -120,13 +118,6 @@ class WeakFit:
     def mean_square(self) -> Array:
         """Mean square of the whitened residual for each of the 2n equations (NaN where not used)."""
         return mean_square(self.at.r, self.data)
-
-
-def inverse_of(information: Array) -> Array:
-    """Inverse of an information matrix; a direction that nothing determines gets a very large variance."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-    return np.linalg.inv(scaled) * np.outer(scale, scale)
 
 
 def mean_square(r: Array, data: WeakData) -> Array:
@@ -235,8 +226,8 @@ def promise(
     """Sum of squares that one Gauss-Newton step promises, and the free parameters after it."""
     fit = _solved(WeakModel(Functions(vehicle), free), _started(vehicle, start), data, whitening, disturbance, 0)
     places = list(fit.model.places)
-    bounds = _bounds(fit.model)
-    step = _step(fit.at, fit.p[places], bounds, _prior(fit.model))
+    bounds = bounds_of(fit.model)
+    step = bounded_step(fit.at, fit.p[places], bounds, prior_of(fit.model))
     after = np.clip(fit.p[places] + step, *bounds)
     return _squares(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
 
@@ -248,15 +239,15 @@ def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
 def _solved(
     model: WeakModel, p: Array, data: WeakData, whitening: list[Whitening], disturbance: Array, max_iterations: int
 ) -> WeakFit:
-    bounds = _bounds(model)
-    prior = _prior(model)
+    bounds = bounds_of(model)
+    prior = prior_of(model)
     places = list(model.places)
     p = p.copy()
     p[places] = np.clip(p[places], *bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for iteration in range(1, max_iterations + 1):
-        step = _step(at, p[places], bounds, prior)
+        step = bounded_step(at, p[places], bounds, prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
         if promised < _ENOUGH:
@@ -266,44 +257,6 @@ def _solved(
 
 def _squares(r: Array) -> float:
     return float(np.sum(r**2))
-
-
-def _bounds(model: WeakModel) -> tuple[Array, Array]:
-    vehicle = model.functions.vehicle
-    pairs = []
-    for name in model.free:
-        bare = name.removesuffix("_forward").removesuffix("_backward")
-        low, high = vehicle.declared_parameters[bare].bounds
-        value = vehicle.value_of(name).value
-        # A value that the user allowed against its sign keeps its freedom.
-        pairs.append((min(low, value) if value else low, max(high, value) if value else high))
-    table = np.array(pairs).reshape(-1, 2)
-    return table[:, 0], table[:, 1]
-
-
-def _prior(model: WeakModel) -> tuple[Array, Array]:
-    """Where stated priors are and how much they weigh."""
-    values = [model.functions.vehicle.value_of(n) for n in model.free]
-    centre = np.array([v.value for v in values])
-    weight = np.array([0.0 if v.sigma is None else 1.0 / (_PRIOR_WIDTH * v.sigma) for v in values])
-    return centre, weight
-
-
-def _step(at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]) -> Array:
-    """Bounded least-squares step of the linearised problem."""
-    if not len(now):
-        return np.zeros(0)
-    centre, stiffness = prior
-    gram = at.J.T @ at.J + np.diag(stiffness**2)
-    slope = at.J.T @ at.r + stiffness**2 * (now - centre)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
-    factor = np.linalg.cholesky(scaled).T
-    target = np.linalg.solve(factor.T, -slope * scale)
-    low, high = ((b - now) / scale for b in bounds)
-    if np.all(np.isinf(low)) and np.all(np.isinf(high)):
-        return np.linalg.solve(factor, target) * scale
-    return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), tol=1e-12).x * scale
 
 
 def _line_search(

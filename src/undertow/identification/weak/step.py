@@ -1,0 +1,61 @@
+"""One bounded least-squares step, with what limits it: physical bounds and stated priors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from .residual import Linearised, WeakModel
+
+Array = NDArray[np.float64]
+# A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
+_PRIOR_WIDTH = 5.0
+
+
+def bounds_of(model: WeakModel) -> tuple[Array, Array]:
+    """Physical bounds of the free parameters, SNAME signs."""
+    vehicle = model.functions.vehicle
+    pairs = []
+    for name in model.free:
+        bare = name.removesuffix("_forward").removesuffix("_backward")
+        low, high = vehicle.declared_parameters[bare].bounds
+        value = vehicle.value_of(name).value
+        # A value that the user allowed against its sign keeps its freedom.
+        pairs.append((min(low, value) if value else low, max(high, value) if value else high))
+    table = np.array(pairs).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def prior_of(model: WeakModel) -> tuple[Array, Array]:
+    """Where stated priors are and how much they weigh."""
+    values = [model.functions.vehicle.value_of(n) for n in model.free]
+    centre = np.array([v.value for v in values])
+    weight = np.array([0.0 if v.sigma is None else 1.0 / (_PRIOR_WIDTH * v.sigma) for v in values])
+    return centre, weight
+
+
+def bounded_step(
+    at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]
+) -> Array:
+    """Bounded least-squares step of the linearised problem."""
+    if not len(now):
+        return np.zeros(0)
+    centre, stiffness = prior
+    gram = at.J.T @ at.J + np.diag(stiffness**2)
+    slope = at.J.T @ at.r + stiffness**2 * (now - centre)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
+    factor = np.linalg.cholesky(scaled).T
+    target = np.linalg.solve(factor.T, -slope * scale)
+    low, high = ((b - now) / scale for b in bounds)
+    if np.all(np.isinf(low)) and np.all(np.isinf(high)):
+        return np.linalg.solve(factor, target) * scale
+    return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), tol=1e-12).x * scale
+
+
+def inverse_of(information: Array) -> Array:
+    """Inverse of an information matrix; a direction that nothing determines gets a very large variance."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+    return np.linalg.inv(scaled) * np.outer(scale, scale)
