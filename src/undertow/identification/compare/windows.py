@@ -164,10 +164,9 @@ class Predictor:
     def predict(self, windows: Windows, p: Array) -> Prediction:
         """Simulate every window from its measured start."""
         commands = self.commands(windows, p)
-        states = self.simulator.run(
-            self.start(windows, commands, p), windows.t, _gather(commands, windows), p
-        )
-        return Prediction(windows, self.reports(windows, commands, states, p))
+        u = gather(commands, windows)
+        states = self.simulator.run(self.start(windows, commands, p), windows.t, u, p)
+        return Prediction(windows, self.reports(windows, states, u, p))
 
     def commands(self, windows: Windows, p: Array) -> list[Array]:
         """Commands of every run as they arrive: held where missing, late by the dead time of the model."""
@@ -187,7 +186,7 @@ class Predictor:
             windows.start,
             np.zeros((count, f.actuation.shape[0])),
             own,
-            _gather(commands, windows)[:, 0],
+            gather(commands, windows)[:, 0],
         ]
         (motion,) = mapped(self._true_motion, inputs, p, windows.t[:, 0])
         if own.size:
@@ -195,21 +194,16 @@ class Predictor:
         first = [actuator[run][i] for run, i in zip(windows.run, windows.first, strict=True)]
         return np.column_stack([motion[:, :, 0], own, np.reshape(first, (count, -1))])
 
-    def reports(self, windows: Windows, commands: list[Array], states: Array, p: Array) -> Array:
+    def reports(self, windows: Windows, states: Array, u: Array, p: Array) -> Array:
         """What the sensors report of simulated states, shape (b, k, 2n); NaN in the padding."""
-        size = len(windows.names)
-        if self._sensors_are_true:
-            reported = states[:, :, :size].copy()
+        if self.sensors_are_true:
+            reported = states[:, :, : len(windows.names)].copy()
         else:
-            reported = self._measured_of(windows, commands, states, p)
+            columns = [a.reshape(-1, a.shape[2]) for a in (states, u)]
+            (flat,) = mapped(self.functions.outputs, columns, p, windows.t.ravel())
+            reported = flat.reshape(*windows.t.shape, -1)
         reported[~windows.inside] = np.nan
         return reported
-
-    def _measured_of(self, windows: Windows, commands: list[Array], states: Array, p: Array) -> Array:
-        b, k, nx = states.shape
-        u = _gather(commands, windows).reshape(b * k, -1)
-        (reported,) = mapped(self.functions.outputs, [states.reshape(b * k, nx), u], p, windows.t.ravel())
-        return reported.reshape(b, k, -1)
 
     def _remembered(self, windows: Windows, commands: list[Array], p: Array) -> Array:
         """Memory at the start of every window, along the measured motion since the last gap."""
@@ -241,7 +235,8 @@ class Predictor:
         return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
 
     @cached_property
-    def _sensors_are_true(self) -> bool:
+    def sensors_are_true(self) -> bool:
+        """Whether the sensors report pose and velocity as they are."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.is_equal(self.functions.reported, motion, 2))
 
@@ -253,7 +248,7 @@ def _held(u: Array) -> Array:
     return np.nan_to_num(filled, nan=0.0)
 
 
-def _gather(commands: list[Array], windows: Windows) -> Array:
+def gather(commands: list[Array], windows: Windows) -> Array:
     """Commands of every window, shape (b, k, n_commands)."""
     samples = windows.samples
     return np.stack([commands[run][row] for run, row in zip(windows.run, samples, strict=True)])

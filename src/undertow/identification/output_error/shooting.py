@@ -1,0 +1,269 @@
+"""Simulation of windows with sensitivities, and the elimination of their unknown starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+
+from ..compare.cutting import Windows
+from ..compare.windows import Predictor, gather
+from ..weak.pointwise import mapped
+
+Array = NDArray[np.float64]
+# Numbers in the sensitivities of one batch of windows: 40 MB.
+_BATCH = 5_000_000
+# Keeps a start bounded in directions that its window does not show, relative to those that it shows.
+_HOLD = 1e-7
+# Steps of finite differences: relative to a parameter, and for dead times relative to a sampling interval.
+_STEP = 1e-4
+_SHARE_OF_SAMPLE = 0.25
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The linearised problem of all windows with their starts eliminated.
+
+    Attributes
+    ----------
+    r : (m,) array
+        What is left of the residual, m = n_free + 1: the square of its norm is the cost at the best starts.
+    J : (m, n_free) array
+        Its derivative in the free parameters.
+    cost : float
+        Sum of squares at the present starts; inf if a simulation diverged.
+    squares, counts : (2n,) array
+        Sum of squares by channel, and number of samples in it.
+    scores : (groups, n_free) array
+        J' r of groups of residuals that count as independent: windows, or parts of long ones.
+    start_step, start_slope : (b, k) and (b, k, n_free) array
+        Best change of every start, and its derivative in the parameters.
+    """
+
+    r: Array
+    J: Array
+    cost: float
+    squares: Array
+    counts: Array
+    scores: Array
+    start_step: Array
+    start_slope: Array
+
+
+class Shooting:
+    """Windows of logs simulated by one model.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    windows : Windows
+        What is simulated.
+    free : sequence of str
+        Names of the parameters to differentiate by.
+    weight : (2n,) array
+        Weight of the channels, one over their noise; zero for a channel that is not used.
+    block : float
+        Length of the parts of a window that count as independent of each other, s.
+    compiled : bool, optional
+        As for `Simulator`.
+    """
+
+    def __init__(
+        self,
+        functions: Functions,
+        windows: Windows,
+        free: Sequence[str],
+        weight: Array,
+        *,
+        block: float = 5.0,
+        compiled: bool | None = None,
+    ) -> None:
+        self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
+        self.places = [functions.parameter_names.index(n) for n in free]
+        self.predictor = Predictor(functions, compiled=compiled)
+        self._size, self._block = len(windows.names), block
+
+    def first_starts(self, p: Array) -> Array:
+        """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
+        return self.predictor.start(self.windows, self.predictor.commands(self.windows, p), p)[
+            :, : self._size
+        ]
+
+    def cost(self, p: Array, starts: Array) -> float:
+        """Weighted sum of squares of the simulation error; inf if a simulation diverged."""
+        r = self._residual(self._reported(p, starts)[1])
+        total = float(np.sum(r**2))
+        return total if np.isfinite(total) else float("inf")
+
+    def linearise(self, p: Array, starts: Array) -> Reduced:
+        """Simulate with sensitivities and eliminate the starts window by window."""
+        finite = self._by_differences(p, starts)
+        parts = [self._part(rows, p, starts, finite) for rows in self._batches()]
+        return _together(parts, len(self.free))
+
+    # --- simulation ---------------------------------------------------------------------------
+    def _start_and_drive(self, p: Array, starts: Array) -> tuple[Array, Array]:
+        commands = self.predictor.commands(self.windows, p)
+        full = self.predictor.start(self.windows, commands, p)
+        full[:, : self._size] = starts
+        return full, gather(commands, self.windows)
+
+    def _reported(self, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Simulated states and what the sensors report of them."""
+        full, u = self._start_and_drive(p, starts)
+        states = self.predictor.simulator.run(full, self.windows.t, u, p)
+        return states, self.predictor.reports(self.windows, states, u, p)
+
+    def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
+        """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
+        error = (reported - self.windows.measured[rows]) * self.weight
+        return np.where(self._used[rows], error, 0.0)
+
+    @cached_property
+    def _used(self) -> NDArray[np.bool_]:
+        return np.isfinite(self.windows.measured) & (self.weight > 0)
+
+    def _batches(self) -> Iterator[slice]:
+        columns = len(self.free) + self._size
+        one = self.windows.t.shape[1] * len(self.functions.state_names) * columns
+        size = max(1, _BATCH // one)
+        return (slice(i, i + size) for i in range(0, len(self.windows), size))
+
+    # --- derivatives --------------------------------------------------------------------------
+    @cached_property
+    def _indirect(self) -> list[int]:
+        """Which free parameters act on the commands' delay or on the states that a window inherits."""
+        f = self.functions
+        inherited = [f.convert(f.vehicle.composition.dead_time)]
+        inherited += [f.chain_rates, f.chain_rest] if f.actuator_states.shape[0] else []
+        inherited += [f.memory_rates] if f.memory.shape[0] else []
+        felt = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
+        return [k for k, place in enumerate(self.places) if place in felt]
+
+    @cached_property
+    def _delays(self) -> set[int]:
+        f = self.functions
+        pattern = ca.jacobian_sparsity(f.convert(f.vehicle.composition.dead_time), f.p)
+        return set(pattern.get_col())
+
+    def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
+        """Derivatives of the report in parameters that act before a window starts, too."""
+        return {k: self._difference(p, starts, self.places[k]) for k in self._indirect}
+
+    def _difference(self, p: Array, starts: Array, place: int) -> Array:
+        sample = float(np.median(np.diff(self.windows.runs[0].t)))
+        step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = p.copy()
+            moved[place] += sign * step
+            ends.append(self._reported(moved, starts)[1])
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
+
+    def _part(self, rows: slice, p: Array, starts: Array, finite: dict[int, Array]) -> Reduced:
+        full, u = self._start_and_drive(p, starts)
+        t = self.windows.t[rows]
+        x, s = self.predictor.simulator.run_with_sensitivities(
+            full[rows], t, u[rows], p, self.places, initial=range(self._size)
+        )
+        reported, slope = self._report_slopes(x, s, u[rows], t, p)
+        for k, values in finite.items():
+            slope[..., k] = values[rows]
+        weighted = np.where(self._used[rows][..., None], slope * self.weight[:, None], 0.0)
+        return self._eliminated(self._residual(reported, rows), weighted, t)
+
+    def _report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
+        """Report (b, k, 2n) and its derivative in free parameters and starts (b, k, 2n, n_free + 2n)."""
+        if self.predictor.sensors_are_true:
+            return x[..., : self._size], s[..., : self._size, :].copy()
+        b, k, nx = x.shape
+        columns = [x.reshape(b * k, nx), u.reshape(b * k, -1)]
+        y, by_x, by_p = mapped(self._report, columns, p, t.ravel())
+        slope = by_x @ s.reshape(b * k, nx, -1)
+        slope[:, :, : len(self.free)] += by_p
+        return y.reshape(b, k, -1), slope.reshape(b, k, self._size, -1)
+
+    @cached_property
+    def _report(self) -> ca.Function:
+        f = self.functions
+        free = ca.vertcat(*[f.p[i] for i in self.places])
+        outputs = [f.reported, ca.jacobian(f.reported, f.x), ca.jacobian(f.reported, free)]
+        return ca.Function("report", [f.x, f.u, f.p, f.t], [ca.densify(o) for o in outputs])
+
+    # --- elimination --------------------------------------------------------------------------
+    def _eliminated(self, r: Array, slope: Array, t: Array) -> Reduced:
+        b, k, size = r.shape
+        n = len(self.free)
+        if not (np.isfinite(r).all() and np.isfinite(slope).all()):
+            return _diverged(b, n, size)
+        by_free, by_start = np.split(slope.reshape(b, k * size, -1), [n], axis=2)
+        table = np.concatenate([by_free, r.reshape(b, -1, 1)], axis=2)
+        back, projected = _without(by_start, table)
+        left, right = projected[:, : k * size, :n], projected[:, : k * size, n]
+        triangle = _triangle(projected.reshape(-1, n + 1))
+        return Reduced(
+            r=triangle[:, n],
+            J=triangle[:, :n],
+            cost=float(np.sum(r**2)),
+            squares=np.sum(r**2, axis=(0, 1)),
+            counts=self._counts(r, slope),
+            scores=self._scores(left.reshape(b, k, size, n), right.reshape(b, k, size), t),
+            start_step=-back[:, :, n],
+            start_slope=-back[:, :, :n],
+        )
+
+    def _counts(self, r: Array, slope: Array) -> Array:
+        return np.count_nonzero(np.any(slope != 0, axis=3) | (r != 0), axis=(0, 1)).astype(float)
+
+    def _scores(self, left: Array, right: Array, t: Array) -> Array:
+        products = np.einsum("bkin,bki->bkn", left, right)
+        parts = np.floor((t - t[:, :1]) / self._block).astype(int)
+        parts = np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0).astype(int))
+        most = int(parts.max(initial=0)) + 1
+        summed = np.zeros((len(t), most, left.shape[3]))
+        np.add.at(summed, (np.arange(len(t))[:, None], parts), products)
+        return summed.reshape(-1, left.shape[3])
+
+
+def _without(by_start: Array, table: Array) -> tuple[Array, Array]:
+    """Least squares on the starts, window by window: solution for every column, and what is left of it."""
+    size = by_start.shape[2]
+    scale = np.sqrt(np.sum(by_start**2, axis=1))
+    held = np.where(scale > 0, _HOLD * scale, 1.0)
+    padded = np.concatenate([by_start, held[:, :, None] * np.eye(size)], axis=1)
+    right = np.concatenate([table, np.zeros((len(table), size, table.shape[2]))], axis=1)
+    q, triangle = np.linalg.qr(padded)
+    along = np.swapaxes(q, 1, 2) @ right
+    return np.linalg.solve(triangle, along), right - q @ along
+
+
+def _triangle(table: Array) -> Array:
+    return np.asarray(np.linalg.qr(table, mode="r"))
+
+
+def _diverged(windows: int, n: int, size: int) -> Reduced:
+    nothing = np.zeros((1, n))
+    steps = np.zeros((windows, size)), np.zeros((windows, size, n))
+    return Reduced(np.zeros(1), nothing, float("inf"), np.zeros(size), np.zeros(size), nothing, *steps)
+
+
+def _together(parts: list[Reduced], n: int) -> Reduced:
+    stacked = np.vstack([np.column_stack([part.J, part.r]) for part in parts])
+    triangle = _triangle(stacked)
+    return Reduced(
+        r=triangle[:, n],
+        J=triangle[:, :n],
+        cost=sum(part.cost for part in parts),
+        squares=np.sum([part.squares for part in parts], axis=0),
+        counts=np.sum([part.counts for part in parts], axis=0),
+        scores=np.concatenate([part.scores for part in parts]),
+        start_step=np.concatenate([part.start_step for part in parts]),
+        start_slope=np.concatenate([part.start_slope for part in parts]),
+    )
