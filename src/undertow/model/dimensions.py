@@ -45,15 +45,24 @@ def unit_text(dim: Dimension | None) -> str:
     return f"in {_unit_name(dim)}" if dim != dimension("1") else "without a unit"
 
 
+def short_unit(unit: str) -> str:
+    """A unit text as short as files have it: ``N/(m/s^2)`` gives ``kg``; plain ones stay as they are."""
+    return _unit_name(dimension(unit)) if "(" in unit else unit
+
+
 def _unit_name(dim: Dimension) -> str:
     familiar = [u for u in _FAMILIAR if dimension(u) == dim]
     if familiar:
         return familiar[0]
-    powers = sorted(
-        ((str(n), float(str(p))) for n, p in dim.items()), key=lambda item: (item[1] < 0, item[0])
-    )
-    names = [(_BASE.get(n, n.strip("[]")), p) for n, p in powers]
-    return " ".join(n if p == 1 else f"{n}^{p:g}" for n, p in names)
+    powers = sorted((_BASE.get(str(n), str(n).strip("[]")), float(str(p))) for n, p in dim.items())
+    above, below = ([(n, abs(p)) for n, p in powers if (p > 0) == side] for side in (True, False))
+    over = " ".join(_factor(*f) for f in above) or "1"
+    under = " ".join(_factor(*f) for f in below)
+    return f"{over}/({under})" if len(below) > 1 else f"{over}/{under}" if under else over
+
+
+def _factor(name: str, power: float) -> str:
+    return name if power == 1 else f"{name}^{power:g}"
 
 
 def dimension_of(expression: sm.Expr, units: Mapping[sm.Symbol, str]) -> Dimension | None:

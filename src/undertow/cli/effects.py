@@ -1,0 +1,162 @@
+"""List the effects that a model can be made of, show one of them, or check one of your own.
+
+Without a word behind it, the command lists the catalogue. `show` prints the physics of one effect, `check`
+runs the contract on a file of your own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from undertow.cli._show import console, print_json, section, table, text
+from undertow.cli._vehicle_and_logs import EffectsOption
+
+if TYPE_CHECKING:
+    from undertow.model.contract import Finding
+    from undertow.model.describe import Description, ParameterNote
+    from undertow.model.effect import Effect
+
+app = typer.Typer(add_completion=False)
+
+_ID = typer.Argument(metavar="ID", help="Id of the effect; 'undertow effects' lists them.")
+_FILE = typer.Argument(metavar="FILE", help="Python file with effects of your own; it is executed.")
+_JSON = typer.Option("--json", help="Print JSON instead of text.")
+_FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "measurement", "memory")
+
+
+@app.callback(invoke_without_command=True)
+def effects(
+    context: typer.Context, json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
+) -> None:
+    if context.invoked_subcommand is not None:
+        return
+    known = _known(effects)
+    if json:
+        print_json([_summary(cls) for cls in known.values()])
+    else:
+        console().print(table(("family", "id", "meaning"), _listed(known), indent=0))
+
+
+@app.command()
+def show(
+    id: Annotated[str, _ID], json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
+) -> None:
+    """Show meaning, equations, parameters and reference of an effect, and what in a log gives it away."""
+    from undertow.model.catalogue import lookup
+    from undertow.model.describe import describe
+
+    known = _known(effects)
+    description = describe(lookup(id, known), known)
+    if json:
+        print_json(description.as_dict())
+    else:
+        _print_description(description)
+
+
+@app.command()
+def check(file: Annotated[Path, _FILE]) -> int:
+    """Run the contract on a file with effects of your own. The file is executed.
+
+    Checked are units, behaviour at zero, linearity, symmetry and sign of the inertia, power, documentation.
+    The exit code is 1 when a check fails.
+    """
+    from undertow.model.catalogue import catalogue, load_effects
+    from undertow.model.contract import check_effect
+
+    found = load_effects(file)
+    known = {**{getattr(cls, "id", ""): cls for cls in found}, **catalogue()}
+    results = [(cls, check_effect(cls, known)) for cls in found]
+    for cls, findings in results:
+        _print_findings(cls, findings)
+    failed = sum(not f.ok for _, findings in results for f in findings)
+    complaints = "1 complaint" if failed == 1 else f"{failed} complaints"
+    typer.echo(complaints if failed else "all checks passed")
+    return 1 if failed else 0
+
+
+def _known(files: list[Path] | None) -> Mapping[str, type[Effect]]:
+    from undertow.model.catalogue import catalogue, load_effects, merge
+
+    return merge(catalogue(), [cls for file in files or [] for cls in load_effects(file)])
+
+
+# --- the list -----------------------------------------------------------------------------------
+def _summary(cls: type[Effect]) -> dict[str, Any]:
+    from undertow.model.effect import kind_of
+
+    return {
+        "id": cls.id,
+        "family": cls.family,
+        "kind": kind_of(cls),
+        "about": cls.about(),
+        "built_in": cls.built_in,
+    }
+
+
+def _listed(known: Mapping[str, type[Effect]]) -> Iterator[tuple[str, str, str]]:
+    before = ""
+    for cls in sorted(known.values(), key=_family_order):
+        yield (cls.family if cls.family != before else "", cls.id, cls.about())
+        before = cls.family
+
+
+def _family_order(cls: type[Effect]) -> tuple[int, str]:
+    place = _FAMILIES.index(cls.family) if cls.family in _FAMILIES else len(_FAMILIES)
+    return place, cls.family
+
+
+# --- one effect -----------------------------------------------------------------------------------
+def _print_description(d: Description) -> None:
+    out = console()
+    kind = f"{d.family}, {d.kind}" if d.family != d.kind else d.kind
+    out.print(text(f"{d.id} ({kind})", "bold"))
+    for line in (d.about, d.details, _remarks(d)):
+        if line:
+            out.print(text(line))
+    section("Equations", table(("",) * 3, ((e.left, "=", e.plain) for e in d.equations)))
+    section("where", table(("",) * 2, d.legend.items()) if d.legend else None)
+    section("LaTeX")
+    for equation in d.equations:
+        out.print(text(f"  {equation.latex}"), soft_wrap=True)
+    _print_parameters(d)
+    section("In a log", text(f"  {d.signature}"))
+    section("Reference", text(f"  {d.reference}"))
+
+
+def _remarks(d: Description) -> str:
+    remarks = [f"shares parameters of {r}" for r in d.requires]
+    remarks += [{"dissipative": "never feeds power in", "workless": "does no work"}[c] for c in d.claims]
+    if d.built_in:
+        remarks.append("comes with the hardware of the vehicle")
+    line = "; ".join(remarks)
+    return f"{line[0].upper()}{line[1:]}." if line else ""
+
+
+def _print_parameters(d: Description) -> None:
+    rows = [(p.name, p.unit, _number(p.low), _number(p.high), _role(p), p.about) for p in d.parameters]
+    rows += [(n, unit, "", "", "in files", "another way to write it") for n, unit in d.also_in_files.items()]
+    content = (
+        table(("name", "unit", "from", "to", "", "meaning"), rows) if rows else text("  none of its own")
+    )
+    section("Parameters (SNAME signs)", content)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
+
+
+def _role(p: ParameterNote) -> str:
+    role = "linear" if p.linear else "shape"
+    if p.required:
+        return f"{role}, required"
+    return role if p.default is None else f"{role}, else {p.default:g}"
+
+
+# --- findings -------------------------------------------------------------------------------------
+def _print_findings(cls: type[Effect], findings: list[Finding]) -> None:
+    rows = [("ok" if f.ok else text("FAIL", "bold red"), f.check, f.message) for f in findings]
+    section(f"{cls.__name__}: {getattr(cls, 'id', 'no id')}", table(("",) * 3, rows))

@@ -1,0 +1,130 @@
+"""List the vehicles that come with undertow, or show what is in one of them.
+
+Without a word behind it, the command lists the bundled vehicles. `show` prints effects and parameters of a
+vehicle in the sign convention of its file, with units and sources, and what the file leaves open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from undertow.cli._show import console, print_json, section, table, text
+from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
+
+if TYPE_CHECKING:
+    from undertow.model.vehicle import Vehicle
+
+app = typer.Typer(add_completion=False)
+
+_JSON = typer.Option("--json", help="Print JSON instead of text.")
+
+
+@app.callback(invoke_without_command=True)
+def vehicles(context: typer.Context, json: Annotated[bool, _JSON] = False) -> None:
+    if context.invoked_subcommand is not None:
+        return
+    from undertow.model.loading import bundled_vehicles
+
+    found = [_summary(path) for path in bundled_vehicles().values()]
+    if json:
+        print_json(found)
+    else:
+        rows = ((v["name"], " ".join(v["degrees_of_freedom"]), v["description"]) for v in found)
+        console().print(table(("name", "degrees of freedom", "what it is"), rows, indent=0))
+
+
+@app.command()
+def show(
+    vehicle: VehicleArgument, json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
+) -> None:
+    """Show effects and parameters of a vehicle, where the numbers come from, and what is left open."""
+    from undertow.model.hints import hints
+    from undertow.model.loading import load_vehicle, resolve_vehicle
+
+    loaded = load_vehicle(vehicle, effect_files=effects or [])
+    content = _summary(resolve_vehicle(vehicle)) | _content(loaded) | {"hints": hints(loaded)}
+    if json:
+        print_json(content)
+    else:
+        _print_vehicle(content)
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    from undertow.model.vehicle_toml import read_vehicle_table
+
+    read = read_vehicle_table(path)
+    keys = ("name", "description", "source", "degrees_of_freedom", "signs")
+    return {key: getattr(read, key) for key in keys}
+
+
+# --- what is in a vehicle -------------------------------------------------------------------------
+def _content(vehicle: Vehicle) -> dict[str, Any]:
+    return {
+        "effects": [{"id": e.id, "parameters": list(_parameters(vehicle, e))} for e in vehicle.effects],
+        "thrusters": [
+            {
+                "name": t.name,
+                "wrench": list(t.wrench),
+                "thrust_per_command": t.thrust_per_command.value,
+                "limit": t.limit,
+            }
+            for t in vehicle.thrusters
+        ],
+        "generalised_forces": list(vehicle.force_channels),
+        "environment": dict(vehicle.environment),
+    }
+
+
+def _parameters(vehicle: Vehicle, effect: Any) -> Iterator[dict[str, Any]]:
+    from undertow.model.dimensions import short_unit
+    from undertow.model.parameter import printed
+
+    for p in effect.parameters:
+        for suffix in ("", "_forward", "_backward"):
+            value = vehicle.values.get(p.name + suffix)
+            if value is not None:
+                yield {
+                    "name": p.name + suffix,
+                    "value": printed(p, value.value, vehicle.signs),
+                    "unit": short_unit(p.unit),
+                    "sigma": value.sigma,
+                    "estimate": value.estimate,
+                    "assumed": value.assumed,
+                    "source": value.source,
+                }
+
+
+# --- printing -------------------------------------------------------------------------------------
+def _print_vehicle(v: dict[str, Any]) -> None:
+    out = console()
+    out.print(text(v["name"], "bold"))
+    signs = {"sname": "SNAME signs", "magnitudes": "positive magnitudes"}[v["signs"]]
+    water = "water {rho:g} kg/m^3, gravity {g:g} m/s^2".format(**v["environment"])
+    for line in (v["description"], v["source"], f"{' '.join(v['degrees_of_freedom'])}; {signs}; {water}"):
+        if line:
+            out.print(text(line))
+    for effect in v["effects"]:
+        rows = [_parameter_row(p) for p in effect["parameters"]]
+        section(effect["id"], table(("", "", "", "", ""), rows) if rows else None)
+    if v["thrusters"]:
+        section("thrusters", table(("name", *"XYZKMN", "N per command"), map(_thruster_row, v["thrusters"])))
+    if v["generalised_forces"]:
+        section("forces known from the log", text(f"  {' '.join(v['generalised_forces'])}"))
+    if v["hints"]:
+        section("left open", table(("",), ((hint,) for hint in v["hints"])))
+
+
+def _parameter_row(p: dict[str, Any]) -> tuple[Any, ...]:
+    unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    sigma = "" if p["sigma"] is None else f"± {p['sigma']:.3g}"
+    role = text("assumed", "yellow") if p["assumed"] else "estimate" if p["estimate"] else "known"
+    return p["name"], f"{p['value']:.10g}{unit}", sigma, role, p["source"]
+
+
+def _thruster_row(t: dict[str, Any]) -> tuple[str, ...]:
+    # + 0.0 turns -0.0 into 0.0
+    return t["name"], *(f"{w + 0.0:.4g}" for w in t["wrench"]), f"{t['thrust_per_command']:.4g}"

@@ -1,0 +1,256 @@
+"""An effect in words and formulas, for lists, help texts and reports."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import sympy as sm
+from sympy.printing.str import StrPrinter
+
+from .catalogue import Catalogue, catalogue
+from .dimensions import short_unit
+from .effect import Effect
+from .parameter import Parameter, PerThruster, declared
+from .statement import Part, Statement, statement_of
+from .symbols import FORCE, VELOCITY
+
+_GREEK = ("phi", "theta", "psi", "tau", "rho", "eta", "nu")
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One row of an effect's statement.
+
+    Attributes
+    ----------
+    left : str
+        What it gives: "X" for the surge force, "d(lagged_port)/dt" for the rate of a state.
+    plain : str
+        Right-hand side as SymPy text, with ``|u|`` for the magnitude.
+    latex : str
+        The whole equation for LaTeX.
+    """
+
+    left: str
+    plain: str
+    latex: str
+
+
+@dataclass(frozen=True)
+class ParameterNote:
+    """A parameter as a reader wants to know it; limits are None where there are none.
+
+    Attributes
+    ----------
+    name : str
+        Id in vehicle files; ``<thruster>`` stands for the name of a thruster.
+    unit : str
+        SI unit.
+    low, high : float or None
+        Bounds in SNAME signs.
+    linear : bool
+        Whether a regression gives it, or a search.
+    default : float or None
+        Value where a vehicle file is silent.
+    about : str
+        Meaning.
+    """
+
+    name: str
+    unit: str
+    low: float | None
+    high: float | None
+    linear: bool
+    required: bool
+    default: float | None
+    directional: bool
+    about: str
+
+
+@dataclass(frozen=True)
+class Description:
+    """Everything that ``undertow effects show`` prints of an effect."""
+
+    id: str
+    kind: str
+    family: str
+    about: str
+    details: str
+    equations: tuple[Equation, ...]
+    legend: dict[str, str]
+    parameters: tuple[ParameterNote, ...]
+    also_in_files: dict[str, str]
+    requires: tuple[str, ...]
+    claims: tuple[str, ...]
+    built_in: bool
+    reference: str
+    signature: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """The description as plain lists and dictionaries."""
+        return asdict(self)
+
+
+def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
+    """Describe an effect; equations are as on a vehicle with two thrusters called port and starboard.
+
+    Parameters
+    ----------
+    cls : type of Effect
+        The effect.
+    known : mapping, optional
+        Where the effects are looked up that it requires; the catalogue when not given.
+    """
+    statement = statement_of(cls.specimen(), catalogue() if known is None else known)
+    about, _, details = inspect.cleandoc(cls.__doc__ or "").partition("\n")
+    return Description(
+        id=cls.id,
+        kind=statement.kind,
+        family=cls.family,
+        about=about,
+        details=" ".join(details.split()),
+        equations=tuple(_equations(statement)),
+        legend=dict(_legend(statement)),
+        parameters=tuple(_note(p) for p in _as_declared(cls)),
+        also_in_files=cls.file_units(),
+        requires=cls.requires,
+        claims=tuple(c for c in ("dissipative", "workless") if getattr(cls, c, False)),
+        built_in=cls.built_in,
+        reference=cls.reference,
+        signature=cls.signature,
+    )
+
+
+# --- parameters ----------------------------------------------------------------------------------
+def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
+    """Scalar parameters, those of thrusters once for all of them."""
+    for declaration in declared(cls):
+        if isinstance(declaration, PerThruster):
+            (one,) = declaration.expand(("<thruster>",))
+            yield one
+        else:
+            yield from declaration.expand(())
+
+
+def _note(p: Parameter) -> ParameterNote:
+    low, high = (None if math.isinf(b) else b for b in p.bounds)
+    return ParameterNote(
+        name=p.name,
+        unit=short_unit(p.unit),
+        low=low,
+        high=high,
+        linear=p.linear,
+        required=p.required,
+        default=p.default,
+        directional=p.motion is not None,
+        about=p.about,
+    )
+
+
+# --- equations -----------------------------------------------------------------------------------
+def _equations(statement: Statement) -> Iterator[Equation]:
+    """Rows in which the effect does something."""
+    names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols)}
+    for part in statement.parts:
+        for row, right in _active_rows(part):
+            left = latex_row(row)
+            yield Equation(row, _Plain().doprint(right), f"{left} = {sm.latex(right, symbol_names=names)}")
+
+
+def _active_rows(part: Part) -> Iterator[tuple[str, sm.Expr]]:
+    if part.name == "rest_state":
+        return
+    absent = part.absent if part.absent is not None else sm.zeros(*part.matrix.shape)
+    for row, right, without in zip(part.rows, part.matrix, absent, strict=True):
+        if right != without:
+            yield row, right
+
+
+_LEGEND = (
+    (("x", "y", "z"), "position, north, east and down, m"),
+    (("phi", "theta", "psi"), "roll, pitch and yaw angle, rad"),
+    (("u", "v", "w"), "velocity over ground along the body axes, m/s"),
+    (("u_r", "v_r", "w_r"), "velocity through the water along the body axes, m/s"),
+    (("p", "q", "r"), "angular velocity about the body axes, rad/s"),
+    (tuple(f"{n}_dot" for n in VELOCITY), "rates of the velocity over ground, m/s^2 and rad/s^2"),
+    (("u_r_dot", "v_r_dot", "w_r_dot"), "rates of the velocity through the water, m/s^2"),
+    (tuple(f"tau_{n}" for n in FORCE), "forces and moments that the log holds, N and N m"),
+    (("t",), "time since the start of the run, s"),
+    (("rho",), "density of the water, kg/m^3"),
+    (("g",), "gravity, m/s^2"),
+)
+
+
+def _legend(statement: Statement) -> Iterator[tuple[str, str]]:
+    """Meaning of the signals, states and shared parameters that occur in the equations."""
+    found = {str(x) for part in statement.parts for _, e in _active_rows(part) for x in e.free_symbols}
+    for names, meaning in _LEGEND:
+        if present := [n for n in names if n in found]:
+            yield ", ".join(present), meaning
+    for start, meaning in (
+        ("command_", "what reaches the step, in units of the command"),
+        ("actuation_", "what reaches the thruster, in units of its command"),
+    ):
+        if any(n.startswith(start) for n in found):
+            yield f"{start}<thruster>", meaning
+    states = statement.effect.states
+    if states:
+        yield ", ".join(states), "states of the effect itself"
+    for p in statement.shared:
+        if p.name in found:
+            yield p.name, f"{p.about}, {short_unit(p.unit)}"
+
+
+class _Plain(StrPrinter):
+    """SymPy's text with magnitude bars."""
+
+    def _print_Abs(self, expr: sm.Expr) -> str:
+        return f"|{self._print(expr.args[0])}|"
+
+
+def latex_name(name: str) -> str:
+    """LaTeX of a parameter, signal or state: ``X_uabsu`` gives ``X_{|u|u}``, ``u_dot`` a dotted u."""
+    if match := re.fullmatch(r"([a-z])(_r)?_dot", name):
+        return rf"\dot{{{match[1]}}}" + ("_{r}" if match[2] else "")
+    if match := re.fullmatch(r"([md])([xyz])_([gB])", name):  # a static moment, a shift
+        return rf"{'m' if match[1] == 'm' else chr(92) + 'Delta'} {match[2]}_{{{match[3]}}}"
+    head, _, tail = name.partition("_")
+    if head in FORCE and tail:
+        return f"{head}_{{{_derivative(tail)}}}"
+    symbol = head if len(head) == 1 else rf"\{head}" if head in _GREEK else rf"\mathrm{{{head}}}"
+    if not tail:
+        return symbol
+    subscript = tail if re.fullmatch("[xyz]{2}|.", tail) else rf"\mathrm{{{_escaped(tail)}}}"
+    return f"{symbol}_{{{subscript}}}"
+
+
+def _derivative(tail: str) -> str:
+    """Subscript of a SNAME derivative."""
+    motion = "".join(VELOCITY)
+    if match := re.fullmatch(f"([{motion}])dot", tail):
+        return rf"\dot{{{match[1]}}}"
+    if match := re.fullmatch(f"([{motion}])abs([{motion}])(_back)?", tail):
+        return f"|{match[1]}|{match[2]}" + (r",\mathrm{back}" if match[3] else "")
+    if match := re.fullmatch(f"(sign|mem)([{motion}])", tail):
+        return rf"\mathrm{{{match[1]}}}\,{match[2]}"
+    if match := re.fullmatch(f"([{motion}])_back", tail):
+        return rf"{match[1]},\mathrm{{back}}"
+    return tail if re.fullmatch(f"[{motion}0]+", tail) else rf"\mathrm{{{_escaped(tail)}}}"
+
+
+def latex_row(row: str) -> str:
+    """LaTeX of the left-hand side of a row."""
+    if match := re.fullmatch(r"d\((.*)\)/dt", row):
+        return rf"\frac{{d}}{{dt}} {latex_row(match[1])}"
+    if " " in row:
+        return rf"\mathrm{{{_escaped(row).replace(' ', chr(92) + ' ')}}}"
+    return latex_name(row)
+
+
+def _escaped(text: str) -> str:
+    return text.replace("_", r"\_")
