@@ -245,7 +245,8 @@ def test_name_density_and_gravity_are_written(small: Path) -> None:
 LAYOUTS = {
     "parameter tables": "[effects.linear_damping.X_u]\nvalue = -1.5 # slow\nestimate = true\n",
     "dotted keys": "[effects.linear_damping]\nX_u.value = -1.5\nX_u.estimate = true\n",
-    "scattered": "[[thrusters]]\nname = 'aft'\nwrench = [1, 0, 0, 0, 0, 0]\n[effects.linear_damping]\nX_u = -1.5",
+    "scattered": "[[thrusters]]\nname = 'aft'\nwrench = [1, 0, 0, 0, 0, 0]\n\n"
+    "[effects.linear_damping]\nX_u = -1.5",
     "windows": "[effects.linear_damping]\r\nX_u = -1.5 # slow\r\n\r\n# end\r\n",
 }
 HEAD = 'schema = "undertow/vehicle/1"\nname = "f"\ndegrees_of_freedom = ["surge"]\nsigns = "sname"\n'

@@ -1,0 +1,250 @@
+"""Pictures of a diagnosis and of a comparison; every function returns a matplotlib figure of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from ..diagnosis.result import Ranked, Step
+from .data import Array, Budget, ErrorMap, ResidualCurve, RunTraces, Trace
+from .style import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
+
+_MOST_CANDIDATES = 12
+_UNEXPLAINED = "unexplained"
+# Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
+_HEAT = colormaps["YlOrRd"].resampled(40)
+_POINTS = 500
+_BUCKETS = _POINTS // 2
+
+
+def _plain_number(value: float, _: int) -> str:
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def falling_error(steps: Sequence[Step]) -> Figure:
+    """The error on kept-aside data against the effects added, down to the noise floor."""
+    with look():
+        picture, axes = figure(3.4)
+        axis = axes[0, 0]
+        errors = [step.error for step in steps]
+        axis.axhline(1.0, color=FLOOR, linestyle="--")
+        axis.text(0.995, 1.02, "noise floor", color=FLOOR, ha="right", va="bottom", transform=_x_share(axis))
+        axis.plot(range(len(errors)), errors, color=FAINT, zorder=1)
+        colours = [BEFORE, *[AFTER] * (len(errors) - 1)]
+        axis.scatter(range(len(errors)), errors, color=colours[: len(errors)], s=64, zorder=2)
+        for i, error in enumerate(errors):
+            axis.annotate(f"{error:.3g}", (i, error), (8, 6), textcoords="offset points")
+        axis.set_xticks(range(len(errors)), [_step_name(step, i) for i, step in enumerate(steps)])
+        axis.set_xlim(-0.4, max(len(errors) - 0.4, 1.0))
+        _log_axis(axis, [*errors, 1.0])
+        axis.set_ylabel("kept-aside error [times noise]")
+        axis.grid(axis="y")
+    return picture
+
+
+def _x_share(axis: Any) -> Any:
+    return axis.get_yaxis_transform()
+
+
+def _step_name(step: Step, place: int) -> str:
+    if not step.added:
+        return "model as given" if place == 0 else "refitted"
+    return "+ " + "\n+ ".join(plain(name, 24) for name in step.added)
+
+
+def _log_axis(axis: Any, values: Sequence[float]) -> None:
+    finite = [v for v in values if np.isfinite(v) and v > 0]
+    axis.set_yscale("log")
+    axis.set_ylim(min(finite) / 1.25, max(finite) * 1.5)
+    ticks = [t for t in _TICKS if min(finite) / 1.25 <= t <= max(finite) * 1.5]
+    axis.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    axis.minorticks_off()
+
+
+_TICKS = [m * 10.0**e for e in range(-3, 7) for m in (1, 2, 5)]
+
+
+def ranking(ranked: Sequence[Ranked]) -> Figure:
+    """The leading candidates: fall of the mean square on kept-aside data, with 95 % intervals."""
+    shown = list(ranked)[:_MOST_CANDIDATES]
+    with look():
+        picture, axes = figure(1.1 + 0.32 * max(len(shown), 1))
+        axis = axes[0, 0]
+        for i, candidate in enumerate(shown):
+            colour = AFTER if candidate.significant else FAINT
+            if np.isfinite(candidate.interval).all():
+                axis.plot(candidate.interval, [i, i], color=colour, linewidth=3, alpha=0.5)
+            face = colour if candidate.significant else "none"
+            axis.scatter([candidate.improvement], [i], s=46, color=colour, facecolor=face, zorder=3)
+        axis.axvline(0.0, color=INK, linewidth=0.8)
+        axis.set_xscale("symlog", linthresh=0.1)
+        axis.xaxis.set_major_formatter(_plain_number)
+        axis.set_yticks(range(len(shown)), [plain(c.effect) for c in shown])
+        axis.invert_yaxis()
+        axis.set_xlabel("fall of the kept-aside mean square [times noise variance]; filled: more than chance")
+        axis.grid(axis="x")
+    return picture
+
+
+def error_map(errors: ErrorMap, names: tuple[str, str] = ("before", "after")) -> Figure:
+    """Error by degree of freedom and regime, of one model or of two below each other."""
+    tables = [t for t in (errors.before, errors.after) if t is not None]
+    rows = len(errors.rows)
+    with look():
+        picture, axes = figure(1.3 + len(tables) * (0.45 + 0.34 * rows), len(tables), sharex=True)
+        image = None
+        for axis, table, name in zip(axes[:, 0], tables, names, strict=False):
+            image = _heat(axis, table, errors)
+            axis.set_title(plain(name))
+            axis.set_yticks(np.arange(rows) + 0.5, [plain(r) for r in errors.rows])
+        columns = [plain(r, 30) for r in errors.regimes]
+        places = np.arange(len(columns)) + 0.5
+        axes[-1, 0].set_xticks(places, columns, rotation=35, ha="right", rotation_mode="anchor")
+        bar = picture.colorbar(image, ax=list(axes[:, 0]), shrink=0.9, pad=0.02)
+        bar.set_label(plain(errors.quantity))
+        bar.ax.yaxis.set_major_formatter(_plain_number)
+    return picture
+
+
+def _heat(axis: Any, table: Array, errors: ErrorMap) -> Any:
+    both = np.concatenate([t.ravel() for t in (errors.before, errors.after) if t is not None])
+    both = both[np.isfinite(both) & (both > 0)]
+    low = errors.floor if errors.floor is not None else float(both.min(initial=1.0))
+    norm = LogNorm(low, max(float(both.max(initial=low)), 3 * low))
+    image = axis.pcolormesh(np.ma.masked_invalid(table), norm=norm, cmap=_HEAT, edgecolors="none")
+    axis.invert_yaxis()
+    axis.spines[:].set_visible(False)
+    axis.tick_params(length=0)
+    for (i, j), value in np.ndenumerate(table):
+        there = np.isfinite(value)
+        # On the filled cells the text has a colour of its own; an empty cell shows the page.
+        colour = ("white" if norm(value) > 0.6 else "#202020") if there else FAINT
+        axis.text(
+            j + 0.5,
+            i + 0.5,
+            f"{value:.2g}" if there else "–",
+            ha="center",
+            va="center",
+            color=colour,
+            fontsize=8.5,
+        )
+    return image
+
+
+def measured_vs_simulated(run: RunTraces, names: tuple[str, str] = ("before", "after")) -> Figure:
+    """Every channel of a run: the measurement, and what both models make of the same commands."""
+    with look():
+        picture, axes = figure(0.8 + 1.45 * len(run.traces), max(len(run.traces), 1), sharex=True)
+        for axis, trace in zip(axes[:, 0], run.traces, strict=False):
+            _draw_trace(axis, trace, names)
+        axes[-1, 0].set_xlabel("time [s]")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        picture.legend(handles, labels, loc="outside upper left", ncols=3)
+    return picture
+
+
+def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
+    lines: list[tuple[Any, str, dict[str, Any]]] = [
+        (trace.measured, "measured", {"color": INK, "linewidth": 0.9}),
+        (trace.before, plain(names[0]), {"color": BEFORE, "linestyle": (0, (4, 2))}),
+        (trace.after, plain(names[1]), {"color": AFTER}),
+    ]
+    for values, label, how in lines:
+        if values is not None:
+            axis.plot(*thinned(trace.t, values), label=label, **how)
+    _limits(axis, trace)
+    axis.margins(x=0.01)
+    axis.set_ylabel(with_unit(trace.channel, trace.unit))
+    axis.grid()
+
+
+def _limits(axis: Any, trace: Trace) -> None:
+    """A simulation that runs away must not flatten everything else."""
+    finite = trace.measured[np.isfinite(trace.measured)]
+    if not len(finite):
+        return
+    low, high = float(finite.min()), float(finite.max())
+    margin = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-12)
+    shown = axis.get_ylim()
+    axis.set_ylim(max(shown[0], low - margin), min(shown[1], high + margin))
+
+
+def thinned(t: Array, values: Array) -> tuple[Array, Array]:
+    """At most `_POINTS` points that look the same: the smallest and largest value of every bucket, gaps kept.
+
+    Parameters
+    ----------
+    t, values : (n,) array
+        Time and values; NaN is a gap.
+    """
+    if len(t) <= _POINTS:
+        return t, values
+    kept = []
+    for bucket in np.array_split(np.arange(len(t)), _BUCKETS):
+        finite = bucket[np.isfinite(values[bucket])]
+        if len(finite):
+            kept += sorted({finite[np.argmin(values[finite])], finite[np.argmax(values[finite])]})
+        else:
+            kept.append(bucket[0])
+    return t[kept], values[kept]
+
+
+def residual_against(curves: Sequence[ResidualCurve], names: tuple[str, str] = ("before", "after")) -> Figure:
+    """Mean residual force in bins of the variables, with the 95 % interval of every mean."""
+    columns = min(3, max(len(curves), 1))
+    rows = -(-max(len(curves), 1) // columns)
+    with look():
+        picture, axes = figure(0.7 + 2.1 * rows, rows, columns)
+        for axis, curve in zip(axes.ravel(), curves, strict=False):
+            _draw_curve(axis, curve, names)
+        for axis in axes.ravel()[len(curves) :]:
+            axis.set_visible(False)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        picture.legend(handles, labels, loc="outside upper left", ncols=2)
+    return picture
+
+
+def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None:
+    axis.axhline(0.0, color=INK, linewidth=0.8)
+    looks: list[tuple[Any, Any, str, dict[str, Any]]] = [
+        (curve.before, curve.before_error, names[0], {"color": BEFORE, "marker": "o"}),
+        (curve.after, curve.after_error, names[1], {"color": AFTER, "marker": "s"}),
+    ]
+    for values, error, name, how in looks:
+        if values is not None:
+            axis.errorbar(
+                curve.centre,
+                values,
+                yerr=error,
+                label=plain(name),
+                markersize=4,
+                linewidth=1.0,
+                capsize=2,
+                **how,
+            )
+    axis.set_xlabel(with_unit(curve.variable, curve.variable_unit))
+    axis.set_ylabel(with_unit(f"{curve.degree_of_freedom} residual", curve.unit))
+    axis.grid()
+
+
+def force_budget(budgets: Sequence[Budget]) -> Figure:
+    """Root mean square of every effect's share, one panel for each degree of freedom."""
+    columns = min(3, max(len(budgets), 1))
+    rows = -(-max(len(budgets), 1) // columns)
+    longest = max((len(b.shares) for b in budgets), default=1)
+    with look():
+        picture, axes = figure(rows * (0.8 + 0.26 * longest), rows, columns)
+        for axis, budget in zip(axes.ravel(), budgets, strict=False):
+            shares = sorted(budget.shares.items(), key=lambda item: item[1])
+            colours = [BEFORE if name == _UNEXPLAINED else AFTER for name, _ in shares]
+            axis.barh([plain(name, 26) for name, _ in shares], [v for _, v in shares], color=colours)
+            axis.set_xlabel(with_unit(f"{budget.degree_of_freedom}, rms", budget.unit))
+            axis.grid(axis="x")
+        for axis in axes.ravel()[len(budgets) :]:
+            axis.set_visible(False)
+    return picture

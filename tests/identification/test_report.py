@@ -1,0 +1,453 @@
+"""The report: one page that stands alone, names stay text, pictures show the numbers that they are given."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from undertow.errors import UndertowError
+from undertow.identification.diagnosis.result import (
+    Diagnosis,
+    Estimate,
+    Indistinguishable,
+    Ranked,
+    Remaining,
+    RunInfo,
+    Step,
+    Verdict,
+)
+from undertow.identification.report import (
+    Budget,
+    ErrorMap,
+    Listing,
+    ReportData,
+    ResidualCurve,
+    RunTraces,
+    Trace,
+    error_map,
+    falling_error,
+    force_budget,
+    measured_vs_simulated,
+    ranking,
+    render_report,
+    report_data,
+    residual_against,
+    save_png,
+)
+from undertow.identification.report.pictures import thinned
+from undertow.identification.report.style import plain, svg, unit_text, with_unit
+from undertow.identification.report.words import parameter_text, percent, quantity, with_error
+
+EVIL = "<script>alert('1')</script>\"&$x_1$\n日本"
+SECTIONS = (
+    *("verdict", "map", "traces", "residuals", "ranking", "steps"),
+    *("sets", "remaining", "parameters", "warnings", "record"),
+)
+VOID = {"meta", "br", "link", "img", "hr", "input"}
+
+
+def _estimate(name: str = "X_uabsu", value: float = -5.1234, error: float | None = 0.0123) -> Estimate:
+    return Estimate(
+        name=name,
+        effect="quadratic_damping",
+        value=value,
+        standard_error=error,
+        unit="N/((m/s)^2)",
+        about="drag",
+    )
+
+
+def _ranked(effect: str, improvement: float, **more: object) -> Ranked:
+    return Ranked(
+        effect=effect,
+        family="water",
+        about=f"about {effect}",
+        parameters=[_estimate()],
+        error_before=6.25,
+        error_after=1.02,
+        explained=0.987,
+        improvement=improvement,
+        interval=(0.9 * improvement - 0.05, 1.1 * improvement + 0.05),
+        significant=improvement > 0.1,
+    ).model_copy(update=more)
+
+
+def _diagnosis(
+    verdict: Verdict = "missing_effect", name: str = "mini-auv", role: str = "holdout"
+) -> Diagnosis:
+    run = {"source": f"/logs/{name}.csv", "sha256": "ab" * 32, "samples": 600, "duration": 60.0}
+    return Diagnosis(
+        undertow="0.1.0",
+        vehicle=name,
+        degrees_of_freedom=["surge", "yaw"],
+        signs="sname",
+        runs=[
+            RunInfo(name=name, role="train", notes=[f"{name}: 3 outliers dropped"], **run),
+            RunInfo(name="second", role=role, notes=[], **run),
+        ],
+        verdict=verdict,
+        headline=f"headline of {name}",
+        effects=[name],
+        ranking=[_ranked(name, 30.0), _ranked("lift", 0.01)],
+        steps=[Step(added=[], error=6.25, prediction=0.31), Step(added=[name], error=1.02)],
+        indistinguishable=[Indistinguishable(effects=[name, "lift"], reason=f"reason {name}")],
+        warnings=[f"warning {name}"],
+        remaining=[
+            Remaining(
+                degree_of_freedom="surge",
+                normalised_error=1.03,
+                residual_rms=0.125,
+                noise_rms=0.11,
+                unit="N",
+                note=f"note {name}",
+            )
+        ],
+        parameters=[_estimate("X_u", 4.1234, 0.12).model_copy(update={"prior": 3.9, "about": name})],
+        false_alarm_rate=0.01,
+        noise={"u": 0.012, name: 0.1},
+        seconds=12.34,
+    )
+
+
+def _trace(channel: str = "u", n: int = 4000) -> Trace:
+    t = np.arange(n) * 0.05
+    measured = np.sin(0.2 * t)
+    measured[1000:1200] = np.nan
+    return Trace(channel, "m/s", t, measured, 0.8 * np.sin(0.2 * t), np.sin(0.2 * t))
+
+
+def _data(name: str = "run1", runs: int = 1) -> ReportData:
+    map_ = ErrorMap(("surge", name), ("slow", name), np.array([[4.0, np.nan], [2.0, 9.0]]), np.ones((2, 2)))
+    centre = np.linspace(-1, 1, 7)
+    curves = [
+        ResidualCurve(
+            dof, "N", name, "m/s", centre, 2 * centre, 0.1 + 0 * centre, 0 * centre, 0.1 + 0 * centre
+        )
+        for dof in ("surge", "yaw")
+    ]
+    return ReportData(
+        before=name,
+        after="better",
+        headlines=(f"fails in {name}",),
+        maps=(map_,),
+        runs=tuple(RunTraces(f"{name} {i}", (_trace("u"), _trace(name))) for i in range(runs)),
+        residuals=tuple(curves),
+        budgets=(Budget("surge", "N", {"thrusters": 3.0, name: 1.0}),),
+        fits=Listing(("channel", "fit"), ((name, "71 %"),)),
+        settings={"a setting": name},
+        versions={"numpy": "2.0"},
+    )
+
+
+class _Page(HTMLParser):
+    """What a browser would see: balanced tags, ids, links, text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.attributes: list[tuple[str, str]] = []
+        self.svg_text = ""
+        self.text = ""
+        self.chunks: list[str] = []
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self.tags.add(tag)
+        self.attributes += [(k, v or "") for k, v in attrs]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes += [(k, v or "") for k, v in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        self.chunks.append(data)
+        if "svg" in self.open:
+            self.svg_text += data
+
+    def values(self, *names: str) -> list[str]:
+        return [v for k, v in self.attributes if k in names]
+
+
+def _words(html: str) -> str:
+    return " ".join(" ".join(_Page(html).chunks).split())
+
+
+# --- the page ---------------------------------------------------------------------------------
+@pytest.mark.parametrize("verdict", get_args(Verdict))
+def test_every_verdict_has_its_page(verdict: Verdict) -> None:
+    page = _Page(render_report(_diagnosis(verdict), _data()))
+    assert not page.open
+    ids = page.values("id")
+    assert [i for i in ids if i in SECTIONS] == list(SECTIONS)
+    assert set(SECTIONS) <= {v.removeprefix("#") for v in page.values("href")}
+    assert len(ids) == len(set(ids))
+    assert "What this does not show" in page.text
+    assert "headline of mini-auv" in page.text
+
+
+def test_verdicts_are_explained_differently() -> None:
+    texts = {
+        _words(render_report(_diagnosis(v))).split("Where the model fails")[0] for v in get_args(Verdict)
+    }
+    assert len(texts) == len(get_args(Verdict))
+
+
+def test_nothing_is_loaded_from_anywhere() -> None:
+    html = render_report(_diagnosis(), _data())
+    page = _Page(html)
+    assert not page.tags & {"script", "link", "img", "image", "iframe", "object", "embed", "base", "form"}
+    assert all(v.startswith("#") for v in page.values("href", "src", "xlink:href", "action", "data"))
+    assert not [k for k, _ in page.attributes if k.startswith("on")]
+    assert set(re.findall(r"\w+://[^\s\"'<)]*", html)) == {"http://www.w3.org/2000/svg"}
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", html))
+    assert "@import" not in html
+
+
+def test_references_inside_pictures_find_their_target() -> None:
+    html = render_report(_diagnosis(), _data())
+    ids = set(_Page(html).values("id"))
+    wanted = set(re.findall(r"url\(#([^)]+)\)", html)) | set(re.findall(r'href="#([^"]+)"', html))
+    assert len(wanted) > len(SECTIONS)
+    assert wanted <= ids
+
+
+def test_names_from_files_stay_text() -> None:
+    html = render_report(_diagnosis(name=EVIL), _data(EVIL))
+    page = _Page(html)
+    assert "script" not in page.tags
+    assert "<script" not in html
+    assert page.text.count("<script>alert('1')</script>\"&$x_1$") >= 12
+    # In pictures as well: axis labels, legends, ticks; a line break becomes a mark, a dollar no formula.
+    assert page.svg_text.count("<script>alert('1')</script>\"&$x_1$") >= 4
+    assert not page.open
+
+
+def test_numbers_have_their_units() -> None:
+    words = _words(render_report(_diagnosis(), _data()))
+    for text in (
+        "X_u|u| = (−5.123 ± 0.012) N/(m/s)²",
+        "(4.12 ± 0.12) N/(m/s)²",
+        "6.25 → 1.02",
+        "error before → after, in times the noise",
+        "6.25 × noise",
+        "31 %",
+        "0.125 N",
+        "600 samples",
+        "60 s",
+        "u: 0.012 m/s",
+        "at most 1 %",
+        "98.7 %",
+    ):
+        assert text in words, text
+
+
+def test_the_record_tells_files_hashes_roles_notes_settings_and_versions() -> None:
+    words = _words(render_report(_diagnosis(role="blocks"), _data()))
+    for text in ("/logs/mini-auv.csv", "ab" * 32, "fitting, with blocks kept aside", "3 outliers dropped"):
+        assert text in words
+    for text in ("a setting run1", "numpy 2.0", "undertow 0.1.0", "12.3 s"):
+        assert text in words
+    assert "blocks of the same runs" in words.split("Where the model fails")[0]
+
+
+def test_without_data_every_section_says_so() -> None:
+    bare = _diagnosis("adequate").model_copy(
+        update={
+            n: [] for n in ("ranking", "steps", "indistinguishable", "warnings", "remaining", "parameters")
+        }
+    )
+    page = _Page(render_report(bare))
+    assert not page.open
+    assert "svg" not in page.tags
+    for text in ("No error map", "No run was simulated", "No candidate was tried", "No parameter was fitted"):
+        assert text in page.text
+
+
+def test_one_model_alone_has_one_map_and_one_simulation() -> None:
+    data = _data()
+    map_ = ErrorMap(("surge",), ("slow",), np.array([[1.1]]))
+    trace = Trace("u", "m/s", np.arange(5.0), np.arange(5.0), np.arange(5.0))
+    alone = ReportData(before="only model", maps=(map_,), runs=(RunTraces("run", (trace,)),))
+    assert "better" in _Page(render_report(_diagnosis(), data)).svg_text
+    page = _Page(render_report(_diagnosis("adequate"), alone))
+    assert page.svg_text.count("only model") == 2
+    assert alone.after not in page.svg_text
+
+
+def test_a_page_of_many_long_runs_stays_small() -> None:
+    names = ("u", "v", "w", "p", "q", "r", "x", "y", "z", "phi", "theta", "psi")
+    rng = np.random.default_rng(1)
+    noisy = [Trace(n, "m/s", np.arange(1e5), *rng.standard_normal((3, 100_000))) for n in names]
+    data = ReportData(runs=tuple(RunTraces(f"run{i}", tuple(noisy)) for i in range(5)))
+    html = render_report(_diagnosis(), data)
+    assert len(html.encode()) < 3_000_000
+    assert "Not drawn: run3, run4." in html
+
+
+def test_a_comparison_becomes_a_report() -> None:
+    from undertow.identification.compare.comparison import compare
+    from undertow.identification.logs import Run
+    from undertow.model.loading import load_vehicle
+
+    t = np.arange(0.0, 60.0, 0.05)
+    u = 0.3 * np.sin(0.3 * t) + 0.001 * np.random.default_rng(2).standard_normal(len(t))
+    force = 300.0 * np.abs(u) * u + 81.0 * 0.09 * np.cos(0.3 * t)  # nine times the drag of the model
+    channels = {"x": np.cumsum(u) * 0.05, "u": u, "tau_X": force}
+    run = Run("surge " + EVIL, t, channels, sha256="cd" * 32)
+    vehicle = load_vehicle("box-hull")
+    before = compare(vehicle, [run], compiled=False)
+    data = report_data(
+        before, compare(vehicle, [run], compiled=False), names=("old", "new"), settings={"a": "b"}
+    )
+    assert data.maps[0].rows == ("surge",)
+    assert np.nanmax(data.maps[0].before) > 3
+    assert [trace.channel for trace in data.runs[0].traces] == ["u", "x"]
+    assert {curve.unit for curve in data.residuals} == {"N"}
+    assert data.settings["a"] == "b"
+    assert {"Python", "numpy", "casadi"} <= set(data.versions)
+    page = _Page(render_report(_diagnosis(), data))
+    assert not page.open
+    assert "old: fails most in surge" in page.text
+    assert report_data(before).maps[0].after is None
+
+
+# --- the pictures -----------------------------------------------------------------------------
+def test_the_chart_of_steps_falls_to_the_floor() -> None:
+    axis = falling_error(_diagnosis().steps).axes[0]
+    floor, course = axis.lines
+    assert set(floor.get_ydata()) == {1.0}
+    assert list(course.get_ydata()) == [6.25, 1.02]
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["model as given", "+ mini-auv"]
+    assert "noise" in axis.get_ylabel()
+    low, high = axis.get_ylim()
+    assert low < 1.0 < 6.25 < high
+
+
+def test_the_ranking_draws_intervals_where_there_are_any() -> None:
+    unknown = _ranked("lift", 0.01, interval=(-np.inf, np.inf))
+    axis = ranking([_ranked("ocean_current", 30.0), unknown]).axes[0]
+    intervals = [line for line in axis.lines if len(set(line.get_ydata())) == 1]
+    assert [list(line.get_xdata()) for line in intervals] == [pytest.approx([26.95, 33.05])]
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["ocean_current", "lift"]
+    assert axis.yaxis_inverted()
+
+
+def test_the_error_map_shows_every_number_and_a_dash() -> None:
+    picture = error_map(_data().maps[0], ("as it is", "better"))
+    upper, lower, bar = picture.axes
+    assert [text.get_text() for text in upper.texts] == ["4", "–", "2", "9"]
+    assert [text.get_text() for text in lower.texts] == ["1"] * 4
+    assert (upper.get_title(loc="left"), lower.get_title(loc="left")) == ("as it is", "better")
+    assert bar.get_ylabel() == "error / noise"
+    assert upper.collections[0].norm.vmin == 1.0
+    assert lower.collections[0].norm.vmax == upper.collections[0].norm.vmax == 9.0
+
+
+def test_a_simulation_that_runs_away_does_not_flatten_the_rest() -> None:
+    trace = _trace()
+    wild = Trace("u", "m/s", trace.t, trace.measured, np.exp(trace.t), trace.after)
+    axis = measured_vs_simulated(RunTraces("run", (wild,))).axes[0]
+    low, high = axis.get_ylim()
+    assert -4 < low < -1
+    assert 1 < high < 4
+    assert axis.get_ylabel() == "u [m/s]"
+    assert axis.get_xlabel() == "time [s]"
+
+
+def test_residuals_are_drawn_with_their_intervals_and_units() -> None:
+    picture = residual_against(_data("u").residuals, ("old", "new"))
+    axis = picture.axes[0]
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("u [m/s]", "surge residual [N]")
+    assert axis.containers[0].lines[0].get_ydata() == pytest.approx(2 * np.linspace(-1, 1, 7))
+    assert [c.get_label() for c in axis.containers] == ["old", "new"]
+
+
+def test_the_budget_is_sorted() -> None:
+    axis = force_budget([Budget("surge", "N", {"a": 1.0, "b": 3.0, "c": 2.0})]).axes[0]
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["a", "c", "b"]
+    assert axis.get_xlabel() == "surge, rms [N]"
+
+
+def test_thinning_keeps_extremes_and_gaps() -> None:
+    t = np.arange(100_000.0)
+    values = np.sin(t / 3000)
+    values[54_321], values[70_000:80_000] = 40.0, np.nan
+    thin_t, thin = thinned(t, values)
+    assert len(thin) <= 500
+    assert np.nanmax(thin) == 40.0
+    assert thin_t[np.nanargmax(thin)] == 54_321
+    assert np.isnan(thin[(thin_t > 71_000) & (thin_t < 79_000)]).all()
+    assert np.all(np.diff(thin_t) > 0)
+    short = np.array([1.0, np.nan])
+    assert thinned(np.arange(2.0), short)[1] is short
+
+
+def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    svg(falling_error(_diagnosis().steps), "p")
+    assert dict(mpl.rcParams) == before
+
+
+def test_pictures_can_be_written_and_the_folder_must_be_there(tmp_path: Path) -> None:
+    picture = falling_error(_diagnosis().steps)
+    save_png(picture, tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(UndertowError, match="does not exist"):
+        save_png(picture, tmp_path / "nowhere" / "a.png")
+
+
+def test_the_same_diagnosis_gives_the_same_page() -> None:
+    assert render_report(_diagnosis(), _data()) == render_report(_diagnosis(), _data())
+
+
+# --- words and numbers ------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (5.12345, 0.01234, "(5.123 ± 0.012) kg"),
+        (-0.5, 0.25, "(−0.50 ± 0.25) kg"),
+        (1234.5, 56.0, "(1234 ± 56) kg"),
+        (1.0, None, "1 kg"),
+        (1.5, float("inf"), "1.5 kg"),
+        (1.25e-12, 1e-13, "(1.25e−12 ± 1e−13) kg"),
+    ],
+)
+def test_values_show_as_many_digits_as_they_are_known_to(
+    value: float, error: float | None, text: str
+) -> None:
+    assert with_error(value, error, "kg") == text
+
+
+def test_numbers_and_names_as_readers_expect_them() -> None:
+    assert quantity(None, "kg") == "–"
+    assert quantity(float("nan"), "kg") == "not finite kg"
+    assert quantity(-1.5, "1") == "−1.5"
+    assert percent(0.1234) == "12.3 %"
+    assert percent(None) == "–"
+    assert parameter_text("X_uabsu") == "X_u|u|"
+    assert parameter_text("N_rabsr") == "N_r|r|"
+    assert parameter_text("gain_error_cabs") == "gain_error_cabs"
+    assert unit_text("N m/((rad/s)^2)") == "N m/(rad/s)²"
+    assert unit_text("N/(m/s)") == "N/(m/s)"
+    assert with_unit("speed", "m/s^2") == "speed [m/s²]"
+    assert with_unit("gain", "1") == "gain"
+
+
+def test_labels_are_printable_and_short() -> None:
+    assert plain("a\nb\x00$") == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}\\$"
+    assert len(plain("x" * 500)) == 48
