@@ -1,8 +1,8 @@
-"""Putting effects together: flow into relative velocity, commands through the chain, wrenches into one sum."""
+"""Putting effects together: flow into relative velocity, commands through the chain, wrenches in a sum."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 
 import sympy as sm
@@ -126,10 +126,10 @@ class Composition:
         """States that wrenches own and that the vehicle's motion can reach, with their rates."""
         return self._reachable(e for e in self.effects if isinstance(e, Wrench))
 
-    def _reachable(self, effects) -> dict[sm.Symbol, sm.Expr]:  # type: ignore[no-untyped-def]
-        pairs = [p for e in effects for p in zip(e.state_symbols, self.reduce(e.rates(self.signals)), strict=True)]
+    def _reachable(self, effects: Iterable[Wrench]) -> dict[sm.Symbol, sm.Expr]:
         used = self.residual.free_symbols
-        return {x: rate for x, rate in pairs if x in used}
+        rates = ((e.state_symbols, self.reduce(e.rates(self.signals))) for e in effects)
+        return {x: rate for pair in rates for x, rate in zip(*pair, strict=True) if x in used}
 
     @cached_property
     def chain(self) -> tuple[sm.Matrix, dict[sm.Symbol, sm.Expr], dict[sm.Symbol, sm.Expr]]:

@@ -50,7 +50,7 @@ class Effect(abc.ABC):
 
     @classmethod
     def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
-        """Turn other ways to write the parameters in a file (`x_g` for `mx_g`) into the parameters themselves."""
+        """Turn other ways to write the parameters in a file (`x_g` for `mx_g`) into the parameters."""
         return entries
 
     @classmethod

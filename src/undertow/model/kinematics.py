@@ -13,7 +13,7 @@ def skew(a: sm.Matrix) -> sm.Matrix:
 def rotation(angles: sm.Matrix) -> sm.Matrix:
     """Rotation R from body to NED axes for (phi, theta, psi) in rad, shape (3, 3).
 
-    Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 2 (zyx convention).
+    Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 2 (zyx order).
     """
     phi, theta, psi = angles
     return _about_z(psi) * _about_y(theta) * _about_x(phi)

@@ -41,7 +41,7 @@ class Parameter:
         Value at which the effect is absent; None for a parameter that cannot switch the effect off (a time
         constant, a smoothing width).
     on_left_side : bool
-        True for a derivative that tables print as a positive magnitude (added mass, damping on the left-hand side).
+        True for a derivative that tables print as a positive magnitude (added mass and damping).
     """
 
     unit: str
@@ -81,7 +81,8 @@ class PerThruster(Parameter):
     def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
         fields = {k: v for k, v in vars(self).items() if k not in ("name", "about")}
         return tuple(
-            Parameter(**fields, name=f"{self.name}_{t}", about=f"{self.about}, thruster {t}") for t in thrusters
+            Parameter(**fields, name=f"{self.name}_{t}", about=f"{self.about}, thruster {t}")
+            for t in thrusters
         )
 
 
@@ -92,7 +93,7 @@ UPPER_TRIANGLE = tuple((i, j) for i in range(6) for j in range(i + 1, 6))
 
 @dataclass(frozen=True)
 class DerivativeMatrix:
-    """A matrix of SNAME derivatives, named by a pattern such as ``{F}_{m}dot``; reads as a (6, 6) matrix of symbols.
+    """A matrix of SNAME derivatives, named by a pattern such as ``{F}_{m}dot``; reads as symbols, (6, 6).
 
     Parameters
     ----------

@@ -105,8 +105,8 @@ class Vehicle:
             missing = [r for r in effect.requires if r not in present]
             if missing:
                 raise UndertowError(
-                    f"effect '{effect.id}' shares parameters of '{missing[0]}', which vehicle '{self.name}' lacks: "
-                    f"add [effects.{missing[0]}] to the vehicle file"
+                    f"effect '{effect.id}' shares parameters of '{missing[0]}', which vehicle '{self.name}' "
+                    f"lacks: add [effects.{missing[0]}] to the vehicle file"
                 )
 
     @property
@@ -162,7 +162,7 @@ class Vehicle:
         return {p.name: p for e in self.all_effects for p in e.parameters}
 
     def value_of(self, name: str) -> Value:
-        """Value of a parameter; thrust per command comes from the thruster, shape defaults from the effect."""
+        """Value of a parameter; thrust per command comes from the thruster, defaults from the effect."""
         if name in self.values:
             return self.values[name]
         for thruster in self.thrusters:
@@ -218,7 +218,8 @@ class Vehicle:
     def with_values(self, values: Mapping[str, Value]) -> Vehicle:
         """The same vehicle with some values replaced; thrust per command goes to its thruster."""
         thrusters = tuple(
-            replace(t, thrust_per_command=values.get(f"thrust_{t.name}", t.thrust_per_command)) for t in self.thrusters
+            replace(t, thrust_per_command=values.get(f"thrust_{t.name}", t.thrust_per_command))
+            for t in self.thrusters
         )
         hardware = {f"thrust_{t.name}" for t in thrusters}
         changed = dict(self.values) | {k: v for k, v in values.items() if k not in hardware}
@@ -230,5 +231,3 @@ class Vehicle:
         present = any(e.id == cls.id for e in self.effects)
         effects = self.effects if present else (*self.effects, cls(names))
         return replace(self, effects=effects, values=dict(self.values) | dict(values))
-
-

@@ -10,7 +10,7 @@ from undertow.model.symbols import Signals
 
 
 class ActuationDelay(Actuation):
-    """Pure delay from the logged command to the thrust: network, motor controller, clock offset of the log."""
+    """Pure delay from the logged command to the thrust: network, motor controller, clock of the log."""
 
     id = "actuation_delay"
     reference = "transport delay; Ljung (1999), System Identification, section 4.2 (dead time)"

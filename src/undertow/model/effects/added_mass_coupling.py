@@ -11,7 +11,7 @@ from undertow.model.symbols import Signals
 
 
 class AddedMassCoupling(Wrench):
-    """Added mass that couples two motions (Y_rdot and the like), with the Coriolis forces that belong to it."""
+    """Added mass that couples two motions (Y_rdot and the like), with the Coriolis forces that go with it."""
 
     id = "added_mass_coupling"
     family = "inertia"

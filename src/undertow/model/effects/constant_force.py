@@ -10,7 +10,7 @@ from undertow.model.symbols import Signals
 
 
 class ConstantForce(Wrench):
-    """A steady force and moment fixed in the body: a thruster that creeps, an asymmetric hull, a force-sensor bias."""
+    """A steady force and moment fixed in the body: a creeping thruster, an asymmetric hull, a sensor bias."""
 
     id = "constant_force"
     family = "statics"

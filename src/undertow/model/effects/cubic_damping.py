@@ -12,7 +12,7 @@ from undertow.model.symbols import Signals
 
 
 class CubicDamping(Wrench):
-    """Drag proportional to the third power of the speed, as some basin tests of model ships are fitted with."""
+    """Drag proportional to the third power of the speed, as some basin tests of ships are fitted with."""
 
     id = "cubic_damping"
     family = "damping"

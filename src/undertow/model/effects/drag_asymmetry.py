@@ -18,11 +18,17 @@ class DragAsymmetry(Wrench):
     signature = "the speed reached astern differs from the speed ahead at the same thrust"
 
     X_u_back = Parameter("N/(m/s)", "additional surge force per velocity, backward only")
-    X_uabsu_back = Parameter("N/(m/s)^2", "additional surge force per velocity times its magnitude, backward only")
+    X_uabsu_back = Parameter(
+        "N/(m/s)^2", "additional surge force per velocity times its magnitude, backward only"
+    )
     Y_v_back = Parameter("N/(m/s)", "additional sway force per velocity, to port only")
-    Y_vabsv_back = Parameter("N/(m/s)^2", "additional sway force per velocity times its magnitude, to port only")
+    Y_vabsv_back = Parameter(
+        "N/(m/s)^2", "additional sway force per velocity times its magnitude, to port only"
+    )
     Z_w_back = Parameter("N/(m/s)", "additional heave force per velocity, upward only")
-    Z_wabsw_back = Parameter("N/(m/s)^2", "additional heave force per velocity times its magnitude, upward only")
+    Z_wabsw_back = Parameter(
+        "N/(m/s)^2", "additional heave force per velocity times its magnitude, upward only"
+    )
 
     def wrench(self, s: Signals) -> sm.Matrix:
         back = [(v - sm.Abs(v)) / 2 for v in s.nu_r[:3]]

@@ -16,7 +16,7 @@ class DryFriction(Wrench):
 
     id = "dry_friction"
     family = "damping"
-    reference = "Coulomb friction with the sign function smoothed by tanh; Armstrong-Helouvry et al. (1994), Automatica 30"
+    reference = "Coulomb friction, its sign smoothed by tanh; Armstrong-Helouvry et al. (1994), Automatica 30"
     signature = "the vehicle stops dead instead of creeping, and small thrust does not move it"
     dissipative = True
 

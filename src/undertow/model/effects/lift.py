@@ -10,7 +10,7 @@ from undertow.model.symbols import Signals
 
 
 class Lift(Wrench):
-    """Lift and lift moment of hull and fins at an angle of attack, proportional to forward speed times cross-flow."""
+    """Lift and lift moment of hull and fins, proportional to forward speed times cross-flow."""
 
     id = "lift"
     family = "damping"

@@ -12,7 +12,7 @@ from undertow.model.symbols import Signals
 
 
 class LinearDamping(Wrench):
-    """Drag proportional to the speed through the water: skin friction, and wave radiation at low frequency."""
+    """Drag proportional to the speed through the water: skin friction, wave radiation at low frequency."""
 
     id = "linear_damping"
     family = "damping"

@@ -17,8 +17,8 @@ _ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
 class Restoring(Wrench):
     """Weight and buoyancy at their centres: net force and righting moment.
 
-    Inside, the moment is stated by the static moments `S_x` = x_g W - x_b B and so on, which is all that motion
-    can show; a vehicle file gives `x_g` ... `z_b`.
+    Inside, the moment is stated by the static moments `S_x` = x_g W - x_b B and so on, which is all that
+    motion can show; a vehicle file gives `x_g` ... `z_b`.
     """
 
     id = "restoring"

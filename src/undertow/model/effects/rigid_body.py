@@ -12,7 +12,7 @@ from undertow.model.symbols import Signals
 
 
 class RigidBody(Wrench):
-    """Inertia of the vehicle and of everything it carries, in base parameters (mass, static moments, inertia).
+    """Inertia of the vehicle and of all it carries, in base parameters (mass, static moments, inertia).
 
     The static moments `m x_g` and the inertia about the body origin enter linearly; a vehicle file may give
     the centre of gravity `x_g`, `y_g`, `z_g` instead.
@@ -58,6 +58,8 @@ class RigidBody(Wrench):
     def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
         arms = {k: v for k, v in entries.items() if k in cls.file_units()}
         if arms and "m" not in entries:
-            raise UndertowError("rigid_body: x_g, y_g, z_g need the mass m: give m or the static moments mx_g ...")
+            raise UndertowError(
+                "rigid_body: x_g, y_g, z_g need the mass m: give m, or static moments mx_g ..."
+            )
         base = {k: v for k, v in entries.items() if k not in arms}
         return base | {f"m{k}": entries["m"] * v for k, v in arms.items()}

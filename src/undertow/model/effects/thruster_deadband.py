@@ -13,12 +13,18 @@ class ThrusterDeadband(Actuation):
     """Small commands give no thrust; beyond the dead band the thrust starts from zero."""
 
     id = "thruster_deadband"
-    reference = "dead zone nonlinearity, output c - w sgn(c) outside |c| < w; Khalil (2002), Nonlinear Systems, section 1.2"
+    reference = (
+        "dead zone, output c - w sgn(c) outside |c| < w; Khalil (2002), Nonlinear Systems, section 1.2"
+    )
     signature = "no answer at all to small commands, and a constant shortfall at large ones"
     stage = 20
 
     deadband_width = Parameter(
-        "command", "commands smaller than this give no thrust", (0, float("inf")), linear=False, starts=(0.05, 0.2)
+        "command",
+        "commands smaller than this give no thrust",
+        (0, float("inf")),
+        linear=False,
+        starts=(0.05, 0.2),
     )
 
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:

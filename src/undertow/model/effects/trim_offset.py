@@ -12,7 +12,7 @@ from undertow.model.symbols import Signals
 
 
 class TrimOffset(Wrench):
-    """Shift of the centre of buoyancy against where the model has it: the vehicle floats with a list or trim."""
+    """Shift of the centre of buoyancy against where the model has it: the vehicle lists or trims at rest."""
 
     id = "trim_offset"
     family = "statics"
