@@ -119,6 +119,19 @@ def test_forward_and_backward_keep_their_own_standard_errors(small: Path) -> Non
     assert [third.values[n].sigma for n in new] == [0.3, 0.3]
 
 
+@pytest.mark.parametrize("sigma", [0.0, float("inf"), float("nan")])
+def test_a_standard_error_that_says_nothing_is_left_out(small: Path, sigma: float) -> None:
+    new = {"X_u": Value(-2.0, True, sigma), "thrust_aft": Value(2.0, True, sigma)}
+    again = _saved(load_vehicle(small).with_values(new), small)
+    assert (again.value_of("X_u").value, again.value_of("X_u").sigma) == (-2.0, None)
+    assert again.value_of("thrust_aft").sigma is None
+
+
+def test_an_effect_without_parameters_is_added(small: Path) -> None:
+    vehicle = load_vehicle(small).with_effect(catalogue()["rigid_body_coriolis"], {})
+    assert [e.id for e in _saved(vehicle, small).effects][-1] == "rigid_body_coriolis"
+
+
 def test_a_value_may_be_split_into_forward_and_backward(small: Path) -> None:
     vehicle = load_vehicle(small)
     values = {k: v for k, v in vehicle.values.items() if k != "X_u"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from math import isclose
+from math import inf, isclose
 from pathlib import Path
 from typing import Any
 
@@ -139,10 +139,16 @@ def _values_of(parameter: Parameter, vehicle: Vehicle) -> dict[str, Value]:
     return {key: vehicle.values[name] for key, name in names.items() if name in vehicle.values}
 
 
+def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
+    """Standard deviations that say something: a fit of exact data has none, one without data an endless one."""
+    found = {key: v.sigma for key, v in values.items() if v.sigma is not None}
+    return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
+
+
 def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Wanted:
     return Wanted(
         numbers={key: printed(parameter, v.value, signs) for key, v in values.items()},
-        sigmas={key: v.sigma for key, v in values.items() if v.sigma is not None},
+        sigmas=_sigmas(values),
         unit=parameter.unit,
         estimate=any(v.estimate for v in values.values()),
         assumed=any(v.assumed for v in values.values()),
@@ -195,7 +201,7 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
         )
     for thruster in vehicle.thrusters:
         value = thruster.thrust_per_command
-        sigmas = {} if value.sigma is None else {"value": value.sigma}
+        sigmas = _sigmas({"value": value})
         wanted = Wanted(
             {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, value.source
         )
