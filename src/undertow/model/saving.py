@@ -140,7 +140,7 @@ def _values_of(parameter: Parameter, vehicle: Vehicle) -> dict[str, Value]:
 
 
 def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
-    """Standard deviations that say something: a fit of exact data has none, one without data an endless one."""
+    """Standard deviations that say something: exact data give none, no data an endless one."""
     found = {key: v.sigma for key, v in values.items() if v.sigma is not None}
     return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
 
