@@ -59,7 +59,7 @@ def test_laws_are_tried_where_they_apply(check: str, effects: set[str]) -> None:
 # --- effects of a user, good and bad --------------------------------------------------------------
 HEAD = """
 import sympy as sm
-from undertow.model.effect import Actuation, Flow, Measurement, Wrench
+from undertow.model.effect import Actuation, Effect, Flow, Measurement, Wrench
 from undertow.model.effects.added_mass import AddedMass
 from undertow.model.kinematics import coriolis, rotation
 from undertow.model.parameter import Parameter, PerThruster
@@ -380,6 +380,41 @@ def test_all_findings_come_at_once(tmp_path: Path) -> None:
 def test_a_class_without_id_is_told_so(tmp_path: Path) -> None:
     cls = effect_from(tmp_path, KEEL.replace('id = "keel_drag"', ""))
     assert [(f.check, f.message[:13]) for f in check_effect(cls) if not f.ok] == [("id", "id is missing")]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "check", "message"),
+    [
+        (
+            "class KeelDrag(Wrench)",
+            "class KeelDrag(Effect)",
+            "id",
+            "KeelDrag is of no kind: derive it from Wrench",
+        ),
+        (
+            "dissipative = True",
+            'requires = "added_mass"',
+            "requires",
+            r"write a tuple, such as \('added_mass',\)",
+        ),
+        ("dissipative = True", "states = property(lambda self: 1 / 0)", "names", "ZeroDivisionError"),
+        ("dissipative = True", "def __init__(self): pass", "names", "TypeError"),
+    ],
+)
+def test_a_declaration_that_cannot_be_used_is_a_finding_and_no_crash(
+    before: str, after: str, check: str, message: str, tmp_path: Path
+) -> None:
+    cls = effect_from(tmp_path, KEEL.replace(before, after))
+    failed = {f.check: f.message for f in check_effect(cls) if not f.ok}
+    assert re.search(message, failed[check])
+
+
+def test_a_users_file_may_hold_dataclasses(tmp_path: Path) -> None:
+    helper = "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+    (tmp_path / "mine.py").write_text(
+        helper + HEAD + "@dataclass\nclass Foil:\n    span: float\n" + KEEL, encoding="utf-8"
+    )
+    assert [cls.__name__ for cls in load_effects(tmp_path / "mine.py")] == ["KeelDrag"]
 
 
 def test_an_expression_that_no_rule_knows_is_a_finding_and_no_crash(tmp_path: Path) -> None:

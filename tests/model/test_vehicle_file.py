@@ -326,6 +326,14 @@ def test_effects_run_where_the_user_trusts_the_vehicle(with_effects: Path) -> No
     assert "Y_keel" in load_vehicle(with_effects, trust_effects=True).parameter_names
 
 
+def test_a_file_that_is_named_twice_runs_once(with_effects: Path) -> None:
+    same = [
+        with_effects.parent / "mine.py",
+        with_effects.parent / ".." / with_effects.parent.name / "mine.py",
+    ]
+    assert "Y_keel" in load_vehicle(with_effects, effect_files=same, trust_effects=True).parameter_names
+
+
 def test_only_the_named_file_runs(with_effects: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.py"
     other.write_text(KEEL, encoding="utf-8")

@@ -6,12 +6,14 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
+import sys
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
+from zlib import crc32
 
 from undertow.errors import UndertowError
 
@@ -89,13 +91,16 @@ def load_effects(path: Path) -> list[type[Effect]]:
     """
     if not path.is_file():
         raise UndertowError(f"effect file '{path}' does not exist: check the path")
-    spec = importlib.util.spec_from_file_location(f"undertow_user_effects_{path.stem}", path)
+    name = f"undertow_user_effects_{path.stem}_{crc32(str(path.resolve()).encode()):08x}"
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise UndertowError(f"effect file '{path}' is not a Python file: name it *.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up there
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's file raises is the user's to mend
+        del sys.modules[name]
         raise UndertowError(f"effect file '{path}' cannot be run: {type(error).__name__}: {error}") from error
     found = effects_in(module)
     if not found:

@@ -12,7 +12,7 @@ from undertow.errors import UndertowError
 from . import laws
 from .catalogue import Catalogue, catalogue
 from .dimensions import dimension
-from .effect import Effect, Wrench, kind_of
+from .effect import KINDS, Effect, Wrench
 from .parameter import Parameter
 from .statement import Statement, statement_of
 from .symbols import signal_units, signals
@@ -110,14 +110,17 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Find
 
 
 def _law_findings(law: _Law, statement: Statement) -> list[Finding]:
-    try:
-        return _found(law.check, law.holds, law.complaints(statement))
-    except Exception as error:  # an expression that SymPy cannot work with must not hide the other findings
-        return [Finding(law.check, False, f"cannot be worked out: {type(error).__name__}: {error}")]
+    return _found(law.check, law.holds, law.complaints(statement))
 
 
 def _found(check: str, holds: str, complaints: Iterator[str]) -> list[Finding]:
-    return [Finding(check, False, c) for c in complaints] or [Finding(check, True, holds)]
+    findings: list[Finding] = []
+    try:
+        findings.extend(Finding(check, False, c) for c in complaints)
+    except Exception as error:  # what SymPy or the author's code cannot do must not hide the other findings
+        why = " ".join(str(error).split())
+        findings.append(Finding(check, False, f"cannot be worked out: {type(error).__name__}: {why}"))
+    return findings or [Finding(check, True, holds)]
 
 
 # --- the declaration ------------------------------------------------------------------------------
@@ -131,6 +134,8 @@ def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str
 
 
 def _id_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    if not issubclass(cls, tuple(KINDS.values())):
+        yield f"{cls.__name__} is of no kind: derive it from Wrench, Flow, Actuation or Measurement"
     if not isinstance(getattr(cls, "id", None), str):
         yield "id is missing: give the class an attribute id = 'my_effect'"
     elif not _NAME.fullmatch(cls.id):
@@ -153,6 +158,9 @@ def _text_complaints(cls: type[Effect]) -> Iterator[str]:
 
 
 def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    if not isinstance(cls.requires, tuple):
+        yield f"requires is {cls.requires!r}: write a tuple, such as ('added_mass',)"
+        return
     for required in cls.requires:
         if required not in known:
             yield f"requires '{required}', which is no known effect: correct the id"
@@ -209,5 +217,5 @@ def _parameter_complaints(p: Parameter) -> Iterator[str]:
 
 
 def _claim_complaints(cls: type[Effect]) -> Iterator[str]:
-    if kind_of(cls) == "wrench" and issubclass(cls, Wrench) and cls.workless and cls.dissipative:
+    if issubclass(cls, Wrench) and cls.workless and cls.dissipative:
         yield "declared workless and dissipative: keep one of the two"

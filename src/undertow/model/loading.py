@@ -84,7 +84,8 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
             f"{path}: effects_from names {', '.join(table.effects_from)}, Python code that is not run "
             f"by itself: pass --effects {wanted[0]} if you trust it"
         )
-    chosen = list(dict.fromkeys([*named, *(wanted if trust else [])]))
+    # The same file under two paths is one file.
+    chosen = {file.resolve(): file for file in [*named, *(wanted if trust else [])]}.values()
     return merge(catalogue(), [cls for file in chosen for cls in load_effects(file)])
 
 
