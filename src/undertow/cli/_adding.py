@@ -1,0 +1,102 @@
+"""What `undertow add` prints and writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+
+from undertow.errors import UndertowError
+
+if TYPE_CHECKING:
+    from undertow.cli._addition import Addition, Ground
+    from undertow.identification.diagnosis.result import Step
+
+
+def target_of(vehicle: str, out: Path | None, in_place: bool) -> Path | None:
+    """The vehicle file to be written, or None.
+
+    Raises
+    ------
+    UndertowError
+        If a file would be replaced that the user has not asked to be replaced.
+    """
+    from undertow.model.loading import bundled_vehicles, resolve_vehicle
+
+    path = resolve_vehicle(vehicle)
+    if out is not None and in_place:
+        raise UndertowError("both --out and --in-place are given: choose one")
+    if in_place and path in bundled_vehicles().values():
+        raise UndertowError(f"'{vehicle}' comes with undertow and stays as it is: use --out")
+    if out is not None and out.exists() and out.samefile(path):
+        raise UndertowError(f"--out '{out}' is the vehicle file itself: name another, or give --in-place")
+    return path if in_place else out
+
+
+def show(addition: Addition) -> None:
+    """Say what the effect does to the error, and with which values."""
+    console = Console(highlight=False)
+    before, after = addition.before, addition.after
+    console.print("Error on kept-aside data (1 = noise of the sensors):")
+    console.print(f"  without {addition.effect}: {_errors(before)}")
+    console.print(f"  with {addition.effect}:    {_errors(after)}")
+    if not addition.helps:
+        console.print(f"[yellow]{addition.effect} does not help[/yellow]: no fall, or none beyond chance.")
+    errors, units = addition.fit.standard_errors, addition.fit.vehicle.declared_parameters
+    for name in addition.kept:
+        text = f"  {name} = {addition.fit.values[name]:.4g} ± {errors[name]:.1g} {units[name].unit}"
+        console.print(escape(text.rstrip()))
+    if addition.dropped:
+        console.print(f"left out, zero within their error: {', '.join(addition.dropped)}")
+
+
+def _errors(step: Step) -> str:
+    ahead = "" if step.prediction is None else f", velocity error 5 s ahead {step.prediction:.1%}"
+    return f"{step.error:.3g}{ahead}"
+
+
+def draw(addition: Addition, out: Path) -> None:
+    """The error before and after as a picture."""
+    from undertow.identification.report import falling_error, save_png
+
+    save_png(falling_error([addition.before, addition.after]), out)
+    Console().print(f"wrote {escape(str(out))}")
+
+
+def write(addition: Addition, ground: Ground, template: Path, out: Path) -> None:
+    """Write the vehicle file with the effect, and how it came about."""
+    from undertow.model.saving import save_vehicle
+
+    save_vehicle(addition.fit.vehicle, template, out, history=_history(addition, ground))
+    Console().print(f"wrote {escape(str(out))}")
+
+
+def _history(addition: Addition, ground: Ground) -> dict[str, object]:
+    roles = [("train", r) for r in ground.train] + [("holdout", r) for r in ground.test]
+    fit = addition.fit
+    return {
+        "command": "undertow add",
+        "date": date.today().isoformat(),
+        "added": [addition.effect],
+        "helps": addition.helps,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in roles],
+        "error_before": addition.before.error,
+        "error_after": addition.after.error,
+        "covariance": {"parameters": list(fit.model.free), "matrix": fit.covariance.tolist()},
+    }
+
+
+def code_of(vehicle: Path, effects: Sequence[Path], build: Path) -> None:
+    """Regenerate the C code of a vehicle file, and say what has changed."""
+    from undertow.codegen.export import Export
+    from undertow.model.loading import load_vehicle
+
+    report = Export(load_vehicle(vehicle, effect_files=effects)).write(build)
+    console = Console(highlight=False)
+    console.print(f"wrote the code in {escape(str(report.folder))}")
+    for line in report.changes:
+        console.print(f"  {escape(line)}")

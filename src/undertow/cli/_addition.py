@@ -1,0 +1,206 @@
+"""Putting one effect into a model: the refit, and the error on kept-aside data before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.identification.compare.cutting import cut
+from undertow.identification.compare.windows import Predictor, Windows, prediction_error
+from undertow.identification.diagnosis.candidates import Candidate, candidates
+from undertow.identification.diagnosis.diagnose import HORIZON
+from undertow.identification.diagnosis.evidence import Comparison, compare_scores
+from undertow.identification.diagnosis.result import Step
+from undertow.identification.diagnosis.search import FALSE_ALARM_RATE, SMALLEST_FALL
+from undertow.identification.diagnosis.split import keep_blocks_aside
+from undertow.identification.diagnosis.trial import Bench, Score, Trial, scout, try_candidate
+from undertow.identification.logs import Run
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import WeakFit, disturbed, fit_weak, mean_square
+from undertow.identification.weak.noise import Whitening
+from undertow.identification.weak.residual import whitened
+from undertow.model.catalogue import Catalogue
+from undertow.model.effect import Effect
+from undertow.model.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Logs to fit to and to judge by, and the model as it is, fitted to them.
+
+    Attributes
+    ----------
+    train, test : list of Run
+        The logs.
+    bench : Bench
+        Data, noise and the fitted model without the effect.
+    windows : Windows
+        Stretches of the kept-aside logs over which motion is predicted.
+    """
+
+    train: list[Run]
+    test: list[Run]
+    bench: Bench
+    windows: Windows
+
+    def ahead(self, vehicle: Vehicle) -> float:
+        """Velocity error of the prediction ahead on kept-aside data, as a share of the motion."""
+        predictor = Predictor(vehicle, compiled=False)
+        return float(prediction_error(predictor.predict(self.windows, predictor.values)))
+
+
+@dataclass(frozen=True)
+class Addition:
+    """An effect that was put into a model.
+
+    Attributes
+    ----------
+    effect : str
+        Its id.
+    fit : WeakFit
+        The fit of the model with it.
+    kept, dropped : tuple of str
+        Parameters of the effect that are in the model now, and those that proved to be zero.
+    before, after : Step
+        Error on kept-aside data (1 = noise of the sensors) and prediction ahead.
+    evidence : Comparison
+        How strongly the kept-aside data speak for the effect.
+    """
+
+    effect: str
+    fit: WeakFit
+    kept: tuple[str, ...]
+    dropped: tuple[str, ...]
+    before: Step
+    after: Step
+    evidence: Comparison
+
+    @property
+    def helps(self) -> bool:
+        """Whether the error on kept-aside data falls by more than chance and by enough to matter."""
+        strong = self.evidence.p_value < FALSE_ALARM_RATE and self.evidence.mean > SMALLEST_FALL
+        return strong and self.after.error < self.before.error
+
+
+def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = ()) -> Ground:
+    """Fit a model as it is, and get ready to judge what is added to it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model; parameters marked `estimate` are refitted.
+    runs, holdout : sequence of Run
+        Logs to fit to and to judge by; without `holdout`, stretches of `runs` are kept aside.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing or a log is too short.
+    """
+    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    train = prepare(train_runs, vehicle)
+    test = prepare(test_runs, vehicle, sigma=train.sigma)
+    base = fit_weak(vehicle, train)
+    quiet = base.model.whitening(test, base.p)
+    bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
+    longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
+    return Ground(train_runs, test_runs, bench, cut(test_runs, vehicle, min(HORIZON, 0.9 * longest)))
+
+
+def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) -> Addition:
+    """Put an effect into the model, refit all, and judge it on kept-aside data.
+
+    Parameters
+    ----------
+    effect : type of Effect
+        The effect.
+    ground : Ground
+        Logs and the model without it.
+    keep_all : bool
+        Keep parameters that prove to be zero within their error, too.
+
+    Raises
+    ------
+    UndertowError
+        If the model has all of the effect already, or lacks one that it needs.
+    """
+    candidate = _candidate(effect, ground.bench.base.vehicle)
+    start = scout(candidate, ground.bench)[1]
+    if not _visible(candidate, ground.bench, start):
+        raise UndertowError(
+            f"effect '{effect.id}' has no influence on '{ground.bench.base.vehicle.name}' in these logs: "
+            "its parameters cannot be found"
+        )
+    first = _tried(candidate, ground.bench, start, keep_all)
+    if candidate.removable and not first.kept:
+        # No parameter is clearly other than zero. The kept-aside data have the last word, so all go in.
+        keep_all, first = True, _whole(candidate, ground.bench, start)
+    # What is judged is weighed by the noise model of the better fit, for both models alike.
+    sharp = ground.bench.sharpened(first.fit)
+    return _told(ground, sharp, _tried(candidate, sharp, first.fit.values, keep_all))
+
+
+def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
+    present = {e.id for e in vehicle.effects}
+    lacking = [name for name in effect.requires if name not in present]
+    if effect.built_in:
+        raise UndertowError(f"effect '{effect.id}' is part of every vehicle: there is nothing to add")
+    if lacking:
+        needed = " and ".join(lacking)
+        raise UndertowError(f"effect '{effect.id}' needs {needed} in the vehicle file: add that first")
+    candidate = Candidate(effect, vehicle)
+    if candidate.adds_nothing:
+        raise UndertowError(
+            f"effect '{effect.id}' adds nothing to '{vehicle.name}': all of it that its degrees of freedom "
+            "can show is in the vehicle file already"
+        )
+    return candidate
+
+
+def visible_effects(ground: Ground, known: Catalogue) -> list[type[Effect]]:
+    """Effects that could be added to the model and that these logs could show."""
+    bench = ground.bench
+    possible = candidates(bench.base.vehicle, known)
+    return [c.effect for c in possible if _visible(c, bench, scout(c, bench)[1])]
+
+
+def _visible(candidate: Candidate, bench: Bench, start: dict[str, float]) -> bool:
+    """Whether its parameters change anything: a delay of commands that a vehicle lacks never could."""
+    once = bench.fit(candidate.vehicle, candidate.free(), start, most=1)
+    influence = dict(zip(once.model.free, np.diag(once.gram), strict=True))
+    return not candidate.parameters or any(influence[p.name] > 0.0 for p in candidate.parameters)
+
+
+def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all: bool) -> Trial:
+    return (_whole if keep_all else try_candidate)(candidate, bench, start)
+
+
+def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
+    """The candidate with all of its parameters."""
+    fit = bench.fit(candidate.vehicle, candidate.free(), start)
+    return Trial(candidate, fit, candidate.removable, bench.judge(fit))
+
+
+def _told(ground: Ground, bench: Bench, trial: Trial) -> Addition:
+    own = tuple(p.name for p in trial.candidate.parameters)
+    kept = tuple(n for n in own if n in trial.fit.model.free)
+    noise = trial.fit.model.whitening(bench.test, trial.fit.p)
+    return Addition(
+        trial.id,
+        trial.fit,
+        kept,
+        tuple(n for n in own if n not in kept),
+        _step(ground, [], bench.base, noise),
+        _step(ground, [trial.id], trial.fit, noise),
+        compare_scores(bench.base_score, trial.score, bench.test),
+    )
+
+
+def _step(ground: Ground, added: list[str], fit: WeakFit, noise: list[Whitening]) -> Step:
+    """Errors of a fitted model on the kept-aside data; `noise` is that of the channels alone."""
+    test = ground.bench.test
+    r = whitened(fit.model.linearise(test, fit.p), noise).r
+    return Step(added=added, error=Score(r, mean_square(r, test)).error, prediction=ground.ahead(fit.vehicle))
