@@ -26,20 +26,31 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
     for left in diagnosis.remaining:
-        console.print(f"{left.degree_of_freedom}: residual {left.residual_rms:.3g} {left.unit} rms, {escape(left.note)}")
+        console.print(
+            f"{left.degree_of_freedom}: residual {left.residual_rms:.3g} {left.unit} rms, {escape(left.note)}"
+        )
     for warning in diagnosis.warnings:
         console.print(f"[yellow]warning[/yellow]: {escape(warning)}")
-    console.print(f"[dim]{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms[/dim]")
+    console.print(
+        f"[dim]{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms[/dim]"
+    )
 
 
 def _ranking(diagnosis: Diagnosis) -> Table:
-    table = Table(title="Candidates, judged on kept-aside data (error 1 = noise of the sensors)", title_justify="left")
+    table = Table(
+        title="Candidates, judged on kept-aside data (error 1 = noise of the sensors)", title_justify="left"
+    )
     for name in ("effect", "error before", "error after", "explains", "significant", "parameters"):
         table.add_column(name, justify="left" if name in ("effect", "parameters") else "right")
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     for r in helping:
         text = ", ".join(_value(p) for p in r.parameters[:4]) + (" ..." if len(r.parameters) > 4 else "")
-        cells = (f"{r.error_before:.3g}", f"{r.error_after:.3g}", f"{r.explained:.0%}", "yes" if r.significant else "no")
+        cells = (
+            f"{r.error_before:.3g}",
+            f"{r.error_after:.3g}",
+            f"{r.explained:.0%}",
+            "yes" if r.significant else "no",
+        )
         table.add_row(r.effect, *cells, escape(text))
     rest = len(diagnosis.ranking) - len(helping)
     table.caption = f"{rest} more effects were tried and do not help" if rest else ""
@@ -90,7 +101,7 @@ def page(outcome: Outcome) -> str:
 def pictures_data(outcome: Outcome) -> ReportData:
     """Comparison of the refitted model with the kept-aside runs, before and after."""
     from undertow.identification.compare.comparison import compare
-    from undertow.identification.compare.shown import report_data
+    from undertow.identification.report import report_data
 
     before = compare(outcome.before, outcome.test)
     after = compare(outcome.after, outcome.test) if outcome.diagnosis.effects else None

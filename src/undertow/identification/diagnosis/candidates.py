@@ -71,7 +71,9 @@ class Candidate:
         """Starting points of the search, one for each combination of the shape parameters' starts."""
         shaped = [p for p in self.parameters if p.starts]
         grids = [[_start(p, s, command_scale) for s in p.starts] for p in shaped]
-        return [dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)]
+        return [
+            dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)
+        ]
 
     def with_values(self, values: Mapping[str, Value]) -> Vehicle:
         """The model with the effect at found values."""

@@ -16,8 +16,8 @@ from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.symbols import FORCE_UNITS, symbol
 from undertow.model.vehicle import Vehicle
 
-from ..compare.windows import Predictor, prediction_error
 from ..compare.cutting import cut
+from ..compare.windows import Predictor, prediction_error
 from ..logs import Run
 from ..weak.data import prepare
 from ..weak.fit import WeakFit
@@ -106,7 +106,8 @@ def _check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: np.ndarray) 
     if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
         seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
         raise UndertowError(
-            f"nothing moves in these logs: standard deviation of {seen}; log a manoeuvre in which the vehicle moves"
+            f"nothing moves in these logs: standard deviation of {seen}; "
+            "log a manoeuvre in which the vehicle moves"
         )
 
 
@@ -204,7 +205,11 @@ class _Story:
     def _left(self, i: int, ratio: float, score: Score) -> Remaining:
         inertia = self._inertia(i)
         noise = inertia * self._acceleration_noise(i)
-        note = "explained by the noise" if ratio**2 < 2.0 else f"{ratio:.1f} times what the noise alone would leave"
+        note = (
+            "explained by the noise"
+            if ratio**2 < 2.0
+            else f"{ratio:.1f} times what the noise alone would leave"
+        )
         return Remaining(
             degree_of_freedom=self.vehicle.degrees_of_freedom[i],
             normalised_error=ratio,
@@ -227,7 +232,9 @@ class _Story:
         size = len(self.bench.test.names) // 2
         weights = segment.functions.rate
         width = float(np.mean(segment.functions.held.sum(axis=1)))
-        return float(self.bench.test.sigma[size + i] * np.sqrt(weights.multiply(weights).sum(axis=1).mean()) / width)
+        return float(
+            self.bench.test.sigma[size + i] * np.sqrt(weights.multiply(weights).sum(axis=1).mean()) / width
+        )
 
 
 def _new_parameters(finding: Finding) -> tuple[str, ...]:

@@ -26,7 +26,8 @@ class Comparison:
     interval : (float, float)
         95 % interval of the mean over blocks.
     p_value : float
-        Chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test, one-sided).
+        Chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test,
+        one-sided).
     """
 
     mean: float
@@ -56,4 +57,8 @@ def explained(before: Score, after: Score, noise: Array) -> float:
     """Share of the mean square above the level of the channels' noise that went away."""
     floor = np.exp(np.nanmean(np.log(np.maximum(noise, 1e-12))))
     excess = before.error**2 - floor
-    return float(np.clip((before.error**2 - max(after.error**2, floor)) / excess, -1.0, 1.0)) if excess > 0 else 0.0
+    return (
+        float(np.clip((before.error**2 - max(after.error**2, floor)) / excess, -1.0, 1.0))
+        if excess > 0
+        else 0.0
+    )

@@ -1,4 +1,6 @@
-"""The search for what is missing: all candidates, the leading ones under a finer noise model, then the next effect."""
+"""The search for what is missing: all candidates, the leading ones under a finer noise model, then the next
+effect.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,11 @@ class Search:
 
 
 def search(
-    vehicle: Vehicle, train: WeakData, test: WeakData, known: Catalogue, report: Report = lambda done, words: None
+    vehicle: Vehicle,
+    train: WeakData,
+    test: WeakData,
+    known: Catalogue,
+    report: Report = lambda done, words: None,
 ) -> Search:
     """Look for missing effects, one after the other, until the noise floor or until nothing helps.
 
@@ -107,14 +113,22 @@ def search(
     bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
     fit, score = base, bench.base_score
     while len(rounds) < MAX_EFFECTS and (not rounds or score.error > FLOOR):
-        share = len(rounds) / MAX_EFFECTS
-        current = _round(bench, known, lambda done, words, at=share: report(at + done / MAX_EFFECTS, words))
+        current = _round(bench, known, _share_of(report, len(rounds)))
         rounds.append(current)
         if current.winner is None:
             break
         fit, score = current.winner.trial.fit, current.winner.trial.score
         bench = Bench(train, test, current.bench.train_whitening, current.bench.test_whitening, fit)
     return Search(rounds, fit, score)
+
+
+def _share_of(report: Report, done_rounds: int) -> Report:
+    """Progress within one round as progress of the whole."""
+
+    def told(done: float, words: str) -> None:
+        report((done_rounds + done) / MAX_EFFECTS, words)
+
+    return told
 
 
 def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
@@ -125,14 +139,18 @@ def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
     for i, (candidate, start) in enumerate(worth):
         report(0.5 + 0.3 * i / len(worth), f"fitting {candidate.id}")
         trials.append(try_candidate(candidate, bench, start))
-    finalists = sorted((t for t in trials if t.kept or not t.candidate.removable), key=lambda t: t.score.error)
+    finalists = sorted(
+        (t for t in trials if t.kept or not t.candidate.removable), key=lambda t: t.score.error
+    )
     bench, finalists = _final(bench, finalists[:_FINALISTS], report)
     tried = {t.id for t in finalists}
     others = [rejected(c, bench) for c in possible if c.id not in tried]
     return _judged(bench, finalists + others, len(possible))
 
 
-def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[tuple[Candidate, float, dict[str, float]]]:
+def _scouted(
+    possible: Sequence[Candidate], bench: Bench, report: Report
+) -> list[tuple[Candidate, float, dict[str, float]]]:
     found = []
     for i, candidate in enumerate(possible):
         report(0.5 * i / len(possible), f"trying {candidate.id}")

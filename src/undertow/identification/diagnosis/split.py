@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 from ..logs import Run
 
@@ -31,5 +32,5 @@ def _pieces(run: Run) -> list[Run]:
     gap = min(_GAP_SECONDS, 0.1 * length)
     return [
         replace(run.slice(a, b if i == _PIECES - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
-        for i, (a, b) in enumerate(zip(edges, edges[1:], strict=False))
+        for i, (a, b) in enumerate(pairwise(edges))
     ]

@@ -1,4 +1,6 @@
-"""Trying one candidate: fit it with the rest of the model, keep the parameters that matter, judge it on kept-aside data."""
+"""Trying one candidate: fit it with the rest of the model, keep the parameters that matter, judge it on
+kept-aside data.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +114,9 @@ class Bench:
 
     @cached_property
     def noise_level(self) -> Array:
-        """Mean square that the noise of the channels alone would have on the kept-aside data, for each equation."""
+        """Mean square that the noise of the channels alone would have on the kept-aside data, for each
+        equation.
+        """
         rng = np.random.default_rng(0)
         return mean_square(np.concatenate([w.noise_sample(rng) for w in self.test_whitening]), self.test)
 
@@ -135,7 +139,7 @@ class Bench:
 
 
 def scout(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float]]:
-    """What one Gauss-Newton step from the best starting point promises: sum of squares, and where it leads."""
+    """What one Gauss-Newton step from the best start promises: sum of squares, and where it leads."""
     starts = candidate.starts(bench.command_scale)
     noise = (bench.train_whitening, bench.base.disturbance)
     begin = bench.base.values

@@ -49,7 +49,9 @@ class Judgement:
 
 
 def judge(found: Search, base: Score, noise: Array) -> Judgement:
-    """Decide; `base` and `noise` are the incomplete model and the channels' noise under the final noise model."""
+    """Decide; `base` and `noise` are the incomplete model and the channels' noise under the final noise
+    model.
+    """
     winners = found.winners
     share = explained(base, found.final_score, noise)
     quiet = _only_noise(found.final_score, noise)
@@ -71,8 +73,8 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
         text = "Nothing is missing: what the refitted model leaves is the noise of the sensors."
         return Judgement("adequate", text, [], [], share)
     text = (
-        "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect of the catalogue "
-        "lowers the error on kept-aside data."
+        "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect "
+        "of the catalogue lowers the error on kept-aside data."
     )
     return Judgement("unexplained", text, [], [], share)
 
@@ -80,8 +82,8 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
 def _unexplained(winners: list[Finding], share: float) -> Judgement:
     names = " and ".join(f.id for f in winners)
     text = (
-        f"Unexplained: {names} lowers the kept-aside error but explains only {share:.0%} of what exceeds the noise, "
-        "too little to be named as what is missing."
+        f"Unexplained: {names} lowers the kept-aside error but explains only {share:.0%} of what "
+        "exceeds the noise, too little to be named as what is missing."
     )
     return Judgement("unexplained", text, [], [], share)
 
@@ -96,10 +98,11 @@ def _named(winners: list[Finding], sets: list[Indistinguishable], share: float, 
 
 
 def _sets(found: Search) -> list[Indistinguishable]:
-    rounds = [r for r in found.rounds if r.winner is not None and r.rivals]
+    pairs = [(r.winner, r.rivals) for r in found.rounds]
     return [
-        Indistinguishable(effects=[r.winner.id, *r.rivals], reason=_reason(r.winner))  # type: ignore[union-attr]
-        for r in rounds
+        Indistinguishable(effects=[best.id, *rivals], reason=_reason(best))
+        for best, rivals in pairs
+        if best is not None and rivals
     ]
 
 
@@ -110,7 +113,9 @@ def _reason(best: Finding) -> str:
     )
 
 
-def compensations(before: Vehicle, fitted: dict[str, tuple[float, float]], helped: dict[str, float]) -> list[str]:
+def compensations(
+    before: Vehicle, fitted: dict[str, tuple[float, float]], helped: dict[str, float]
+) -> list[str]:
     """Warnings for parameters that a fit pushed far from their prior.
 
     Parameters
@@ -137,7 +142,9 @@ def _compensation(name: str, value: float, prior: float, distance: float, after:
     ratio = f"{value / prior:.3g} times its prior" if prior else f"{value:.3g} against a prior of 0"
     line = f"{name} is {ratio} ({distance:.1f} standard deviations)"
     if after is not None and abs(after - prior) < 0.5 * abs(value - prior):
-        return f"{line}: it was making up for what is missing, and returns to {after / prior:.3g} times with it"
+        return (
+            f"{line}: it was making up for what is missing, and returns to {after / prior:.3g} times with it"
+        )
     return f"{line}: either the prior is wrong, or it makes up for something that is missing"
 
 

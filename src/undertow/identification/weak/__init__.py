@@ -1,1 +1,1 @@
-"""The weak form: the residual of the model averaged with test functions, without differentiating any signal."""
+"""The weak form: the model's residual averaged with test functions; no signal is differentiated."""

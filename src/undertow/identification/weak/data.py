@@ -22,7 +22,8 @@ _WIDER_FOR_DERIVED = 2.0
 _BLOCKS = 24
 _LONGEST_BLOCK = 5.0
 _SHORTEST_BLOCK = 1.0
-# Quadrature over samples is not exact, so no channel counts as better known than this share of its change in 1 s.
+# Quadrature over samples is not exact, so no channel counts as better known than this share of its change
+# in 1 s.
 _FINEST = 2e-3
 
 
@@ -103,7 +104,7 @@ class WeakData:
 
     @cached_property
     def block_seconds(self) -> float:
-        """Length of blocks: long against the memory of vehicles, short enough that there are enough of them."""
+        """Length of blocks: long against the memory of vehicles, short enough that there are many."""
         total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
         return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
 
@@ -141,12 +142,16 @@ def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -
     segments = [s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle)]
     if not segments:
         lengths = ", ".join(f"'{r.name}' {len(r.t)}" for r in runs)
-        raise UndertowError(f"no stretch without gaps is long enough for the weak form (samples: {lengths}); 25 are needed")
+        raise UndertowError(
+            f"no stretch without gaps is long enough for the weak form (samples: {lengths}); 25 are needed"
+        )
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
     kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
     noise = _floored(channel_noise(runs, names), runs, names) if sigma is None else sigma
-    return WeakData(tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names)
+    return WeakData(
+        tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names
+    )
 
 
 def _require(run: Run, names: list[str], vehicle: str) -> None:
@@ -158,7 +163,9 @@ def _require(run: Run, names: list[str], vehicle: str) -> None:
             )
 
 
-def _segments(index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...], vehicle: Vehicle) -> list[Segment]:
+def _segments(
+    index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...], vehicle: Vehicle
+) -> list[Segment]:
     needed = [n for n in names if n in pose or n in vehicle.velocity_names]
     commands = run.matrix(vehicle.command_names)
     spacing = knot_spacing(run.t) * (_WIDER_FOR_DERIVED if run.derived else 1.0) if len(run.t) > 1 else 1.0

@@ -1,4 +1,6 @@
-"""States that are driven by what was logged: the actuation chain along the commands, memory along the motion."""
+"""States that are driven by what was logged: the actuation chain along the commands, memory along the
+motion.
+"""
 
 from __future__ import annotations
 
@@ -133,14 +135,17 @@ class Chain:
         seconds = float(delay[0, 0])
         value = shifted_mean(t, driven.value, seconds)
         moved, start = (
-            shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape) for s in (driven.slope, driven.start)
+            shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape)
+            for s in (driven.slope, driven.start)
         )
         per_second = -shift_rate(t, driven.value, seconds)
         return Driven(value, moved + per_second[:, :, None] * slope.ravel(), start)
 
 
 def shifted_mean(t: Array, held: Array, delay: float) -> Array:
-    """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first value."""
+    """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first
+    value.
+    """
     total = _integral(t, held)
     late = _at(t, total, held, t - delay)
     step = np.diff(t)[:, None]
@@ -174,7 +179,9 @@ class Memory:
         Pose and velocity in terms of `measured`.
     """
 
-    def __init__(self, functions: Functions, free: tuple[int, ...], measured: ca.SX, true_motion: ca.SX) -> None:
+    def __init__(
+        self, functions: Functions, free: tuple[int, ...], measured: ca.SX, true_motion: ca.SX
+    ) -> None:
         self.functions, self.free = functions, free
         self._measured, self._true_motion = measured, true_motion
 

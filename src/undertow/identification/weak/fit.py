@@ -1,4 +1,6 @@
-"""Fitting parameters to the weak residual: Gauss-Newton with bounds, generalised least squares, honest errors."""
+"""Fitting parameters to the weak residual: Gauss-Newton with bounds, generalised least squares, honest
+errors.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ class WeakFit:
         values = {}
         for name, place in zip(self.model.free, self.model.places, strict=True):
             known = old.value_of(name)
-            values[name] = replace(known, value=float(self.p[place]), sigma=float(errors[name]), estimate=True)
+            values[name] = replace(
+                known, value=float(self.p[place]), sigma=float(errors[name]), estimate=True
+            )
         return old.with_values(values)
 
     @cached_property
@@ -81,7 +85,8 @@ class WeakFit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the free parameters: never less than noise alone gives, and robust to autocorrelation.
+        """Covariance of the free parameters: never less than noise alone gives, and robust to
+        autocorrelation.
 
         Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
         """
@@ -184,7 +189,8 @@ def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> lis
     """A noise model with a disturbance of the given intensity in each equation."""
     level = disturbance[list(data.rows)]
     return [
-        w.with_disturbance(np.tile(level, s.functions.count)) for w, s in zip(quiet, data.segments, strict=True)
+        w.with_disturbance(np.tile(level, s.functions.count))
+        for w, s in zip(quiet, data.segments, strict=True)
     ]
 
 
@@ -224,7 +230,9 @@ def promise(
     disturbance: Array,
 ) -> tuple[float, dict[str, float]]:
     """Sum of squares that one Gauss-Newton step promises, and the free parameters after it."""
-    fit = _solved(WeakModel(Functions(vehicle), free), _started(vehicle, start), data, whitening, disturbance, 0)
+    fit = _solved(
+        WeakModel(Functions(vehicle), free), _started(vehicle, start), data, whitening, disturbance, 0
+    )
     places = list(fit.model.places)
     bounds = bounds_of(fit.model)
     step = bounded_step(fit.at, fit.p[places], bounds, prior_of(fit.model))
@@ -237,7 +245,12 @@ def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
 
 
 def _solved(
-    model: WeakModel, p: Array, data: WeakData, whitening: list[Whitening], disturbance: Array, max_iterations: int
+    model: WeakModel,
+    p: Array,
+    data: WeakData,
+    whitening: list[Whitening],
+    disturbance: Array,
+    max_iterations: int,
 ) -> WeakFit:
     bounds = bounds_of(model)
     prior = prior_of(model)
@@ -246,7 +259,7 @@ def _solved(
     p[places] = np.clip(p[places], *bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
-    for iteration in range(1, max_iterations + 1):
+    for iteration in range(1, max_iterations + 1):  # noqa: B007 (the count is part of the result)
         step = bounded_step(at, p[places], bounds, prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
@@ -278,5 +291,3 @@ def _line_search(
         if _squares(after.r) <= before * (1 + 1e-12):
             return tried, after
     return p, at
-
-

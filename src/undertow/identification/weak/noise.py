@@ -20,8 +20,8 @@ _GAUSSIAN_MAD = 1.4826
 def white_noise(t: Array, y: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
 
-    A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is smooth; the order
-    that leaves least is taken, so a fast signal does not pass for noise.
+    A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is
+    smooth; the order that leaves least is taken, so a fast signal does not pass for noise.
     """
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
@@ -44,7 +44,8 @@ class Whitening:
     Parameters
     ----------
     covariance : sparse (m, m)
-        Covariance of the residual from the noise of the channels, rows ordered by test function, then by equation.
+        Covariance of the residual from the noise of the channels, rows ordered by test function,
+        then by equation.
     overlap : sparse (m, m)
         Integrals of products of test functions of the same equation: the covariance of a white disturbance.
     intensity : (m,) array
@@ -74,7 +75,7 @@ class Whitening:
     def noise_sample(self, rng: np.random.Generator) -> Array:
         """What the noise of the channels alone would look like after whitening: one draw, shape (m,)."""
         factor = _cholesky(self._covariance)
-        draw = rng.standard_normal(factor.shape[1])
+        draw = np.asarray(rng.standard_normal(factor.shape[1]))
         return self(_times(factor, draw))
 
 
@@ -100,7 +101,7 @@ def _times(factor: Array, vector: Array) -> Array:
 
 
 def overlap(functions: TestFunctions, t: Array, equations: int) -> csr_array:
-    """Covariance of the weak residual under a white disturbance of unit intensity in every equation, (m, m)."""
+    """Covariance of the weak residual under a white disturbance of unit intensity, shape (m, m)."""
     step = np.append(np.diff(t), 1.0)
     gram = functions.held @ diags_array(1.0 / step) @ functions.held.T
     return csr_array(kron(gram, eye_array(equations)))
@@ -133,7 +134,9 @@ def residual_covariance(functions: TestFunctions, slope: Array, sigma: Array, ro
     return csr_array(stacked @ stacked.T)
 
 
-def _channel(functions: TestFunctions, slope: Array, row: int, channel: int, n: int, sigma: float) -> csr_array:
+def _channel(
+    functions: TestFunctions, slope: Array, row: int, channel: int, n: int, sigma: float
+) -> csr_array:
     """Sensitivity of equation `row` to one standard deviation of a channel, shape (K, N)."""
     differentiated, plain, held = (0, n, 4 * n) if row < n else (2 * n, 3 * n, None)
     place = row % n

@@ -13,15 +13,17 @@ from undertow.codegen.functions import Functions, solve_symmetric
 Array = NDArray[np.float64]
 
 
-
-
 class Pointwise:
     """Terms of the weak form at a sample, for one vehicle.
 
-    The measured pose and velocity are first turned back into the true ones (inverse of the measurement effects).
-    Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration by the commands; n rows
-    each. The equations of motion are divided by the mass matrix: their noise then hardly depends on the parameters,
-    and least squares is not drawn to small inertia, as it is where the noise is multiplied by what is estimated.
+    The measured pose and velocity are first turned back into the true ones (inverse of the measurement
+    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration
+    by the
+    commands; n rows each. The equations of motion are divided by the mass matrix: their noise then
+    hardly depends on the
+    parameters, and least squares is not drawn to small inertia, as it is where the noise is multiplied
+    by what is
+    estimated.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ class Pointwise:
         if not self.mass_is_constant:
             return np.zeros(0)
         (mass,) = call(self._mass, [p])
-        return np.linalg.inv(mass.reshape(self.size, self.size)).ravel()
+        return np.asarray(np.linalg.inv(mass.reshape(self.size, self.size)), dtype=float).ravel()
 
     @cached_property
     def _mass(self) -> ca.Function:
@@ -160,14 +162,16 @@ def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> l
 
 
 def call(function: ca.Function, arguments: list[Array]) -> list[Array]:
-    """Call a function through its buffers; arguments and results are flat, column-major, without copies by CasADi."""
+    """Call a function through its buffers; arguments and results are flat, column-major, without copies by
+    CasADi.
+    """
     buffer, evaluate = function.buffer()
     inputs = [np.ascontiguousarray(a, dtype=float) for a in arguments]
     results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
     for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array.ravel()))
+        buffer.set_arg(i, memoryview(array.ravel().data))
     for i, array in enumerate(results):
-        buffer.set_res(i, memoryview(array))
+        buffer.set_res(i, memoryview(array.data))
     evaluate()
     return results
 

@@ -77,9 +77,13 @@ class WeakModel:
         """Pointwise rows beside their total derivatives in the free parameters and in the first states."""
         value, free, by_actuation, by_memory = mapped(self._points.value_and_derivatives, inputs, p, t)
         total = free + by_actuation @ actuation.slope + by_memory @ memory.slope
-        return np.concatenate([value, total, by_actuation @ actuation.start, by_memory @ memory.start], axis=2)
+        return np.concatenate(
+            [value, total, by_actuation @ actuation.start, by_memory @ memory.start], axis=2
+        )
 
-    def _averaged_over_steps(self, table: Array, s: Segment, actuation: Driven, memory: Driven, p: Array) -> Array:
+    def _averaged_over_steps(
+        self, table: Array, s: Segment, actuation: Driven, memory: Driven, p: Array
+    ) -> Array:
         """Take the force of the commands at both ends of the interval in which they are held."""
         n = self._points.size
         later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
@@ -119,7 +123,9 @@ def _cut(driven: Driven, s: Segment) -> Driven:
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening]) -> Linearised:
-    """All segments together, in units of their noise, free of what the unknown first states of effects contribute."""
+    """All segments together, in units of their noise, free of what the unknown first states of effects
+    contribute.
+    """
     tables = [_without_start(part, w) for part, w in zip(parts, whitening, strict=True)]
     table = np.vstack(tables)
     return Linearised(table[:, 0], table[:, 1:], np.zeros((len(table), 0)))

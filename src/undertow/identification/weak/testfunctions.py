@@ -46,7 +46,7 @@ class TestFunctions:
 
 
 def knot_spacing(t: Array) -> float:
-    """Spacing of knots for a clock: a few samples, so that the functions see all that the sampling resolves."""
+    """Spacing of knots for a clock: a few samples, so that all that the sampling resolves is seen."""
     return float(SAMPLES_PER_KNOT * np.median(np.diff(t)))
 
 
@@ -82,7 +82,7 @@ _PHI_INTEGRAL = _PHI.antiderivative()
 
 
 def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int, reach: int = 0) -> csr_array:
-    """Sparse (count, N) matrix of entry(s, i) for samples i at s = place_i - k in the support of function k."""
+    """Sparse (count, N) matrix of entry(s, i), s = place_i - k, for samples i in the support of function k."""
     rows, columns, values = [], [], []
     first = np.floor(place).astype(np.intp)
     for offset in range(-reach, DEGREE + 1):

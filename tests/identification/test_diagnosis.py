@@ -1,0 +1,178 @@
+"""The diagnosis on logs whose hidden effect is known: truth named, nothing named where nothing is missing or
+nothing fits.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case, write_case
+from undertow.errors import UndertowError
+from undertow.identification import Run, read_log
+from undertow.identification.diagnosis.candidates import Candidate, candidates
+from undertow.identification.diagnosis.diagnose import Outcome, diagnose
+from undertow.identification.diagnosis.evidence import compare_scores, explained
+from undertow.identification.diagnosis.split import keep_blocks_aside
+from undertow.identification.diagnosis.trial import Score
+from undertow.identification.diagnosis.verdict import compensations
+from undertow.identification.weak.data import prepare
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value
+
+
+def _loaded(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options):
+    case = make_case(vehicle, effects, seed, **options)
+    write_case(case, folder)
+    model = load_vehicle(folder / "vehicle.toml")
+    names = ("train_1", "train_2", "train_3", "holdout")
+    return case, model, [read_log(folder / f"{n}.csv", channels=model.command_names) for n in names]
+
+
+def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options) -> Outcome:
+    _, model, runs = _loaded(folder, vehicle, effects, seed, **options)
+    return diagnose(model, runs[:3], runs[3:])
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "effect", "seed"),
+    [("usv", "lift", 11), ("mini-auv", "thruster_deadband", 12), ("usv", "ocean_current", 13)],
+)
+def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
+    vehicle: str, effect: str, seed: int, tmp_path: Path
+) -> None:
+    outcome = _diagnosed(tmp_path, vehicle, (effect,), seed, duration=60.0)
+    d = outcome.diagnosis
+    named = {e for s in d.indistinguishable for e in s.effects} | set(d.effects)
+    assert d.verdict in ("missing_effect", "indistinguishable")
+    assert effect in named
+    assert d.ranking[0].effect == effect
+    assert d.steps[-1].error < 1.3
+    assert d.steps[0].error > 1.5 * d.steps[-1].error
+    assert d.steps[-1].prediction < d.steps[0].prediction
+    assert any(e.id == effect for e in outcome.after.effects)
+
+
+@pytest.mark.parametrize(("vehicle", "effects"), [("usv", ()), ("mini-auv", ()), ("usv", ("wrong_drag",))])
+def test_nothing_is_named_where_nothing_is_missing(
+    vehicle: str, effects: tuple[str, ...], tmp_path: Path
+) -> None:
+    d = _diagnosed(tmp_path, vehicle, effects, 21, duration=60.0).diagnosis
+    assert d.verdict == "adequate"
+    assert d.effects == []
+    assert not any(r.significant for r in d.ranking)
+
+
+def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> None:
+    d = _diagnosed(tmp_path, "usv", ("growing_drag",), 31, duration=60.0).diagnosis
+    assert d.verdict == "unexplained"
+    assert d.effects == []
+    assert d.steps[0].error > 1.5
+    assert any(r.normalised_error > 1.5 for r in d.remaining)
+
+
+def test_the_same_logs_give_the_same_answer(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=30.0)
+    first, second = (diagnose(model, runs[:2], runs[3:]).diagnosis for _ in range(2))
+    drop = {"seconds"}
+    assert first.model_dump(exclude=drop) == second.model_dump(exclude=drop)
+
+
+def test_blocks_are_kept_aside_where_no_run_is_given(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=60.0)
+    outcome = diagnose(model, runs[:3])
+    assert outcome.diagnosis.effects == ["lift"]
+    assert {r.role for r in outcome.diagnosis.runs} == {"blocks"}
+    for train in outcome.train:
+        for test in outcome.test:
+            same = train.source == test.source
+            assert not same or train.t[-1] < test.t[0] or test.t[-1] < train.t[0]
+
+
+def test_blocks_cover_a_third_and_leave_gaps() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    train, test = keep_blocks_aside([Run("a", t, {"u": np.sin(t)})])
+    assert len(train) == 4
+    assert len(test) == 2
+    assert sum(len(r.t) for r in test) / len(t) == pytest.approx(1 / 3, abs=0.05)
+    edges = sorted((r.t[0], r.t[-1]) for r in [*train, *test])
+    assert all(later[0] - earlier[1] > 0.5 for earlier, later in pairwise(edges))
+
+
+def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=20.0)
+    rng = np.random.default_rng(0)
+    still = [Run(r.name, r.t, {n: 0.01 * rng.standard_normal(len(r.t)) for n in r.channels}) for r in runs]
+    with pytest.raises(UndertowError, match="nothing moves"):
+        diagnose(model, still[:3], still[3:])
+
+
+def test_missing_parameters_of_a_present_effect_are_a_candidate() -> None:
+    auv = load_vehicle("mini-auv")
+    fewer = {n: v for n, v in auv.values.items() if n not in ("Z_wabsw", "N_rabsr")}
+    from dataclasses import replace
+
+    found = {c.id: c for c in candidates(replace(auv, values=fewer), catalogue())}
+    assert {"Z_wabsw", "N_rabsr"} <= {p.name for p in found["quadratic_damping"].parameters}
+    assert "X_uabsu" not in {p.name for p in found["quadratic_damping"].parameters}
+
+
+def test_hardware_and_present_effects_are_no_candidates() -> None:
+    rov = load_vehicle("bluerov2")
+    ids = {c.id for c in candidates(rov, catalogue())}
+    assert not ids & {"thrusters", "generalised_force", "rigid_body", "linear_damping", "quadratic_damping"}
+    assert {"ocean_current", "thruster_lag", "trim_offset", "velocity_lever_arm"} <= ids
+
+
+def test_an_effect_that_the_degrees_of_freedom_cannot_show_is_no_candidate() -> None:
+    box = load_vehicle("box-hull")
+    ids = {c.id for c in candidates(box, catalogue())}
+    assert not ids & {
+        "lift",
+        "linear_damping_coupling",
+        "velocity_lever_arm",
+        "added_mass_coriolis",
+        "net_buoyancy",
+    }
+
+
+def test_a_time_constant_is_kept_with_its_gains() -> None:
+    cls = catalogue()["radiation_memory"]
+    candidate = Candidate(cls, load_vehicle("box-hull"))
+    assert candidate.removable == ("X_memu",)
+
+
+def _score(r: np.ndarray, mean_square: float) -> Score:
+    return Score(r, np.array([mean_square, np.nan]))
+
+
+def test_evidence_needs_a_consistent_fall(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=60.0)
+    data = prepare(runs[:1], model)
+    rng = np.random.default_rng(3)
+    r = rng.standard_normal(len(data.equation))
+    lucky = r.copy()
+    lucky[: len(r) // 40] = 0.0
+    assert compare_scores(_score(1.2 * r, 1.44), _score(r, 1.0), data).p_value < 1e-5
+    assert compare_scores(_score(r, 1.0), _score(lucky, 0.9), data).p_value > 0.001
+    assert compare_scores(_score(r, 1.0), _score(r, 1.0), data).p_value == 1.0
+
+
+def test_explained_share_is_measured_above_the_noise() -> None:
+    noise = np.array([1.0])
+    assert explained(_score(np.zeros(1), 5.0), _score(np.zeros(1), 1.0), noise) == pytest.approx(1.0)
+    assert explained(_score(np.zeros(1), 5.0), _score(np.zeros(1), 3.0), noise) == pytest.approx(0.5)
+    assert explained(_score(np.zeros(1), 0.9), _score(np.zeros(1), 0.8), noise) == 0.0
+
+
+def test_a_parameter_far_from_its_prior_is_told() -> None:
+    box = load_vehicle("box-hull").with_values({"X_u": Value(-5.0, estimate=True, sigma=1.0)})
+    lines = compensations(box, {"X_u": (-15.0, 0.1)}, {"X_u": -5.5})
+    assert len(lines) == 1
+    assert "X_u is 3 times its prior" in lines[0]
+    assert "making up" in lines[0]
+    assert compensations(box, {"X_u": (-6.0, 0.1)}, {}) == []
