@@ -7,6 +7,7 @@ import hashlib
 import os
 import secrets
 import stat
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -51,21 +52,67 @@ def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
         raise UndertowError(_refusal(target, failure)) from failure
 
 
-def check_writable(*paths: str | os.PathLike[str] | None) -> None:
+def check_writable(
+    *paths: str | os.PathLike[str] | None, inputs: Iterable[str | os.PathLike[str]] = ()
+) -> None:
     """Refuse, before the work is done, outputs that could not be written after it.
+
+    Parameters
+    ----------
+    paths
+        Files that are going to be written; None is passed over.
+    inputs
+        What is read in the same work; no output may be one of these files.
 
     Raises
     ------
     UndertowError
-        If a folder is missing or write-protected, or a target is a folder.
+        If a folder is missing or write-protected, a target is a folder, write-protected or an input, or two
+        outputs are the same file.
     """
-    for path in (Path(p) for p in paths if p is not None):
-        if not path.parent.is_dir():
-            raise UndertowError(f"cannot write '{path}': folder '{path.parent}' does not exist: make it first")
-        if path.is_dir():
-            raise UndertowError(f"cannot write '{path}': it is a folder: name a file in it")
-        if not os.access(path.parent, os.W_OK):
-            raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
+    outputs = [Path(path) for path in paths if path is not None]
+    read = [Path(path) for path in inputs]
+    for i, path in enumerate(outputs):
+        _check_target(path)
+        taken = next((other for other in read if other.is_file() and _same(path, other)), None)
+        if taken is not None:
+            raise UndertowError(f"output '{path}' is the input '{taken}': choose another name for it")
+        if any(_same(path, other) for other in outputs[:i] if not _is_special(other)):
+            raise UndertowError(f"'{path}' is named for two outputs: choose another name for one of them")
+
+
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Refuse, before the work is done, a folder that could not be made or written into after it.
+
+    Raises
+    ------
+    UndertowError
+        If it, or the nearest folder above it that exists, is write-protected or no folder.
+    """
+    folder = Path(path)
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    if not existing.is_dir():
+        raise UndertowError(f"cannot write into '{folder}': '{existing}' is no folder; choose another place")
+    if not os.access(existing, os.W_OK):
+        raise UndertowError(f"cannot write into '{folder}': permission denied: {_REMEDIES[errno.EACCES]}")
+
+
+def _check_target(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise UndertowError(f"cannot write '{path}': folder '{path.parent}' does not exist: make it first")
+    if path.is_dir():
+        raise UndertowError(f"cannot write '{path}': it is a folder: name a file in it")
+    if not os.access(path if _is_special(path) else path.parent, os.W_OK):
+        raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
+
+
+def _is_special(path: Path) -> bool:
+    """Whether this is a device or a pipe: nothing is replaced there, and it may be named twice."""
+    return path.exists() and not path.is_file()
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.resolve() == other.resolve() or (one.exists() and other.exists() and one.samefile(other))
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:

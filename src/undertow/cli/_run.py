@@ -51,11 +51,11 @@ def _tell(failure: BaseException) -> int:
     if isinstance(failure, KeyboardInterrupt | typer.Abort):
         return _line("interrupted", INTERRUPTED)
     if isinstance(failure, UndertowError):
-        return _line(f"error: {failure}", INPUT_ERROR)
+        return _line(f"error: {_one_line(str(failure))}", INPUT_ERROR)
     if isinstance(failure, typer.TyperException):
         return _usage(failure)
     if isinstance(failure, OSError) and failure.strerror:
-        return _line(f"error: {_place(failure)}{failure.strerror.lower()}", INPUT_ERROR)
+        return _line(_one_line(f"error: {_place(failure)}{failure.strerror.lower()}"), INPUT_ERROR)
     return _bug(failure)
 
 
@@ -82,7 +82,9 @@ def _bug(failure: BaseException) -> int:
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    """Text in one line; control characters, which names in files may hold, do not reach the terminal."""
+    line = " ".join(text.split())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
 def _line(text: str, code: int = 0) -> int:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from undertow.identification.logs import Mapping, Run
     from undertow.model.vehicle import Vehicle
 
+MOST_SAMPLES = 300_000
+"""Samples that a fit takes: four hours at 20 Hz. In surge alone, 10^6 take five minutes and 1.4 GB."""
+
 Fill = Literal["refuse", "hold", "gap"]
 VehicleArgument = Annotated[
     str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
@@ -80,6 +83,7 @@ def load(
     effects: Sequence[Path] | None = None,
     window: tuple[float | None, float | None] = (None, None),
     fill: Fill | None = None,
+    to_fit: bool = False,
 ) -> Loaded:
     """Read a vehicle and logs that are driven by its commands, with a progress bar.
 
@@ -97,11 +101,15 @@ def load(
         Part of every log that is used, s.
     fill : "refuse", "hold" or "gap", optional
         What to do where a command has no sample.
+    to_fit : bool
+        Whether parameters are going to be fitted: logs with too many samples, or with a velocity that never
+        changes in those to work on, are refused then.
 
     Raises
     ------
     UndertowError
-        If a file cannot be read or does not fit the vehicle, or a log is given twice.
+        If a file cannot be read or does not fit the vehicle, a log is given twice, or a fit would be
+        in vain.
     """
     from undertow.identification.logs import read_mapping
     from undertow.model.loading import load_vehicle, resolve_vehicle
@@ -110,8 +118,10 @@ def load(
     mapping = None if map is None else read_mapping(map)
     paths = [*logs, *(holdout or ())]
     with progress("reading logs", total=len(paths)) as report:
-        runs = _runs(paths, model, mapping, window, fill, report)
+        runs = _runs(paths, model, mapping, window, fill, MOST_SAMPLES if to_fit else None, report)
     _refuse_twins(runs)
+    if to_fit:
+        _refuse_dead(runs[: len(logs)], model)
     runs = _distinct(runs)
     return Loaded(model, resolve_vehicle(vehicle), runs[: len(logs)], runs[len(logs) :])
 
@@ -122,16 +132,34 @@ def _runs(
     mapping: Mapping | None,
     window: tuple[float | None, float | None],
     fill: Fill | None,
+    most: int | None,
     report: Report,
 ) -> list[Run]:
     from undertow.identification.logs import read_log, velocities_from_pose
 
-    runs = []
+    runs: list[Run] = []
     for done, path in enumerate(paths):
         report(done, f"reading {path.name}")
         run = read_log(path, mapping, vehicle.command_names, window=window, missing_commands=fill)
+        _refuse_too_many(sum(len(r.t) for r in (*runs, run)), most, path)
         runs.append(velocities_from_pose(run, vehicle.degrees_of_freedom))
     return runs
+
+
+def _refuse_too_many(samples: int, most: int | None, path: Path) -> None:
+    if most is not None and samples > most:
+        raise UndertowError(
+            f"log {path}: with it there are {samples} samples, a fit takes at most {most}: take a part "
+            "of the logs with --from and --to, or thin them out (10 to 20 samples per second are enough)"
+        )
+
+
+def _refuse_dead(runs: list[Run], vehicle: Vehicle) -> None:
+    """A velocity that never changes would be explained by parameters that make the vehicle heavy or stiff."""
+    from undertow.identification.logs.checks import constant_channels, refuse_constant
+
+    dead = [constant_channels(run, vehicle.velocity_names) for run in runs]
+    refuse_constant(runs[0], [name for name in dead[0] if all(name in found for found in dead)])
 
 
 def _refuse_twins(runs: list[Run]) -> None:

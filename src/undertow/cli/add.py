@@ -68,8 +68,11 @@ def add(
 
     wanted = lookup(effect, merge(catalogue(), [cls for file in effects or [] for cls in load_effects(file)]))
     target = target_of(vehicle, out, in_place)
-    check_writable(target, picture)
-    loaded = load(vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill)
+    read: list[str | Path] = [*logs, *(holdout or []), *(effects or []), *([map] if map else [])]
+    check_writable(target, picture, inputs=[*read, *([] if in_place else [vehicle])])
+    loaded = load(
+        vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
+    )
     ground, addition = _added(wanted, loaded, all)
     show(addition)
     if picture is not None:

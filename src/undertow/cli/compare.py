@@ -48,9 +48,12 @@ def compare(
     json: Annotated[Path | None, _JSON] = None,
     plots: Annotated[Path | None, _PLOTS] = None,
 ) -> None:
-    from undertow.files import write_whole
+    from undertow.files import check_folder, check_writable, write_whole
     from undertow.identification.compare.comparison import compare as compared
 
+    check_writable(json, inputs=[vehicle, *logs, *(effects or []), *([map] if map else [])])
+    if plots is not None:
+        check_folder(plots)
     loaded = load(vehicle, logs, map=map, effects=effects, window=(from_, to), fill=fill)
     with progress("comparing") as report:
         comparison = compared(loaded.vehicle, loaded.train, horizon=horizon, progress=report)

@@ -1,11 +1,11 @@
 """Find out which physical effect a model lacks, and write it into a new vehicle file.
 
-Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on data that
-was kept aside: the logs given with --holdout, or stretches of the logs where none is given. The answer is one of: nothing
-is missing (adequate), a missing effect with its parameters, a set of effects that these data cannot tell apart, or
-unexplained.
+Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on
+data that was kept aside: the logs given with --holdout, or stretches of the logs where none is given. The
+answer is one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that
+these data cannot tell apart, or unexplained.
 
-    undertow diagnose my-rov.toml run1.csv run2.csv --holdout run3.csv --report report.html --apply better.toml
+    undertow diagnose rov.toml run1.csv run2.csv --holdout run3.csv --report report.html --apply better.toml
 """
 
 from __future__ import annotations
@@ -36,14 +36,13 @@ def diagnose(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
-    json: Annotated[
-        Path | None, typer.Option(metavar="OUT", help="Write the whole result as JSON.")
-    ] = None,
+    json: Annotated[Path | None, typer.Option(metavar="OUT", help="Write the whole result as JSON.")] = None,
     report: Annotated[
         Path | None, typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
     ] = None,
     apply: Annotated[
-        Path | None, typer.Option(metavar="OUT.toml", help="Write a vehicle file with the effects that were found.")
+        Path | None,
+        typer.Option(metavar="OUT.toml", help="Write a vehicle file with the effects that were found."),
     ] = None,
 ) -> None:
     from undertow.cli._outcome import show, write_outcome
@@ -53,8 +52,11 @@ def diagnose(
     from undertow.identification.diagnosis.diagnose import diagnose as run
     from undertow.model.catalogue import catalogue, load_effects, merge
 
-    check_writable(json, report, apply)
-    loaded = load(vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill)
+    read: list[str | Path] = [vehicle, *logs, *(holdout or []), *(effects or []), *([map] if map else [])]
+    check_writable(json, report, apply, inputs=read)
+    loaded = load(
+        vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
+    )
     known = merge(catalogue(), [cls for file in effects or [] for cls in load_effects(file)])
     with progress("looking for what is missing") as tell:
         outcome = run(loaded.vehicle, loaded.train, loaded.holdout, known=known, report=tell)
