@@ -1,0 +1,538 @@
+"""Bad input: one clear line on stderr, exit code 2 (130 for Ctrl-C), and nothing written."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from benchmarks.hidden_effects import Case
+from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, refusal, text_of
+from undertow import files
+from undertow.cli import _vehicle_and_logs
+from undertow.cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+ROOT = Path(__file__).parents[2]
+
+
+def _words(command: str, vehicle: object = "usv.toml", log: object = "train.csv") -> list[object]:
+    return [command, vehicle] if command == "codegen" else [command, vehicle, log]
+
+
+# --- the vehicle file ----------------------------------------------------------------------------
+
+_M = "m = 23.8"
+VEHICLES = {
+    "wrong key at the top": ("name =", "nam =", ["'nam'", "'name'"]),
+    "wrong key of a parameter": ("estimate = true", "estimat = true", ["estimat", "'estimate'"]),
+    "wrong parameter": (_M, f"{_M}\nmass = 3", ["rigid_body", "'mass'"]),
+    "wrong effect": ("[effects.rigid_body]", "[effects.rigid_bdy]", ["'rigid_bdy'", "'rigid_body'"]),
+    "wrong key of a thruster": ("limit = 2.0", "limits = 2.0", ["limits", "'limit'"]),
+    "missing mass": (_M, "", ["rigid_body", "m"]),
+    "negative mass": (_M, "m = -23.8", ["m = -23.8", "cannot be"]),
+    "infinite": (_M, "m = inf", ["m", "inf"]),
+    "not a number": (_M, "m = nan", ["m", "nan"]),
+    "true is no quantity": (_M, "m = true", ["m", "True", "quantity"]),
+    "a list is no quantity": (_M, "m = [1, 2]", ["m", "[1, 2]"]),
+    "sign that cannot be": ("X_u = { value = -", "X_u = { value = ", ["X_u", "sname", "magnitudes"]),
+    "unit that does not fit": (_M, 'm = "23.8 m"', ["m", "kg", "23.8 m"]),
+    "unit that is none": (_M, 'm = "23.8 kilos of"', ["m", "kilos of"]),
+    "effect twice": ("[effects.rigid_body]", "[effects.rigid_body]\nm = 1\n[effects.rigid_body]", ["TOML"]),
+    "no degree of freedom": ('["surge", "sway", "yaw"]', "[]", ["degrees_of_freedom"]),
+    "unknown degree of freedom": ('"surge"', '"surg"', ["degrees_of_freedom", "surg"]),
+    "inertia that cannot be": ("I_z = 1.76", "I_z = 0.001\nx_gg = 1", ["x_gg", "x_g"]),
+    "thruster twice": ('name = "f2"', 'name = "f1"', ["f1"]),
+    "thruster without effect": ("wrench = [1.0,", "wrench = [0.0,", ["f1", "wrench"]),
+    "thruster with a channel's name": ('name = "f2"', 'name = "u"', ["u"]),
+    "another schema": ("undertow/vehicle/1", "undertow/vehicle/9", ["schema"]),
+    "no TOML": ("[effects.rigid_body]", "[effects.rigid_body", ["TOML", "line"]),
+}
+
+
+@pytest.mark.parametrize("fault", VEHICLES)
+@pytest.mark.parametrize("command", VEHICLE_COMMANDS)
+def test_a_vehicle_file_with_a_fault_is_refused(
+    command: str, fault: str, case: Path, capsys: Capture
+) -> None:
+    old, new, words = VEHICLES[fault]
+    text = (case / "usv.toml").read_text()
+    assert old in text
+    (case / "bad.toml").write_text(text.replace(old, new, 1))
+    line = refusal(_words(command, "bad.toml"), capsys, case)
+    assert all(word in line for word in ["bad.toml", *words]), line
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\xff\x10PK", b"name = '\xff'", b"a" + b".b" * 5000 + b"=1"])
+def test_what_is_no_vehicle_file_is_refused(content: bytes, case: Path, capsys: Capture) -> None:
+    (case / "bad.toml").write_bytes(content)
+    for command in VEHICLE_COMMANDS:
+        assert "bad.toml" in refusal(_words(command, "bad.toml"), capsys, case)
+
+
+@pytest.mark.parametrize("vehicle", ["nothing.toml", ".", "mini-avu", "x" * 5000, "new\nline", ""])
+def test_a_vehicle_that_is_not_there_is_refused(vehicle: str, case: Path, capsys: Capture) -> None:
+    for command in VEHICLE_COMMANDS:
+        assert "bundled are bluerov2" in refusal(_words(command, vehicle), capsys, case)
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["effects", "show", "lfit"], "'lift'"),
+        (["effects", "check", "nothing.py"], "'nothing.py'"),
+        (["effects", "check", "usv.toml"], "'usv.toml'"),
+        (["effects", "check", "broken.py"], "SyntaxError"),
+        (["effects", "--effects", "two_lines.py"], "ValueError: one two"),
+        (["effects", "check", "empty.py"], "holds no effect"),
+        (["codegen", "usv.toml", "--effects", "nothing.py"], "'nothing.py'"),
+    ],
+)
+def test_effects_that_are_not_there_are_refused(
+    words: list[str], named: str, case: Path, capsys: Capture
+) -> None:
+    (case / "broken.py").write_text("def (:\n")
+    (case / "empty.py").write_text("")
+    (case / "two_lines.py").write_text("raise ValueError('one\\ntwo')\n")
+    sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
+    try:
+        assert named in refusal(words, capsys, case)
+    finally:
+        sys.dont_write_bytecode = before
+
+
+# --- logs ----------------------------------------------------------------------------------------
+
+Change = Callable[[Columns], Columns]
+
+
+def _at(name: str, rows: object, value: float) -> Change:
+    def change(columns: Columns) -> Columns:
+        data = columns[name].copy()
+        data[rows] = value
+        return {**columns, name: data}
+
+    return change
+
+
+def _rows(rows: object) -> Change:
+    return lambda columns: {name: data[rows] for name, data in columns.items()}
+
+
+def _without(*names: str) -> Change:
+    return lambda columns: {name: data for name, data in columns.items() if name not in names}
+
+
+LOGS: dict[str, tuple[Change, list[str]]] = {
+    "one sample": (_rows(slice(0, 1)), ["one sample", "at least 2"]),
+    "a header only": (_rows(slice(0, 0)), ["no sample", "at least 2"]),
+    "ten samples": (_rows(slice(0, 10)), ["25 are needed"]),
+    "no time": (_without("t"), ["'t'"]),
+    "time is missing somewhere": (_at("t", 7, np.nan), ["'t'", "row 8"]),
+    "time is infinite somewhere": (_at("t", 7, np.inf), ["'t'", "row 8"]),
+    "duplicate stamps": (_at("t", 8, 0.35), ["'t'", "duplicate", "row 9"]),
+    "unsorted": (_rows(np.r_[0:50, 100:150, 50:100, 150:400]), ["'t'", "goes back", "sort the file by time"]),
+    "clock that stands": (_at("t", slice(None), 1.0), ["'t'", "duplicate"]),
+    "thruster missing": (_without("f2"), ["'f2'"]),
+    "velocities and pose missing": (_without("x", "y", "psi", "u", "v", "r"), ["u"]),
+    "NaN in a command": (_at("f3", slice(20, 23), np.nan), ["'f3'", "missing in 3 of 400", "t = 1 to 1.1 s"]),
+    "Inf in a velocity": (_at("v", 40, np.inf), ["'v'", "infinite", "t = 2 s"]),
+    "Inf in a command": (_at("f1", 40, -np.inf), ["'f1'", "infinite", "t = 2 s"]),
+    "nothing but NaN": (_at("r", slice(None), np.nan), ["'r'", "no value"]),
+    "every other sample missing": (_at("u", slice(0, None, 2), np.nan), ["without gaps", "25 are needed"]),
+}
+
+
+@pytest.mark.parametrize("fault", LOGS)
+@pytest.mark.parametrize("command", LOG_COMMANDS)
+def test_a_log_with_a_fault_is_refused(
+    command: str, fault: str, case: Path, simulated: Case, capsys: Capture
+) -> None:
+    change, words = LOGS[fault]
+    (case / "bad.csv").write_text(text_of(change(simulated.runs["multisine"])))
+    line = refusal(_words(command, log="bad.csv"), capsys, case)
+    assert all(word in line for word in ["bad", *words]), line
+
+
+FILES = {
+    "empty": (b"", "empty"),
+    "blank": (b"\n\n\n", "empty"),
+    "binary": (bytes(range(256)) * 40, "bad.csv"),
+    "an ELF program": (Path(sys.executable).resolve().read_bytes()[:5000], "bad.csv"),
+    "text of zeros": (b"\0" * 4096, "bad.csv"),
+    "a picture": (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "UTF-8"),
+    "a page": (b"<!doctype html><title>404</title>", "'t'"),
+    "a damaged gzip file": (gzip.compress(b"t,u\n0,1\n" * 500)[:40], "damaged gzip"),
+    "a damaged Parquet file": (b"PAR1" + b"\0" * 100 + b"PAR1", "bad.csv"),
+    "rows of different length": (b"t,u\n0,1\n1,2,3,4\n2\n", "bad.csv"),
+    "words": (b"t,u,v,r,f1,f2,f3\n0,fast,0,0,0,0,0\n1,slow,0,0,0,0,0\n", "'fast'"),
+    "a column twice": (b"t,u,u,v,r,f1,f2,f3\n0,1,2,3,4,5,6,7\n", "'u' more than once"),
+    "escape sequences": (b"t,\x1b[31mred\x1b[0m\n0,1\n1,2\n", "'f1'"),
+    "semicolons": (b"t;u;v\n0;1;2\n", "delimiter"),
+}
+
+
+@pytest.mark.parametrize("fault", FILES)
+def test_a_file_that_is_no_log_is_refused(fault: str, case: Path, capsys: Capture) -> None:
+    content, word = FILES[fault]
+    (case / "bad.csv").write_bytes(content)
+    for command in LOG_COMMANDS:
+        line = refusal(_words(command, log="bad.csv"), capsys, case)
+        assert "bad.csv" in line
+        assert word in line
+
+
+@pytest.mark.parametrize("log", ["nothing.csv", ".", "y" * 5000, "usv.toml"])
+def test_a_log_that_is_not_there_is_refused(log: str, case: Path, capsys: Capture) -> None:
+    for command in LOG_COMMANDS:
+        assert log in refusal(_words(command, log=log), capsys, case)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "schema"),
+        ("[columns", "TOML"),
+        ('schema = "undertow/mapping/1"\n[columns]\nu = { channel = "u", unit = "kg" }', "kg"),
+        ('schema = "undertow/mapping/1"\n[columns]\nspeed = "u"', "'speed'"),
+        ('schema = "undertow/mapping/1"\n[colums]\nspeed = "u"', "colums"),
+        ('schema = "undertow/mapping/1"\n[time]\nunit = "m"', "'m'"),
+    ],
+)
+def test_a_mapping_with_a_fault_is_refused(text: str, named: str, case: Path, capsys: Capture) -> None:
+    (case / "map.toml").write_text(text)
+    for command in LOG_COMMANDS:
+        assert named in refusal([*_words(command), "--map", "map.toml"], capsys, case)
+
+
+@pytest.mark.parametrize("command", LOG_COMMANDS)
+def test_the_same_log_twice_is_refused(command: str, case: Path, capsys: Capture) -> None:
+    shutil.copy(case / "train.csv", case / "again.csv")
+    assert "same content" in refusal([*_words(command), "again.csv"], capsys, case)
+
+
+@pytest.mark.parametrize("command", LOG_COMMANDS)
+@pytest.mark.parametrize("window", [["--from", "500"], ["--to", "-1"], ["--from", "3", "--to", "2"]])
+def test_a_window_without_samples_is_refused(
+    command: str, window: list[str], case: Path, capsys: Capture
+) -> None:
+    assert "no sample in the time window" in refusal([*_words(command), *window], capsys, case)
+
+
+# --- logs that say nothing, or little ------------------------------------------------------------
+
+
+def _still(columns: Columns) -> Columns:
+    """Sensors on, nothing moves: the noise of the sensors, no command."""
+    rng = np.random.default_rng(0)
+    noise = {name: 0.01 * rng.standard_normal(len(columns["t"])) for name in columns if name != "t"}
+    return {
+        "t": columns["t"],
+        **noise,
+        "f1": 0 * columns["t"],
+        "f2": 0 * columns["t"],
+        "f3": 0 * columns["t"],
+    }
+
+
+def _dead(columns: Columns) -> Columns:
+    """No sensor changes at all."""
+    return {name: data if name == "t" else 0 * data for name, data in columns.items()}
+
+
+@pytest.mark.parametrize("change", [_still, _dead])
+@pytest.mark.parametrize("command", [c for c in LOG_COMMANDS if c != "compare"])
+def test_a_log_in_which_nothing_moves_is_refused(
+    command: str, change: Change, case: Path, simulated: Case, capsys: Capture
+) -> None:
+    (case / "still.csv").write_text(text_of(change(simulated.runs["multisine"])))
+    line = refusal(_words(command, log="still.csv"), capsys, case)
+    assert re.search("nothing moves.*log a manoeuvre|u = 0, v = 0, r = 0 over all 400.*not excited", line)
+
+
+@pytest.mark.parametrize(
+    "change", [_still, _dead, _at("u", slice(None), 0.3), _at("r", slice(9, 12), np.nan)]
+)
+def test_comparing_with_a_poor_log_is_an_answer_in_finite_numbers(
+    change: Change, case: Path, simulated: Case, capsys: Capture
+) -> None:
+    (case / "poor.csv").write_text(text_of(change(simulated.runs["multisine"])))
+    assert main(["compare", "usv.toml", "poor.csv", "--json", "out.json"]) == 0, capsys.readouterr().err
+    json.loads((case / "out.json").read_text(), parse_constant=_refuse)
+
+
+def _refuse(constant: str) -> None:
+    raise AssertionError(f"{constant} in JSON")
+
+
+def test_a_dead_channel_is_told(case: Path, simulated: Case, capsys: Capture) -> None:
+    (case / "dead.csv").write_text(text_of(_at("u", slice(None), 0.3)(simulated.runs["multisine"])))
+    for command in [c for c in LOG_COMMANDS if c != "compare"]:
+        line = refusal(_words(command, log="dead.csv"), capsys, case)
+        assert "u = 0.3" in line
+        assert "dead" in line
+
+
+# --- 10^6 samples --------------------------------------------------------------------------------
+
+_SURGE = """\
+schema = "undertow/vehicle/1"
+name = "hull"
+degrees_of_freedom = ["surge"]
+signs = "sname"
+generalised_forces = ["tau_X"]
+[effects.rigid_body]
+m = 100
+[effects.linear_damping]
+X_u = { value = -25, estimate = true }
+"""
+
+
+@pytest.fixture(scope="module")
+def million(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log of 10^6 samples: first-order answer to a force that steps every 10 s."""
+    folder, n = tmp_path_factory.mktemp("million"), 10**6
+    t, rng = np.arange(n) * 0.02, np.random.default_rng(0)
+    force = np.repeat(rng.uniform(-50, 50, n // 500), 500)
+    a, speed, u = np.exp(-0.02 * 25 / 100), 0.0, np.empty(n)
+    for i, push in enumerate((force / 25).tolist()):
+        u[i] = speed
+        speed = push + a * (speed - push)
+    noisy = u + 0.005 * rng.standard_normal(n)
+    pl.DataFrame({"t": t, "u": noisy, "tau_X": force}).write_parquet(folder / "million.parquet")
+    (folder / "hull.toml").write_text(_SURGE)
+    return folder
+
+
+def test_comparing_with_a_million_samples_is_an_answer(million: Path, capsys: Capture) -> None:
+    out = million / "out.json"
+    words = _words("compare", million / "hull.toml", million / "million.parquet")
+    assert main([*map(str, words), "--json", str(out)]) == 0
+    result = json.loads(out.read_text())
+    assert result["runs"][0]["samples"] == 10**6
+    assert result["dofs"][0]["explained_by_noise"] > 0.8  # the model is the one that made the log
+    out.unlink()
+
+
+@pytest.mark.parametrize("command", [c for c in LOG_COMMANDS if c != "compare"])
+def test_more_samples_than_a_search_can_take_are_refused_with_the_remedy(
+    command: str, million: Path, capsys: Capture
+) -> None:
+    line = refusal(_words(command, million / "hull.toml", million / "million.parquet"), capsys, million)
+    assert "1000000 samples" in line
+    assert str(_vehicle_and_logs.MOST_SAMPLES) in line
+    assert "--from" in line
+    assert "--to" in line
+
+
+# --- outputs -------------------------------------------------------------------------------------
+
+OUTPUTS = [
+    ("compare", ["--json", "{}/out.json"]),
+    ("compare", ["--plots", "{}"]),
+    ("diagnose", ["--json", "{}/out.json"]),
+    ("diagnose", ["--report", "{}/out.html"]),
+    ("diagnose", ["--apply", "{}/out.toml"]),
+    ("codegen", ["--out", "{}"]),
+]
+
+
+def _writing(command: str, options: list[str], folder: object) -> list[object]:
+    return [*_words(command), *(option.format(folder) for option in options)]
+
+
+@pytest.mark.parametrize(("command", "options"), OUTPUTS)
+def test_a_read_only_folder_is_refused_before_the_work(
+    command: str, options: list[str], case: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Root may write anywhere, so the answers of the system are imitated.
+    out = case / "closed"
+    out.mkdir()
+    asked = os.access
+    monkeypatch.setattr(os, "access", lambda p, mode: mode != os.W_OK and asked(p, mode))
+    _refuse_folders_in(out, monkeypatch)
+    monkeypatch.setattr(_vehicle_and_logs, "_runs", _not_reached)
+    line = refusal(_writing(command, options, out), capsys, case)
+    assert str(out) in line
+    assert "permission denied" in line.lower()
+
+
+def _refuse_folders_in(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Path.mkdir
+
+    def mkdir(path: Path, *args: object, **options: object) -> None:
+        if out in path.parents:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        made(path, *args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Path, "mkdir", mkdir)
+
+
+def _not_reached(*_: object) -> None:
+    raise AssertionError("logs were read before the outputs were checked")
+
+
+@pytest.mark.parametrize(("command", "options"), [o for o in OUTPUTS if "/" in o[1][1]])
+def test_a_folder_that_is_not_there_is_refused_before_the_work(
+    command: str, options: list[str], case: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_vehicle_and_logs, "_runs", _not_reached)
+    assert "'nowhere' does not exist" in refusal(_writing(command, options, "nowhere"), capsys, case)
+
+
+@pytest.mark.parametrize(("command", "options"), OUTPUTS)
+def test_a_file_in_place_of_the_folder_is_refused(
+    command: str, options: list[str], case: Path, capsys: Capture
+) -> None:
+    assert "train.csv" in refusal(_writing(command, options, "train.csv"), capsys, case)
+
+
+class _Failing:
+    """A file that takes half of the data before something happens."""
+
+    def __init__(self, path: Path, failure: BaseException) -> None:
+        self._stream, self._failure = open(path, "xb"), failure  # noqa: SIM115
+
+    def __enter__(self) -> _Failing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    def write(self, data: bytes) -> None:
+        self._stream.write(data[: len(data) // 2])
+        self._stream.flush()
+        raise self._failure
+
+
+FAILURES = [
+    (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), 2, "no space left on device; nothing was written"),
+    (OSError(errno.EROFS, os.strerror(errno.EROFS)), 2, "read-only file system; nothing was written"),
+    (KeyboardInterrupt(), 130, "interrupted"),
+]
+
+
+@pytest.mark.parametrize(("failure", "code", "word"), FAILURES, ids=["full", "read-only", "Ctrl-C"])
+@pytest.mark.parametrize(("command", "options"), OUTPUTS)
+def test_a_write_that_fails_leaves_nothing_behind(
+    command: str,
+    options: list[str],
+    failure: BaseException,
+    code: int,
+    word: str,
+    case: Path,
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (case / "out").mkdir()
+    monkeypatch.setattr(files, "open", lambda path, mode: _Failing(path, failure), raising=False)
+    before = contents(case)
+    words = [str(word) for word in _writing(command, options, "out")]
+    assert main(words) == code
+    assert word in capsys.readouterr().err
+    left = {path for path in contents(case) if path not in before}
+    assert all(Path(path).is_dir() for path in left)  # codegen has made a folder; no file is in it
+
+
+def test_an_older_result_survives_a_full_disk(
+    case: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (case / "out.json").write_text("older")
+    monkeypatch.setattr(files, "open", lambda path, mode: _Failing(path, FAILURES[0][0]), raising=False)
+    assert "out.json" in refusal([*_words("compare"), "--json", "out.json"], capsys, case)
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "named"),
+    [
+        ("compare", ["--json", "train.csv"], "train.csv"),
+        ("compare", ["--json", "./usv.toml"], "usv.toml"),
+        ("diagnose", ["--json", "train.csv"], "train.csv"),
+        ("diagnose", ["--report", "link.csv"], "train.csv"),
+        ("diagnose", ["--apply", "usv.toml"], "usv.toml"),
+        ("diagnose", ["--holdout", "holdout.csv", "--apply", "holdout.csv"], "holdout.csv"),
+        ("diagnose", ["--map", "map.toml", "--apply", "map.toml"], "map.toml"),
+    ],
+)
+def test_an_output_that_is_an_input_is_refused(
+    command: str, options: list[str], named: str, case: Path, capsys: Capture
+) -> None:
+    (case / "link.csv").symlink_to("train.csv")
+    (case / "map.toml").write_text('schema = "undertow/mapping/1"\n')
+    line = refusal([*_words(command), *options], capsys, case)
+    assert named in line
+    assert "another" in line
+
+
+def test_one_file_for_two_outputs_is_refused(case: Path, capsys: Capture) -> None:
+    words = [*_words("diagnose"), "--json", "out", "--report", "./out"]
+    assert "out" in refusal(words, capsys, case)
+
+
+# --- Ctrl-C --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [
+        ("compare", "undertow.identification.compare.comparison.prepare"),
+        ("diagnose", "undertow.identification.diagnosis.diagnose.search"),
+        ("diagnose", "undertow.identification.logs.reading.read_table"),
+        ("codegen", "undertow.codegen.export.plain_c"),
+    ],
+)
+def test_ctrl_c_in_the_middle(
+    command: str, place: str, case: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(place, interrupted)
+    outputs = {"compare": ["--json", "o.json"], "diagnose": ["--json", "o.json", "--report", "o.html"]}
+    before = contents(case)
+    words = [str(word) for word in [*_words(command), *outputs.get(command, ["--out", "out"])]]
+    assert main(words) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert {p for p in contents(case) if Path(p).is_file()} == {p for p in before if Path(p).is_file()}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
+    code = (
+        "import sys, undertow.identification.diagnosis.diagnose as d; from undertow.cli.main import main\n"
+        "search = d.search\n"
+        "def told(vehicle, train, test, known, report):\n"
+        "    print('searching', flush=True)\n"
+        "    while True: search(vehicle, train, test, known, report)\n"
+        "d.search = told\n"
+        "raise SystemExit(main(['diagnose', 'usv.toml', 'train.csv', '--json', 'o', '--apply', 'o.toml']))"
+    )
+    before = contents(case)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=case,
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "searching\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate()
+    assert err == "interrupted\n"
+    assert process.returncode == 130
+    assert contents(case) == before
