@@ -30,7 +30,7 @@ from .result import (
     finite,
 )
 from .whiteness import correlation, whiteness
-from .windows import Prediction, Predictor, cut, prediction_error
+from .windows import Prediction, Predictor, cut, predict, prediction_error
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -107,8 +107,8 @@ def compare(
     progress(0.4, "simulating")
     predictor = Predictor(functions, compiled=compiled)
     horizon = _possible(horizon, data)
-    ahead = predictor.predict(cut(runs, vehicle, horizon), predictor.values)
-    free_run = predictor.predict(cut(runs, vehicle, None), predictor.values)
+    ahead = predict(predictor, cut(runs, vehicle, horizon))
+    free_run = predict(predictor, cut(runs, vehicle, None))
     progress(0.9, "error map")
     pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
     cells = _cells(forces, vehicle, data.sigma)

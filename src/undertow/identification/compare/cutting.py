@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,12 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.run)
+
+    def take(self, rows: NDArray[np.intp], most: int) -> Windows:
+        """Some of the windows, each with its first `most` samples."""
+        chosen = {name: getattr(self, name)[rows] for name in ("run", "first", "segment", "start")}
+        kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
+        return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
-from undertow.codegen.simulate import Simulator
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
-from ..weak.drive import Chain, Memory, shifted_mean
-from ..weak.pointwise import Pointwise, mapped
 from .cutting import Windows, cut
+from .predictor import Predictor
 
 Array = NDArray[np.float64]
 
@@ -135,123 +132,7 @@ def predict(
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
     vehicle = predictor.functions.vehicle
     windows = runs if isinstance(runs, Windows) else cut(runs, vehicle, horizon, overlap=overlap)
-    return predictor.predict(windows, predictor.values if p is None else p)
-
-
-class Predictor:
-    """Predicts windows with one model.
-
-    Parameters
-    ----------
-    model : Vehicle or Functions
-        The model.
-    compiled : bool, optional
-        As for `Simulator`.
-    """
-
-    def __init__(self, model: Vehicle | Functions, *, compiled: bool | None = None) -> None:
-        self.functions = model if isinstance(model, Functions) else Functions(model)
-        self.simulator = Simulator(self.functions, compiled=compiled)
-        self._points = Pointwise(self.functions, ())
-        self._chain = Chain(self.functions, ())
-        self._memory = Memory(self.functions, (), self._points.measured, self._points.true_motion)
-
-    @property
-    def values(self) -> Array:
-        """Parameters of the vehicle."""
-        return np.array(self.functions.values(), dtype=float)
-
-    def predict(self, windows: Windows, p: Array) -> Prediction:
-        """Simulate every window from its measured start."""
-        commands = self.commands(windows, p)
-        u = gather(commands, windows)
-        states = self.simulator.run(self.start(windows, commands, p), windows.t, u, p)
-        return Prediction(windows, self.reports(windows, states, u, p))
-
-    def commands(self, windows: Windows, p: Array) -> list[Array]:
-        """Commands of every run as they arrive: held where missing, late by the dead time of the model."""
-        held = [_held(run.matrix(windows.commands)) for run in windows.runs]
-        delay = float(self._dead_time(p))
-        if delay == 0.0:
-            return held
-        return [shifted_mean(run.t, u, delay) for run, u in zip(windows.runs, held, strict=True)]
-
-    def start(self, windows: Windows, commands: list[Array], p: Array) -> Array:
-        """States at the start of every window, shape (b, nx)."""
-        f = self.functions
-        count = len(windows)
-        actuator = [self._chain.states(r.t, u, p) for r, u in zip(windows.runs, commands, strict=True)]
-        own = np.zeros((count, f.memory.shape[0]))
-        inputs = [
-            windows.start,
-            np.zeros((count, f.actuation.shape[0])),
-            own,
-            gather(commands, windows)[:, 0],
-        ]
-        (motion,) = mapped(self._true_motion, inputs, p, windows.t[:, 0])
-        if own.size:
-            own = self._remembered(windows, commands, p)
-        first = [actuator[run][i] for run, i in zip(windows.run, windows.first, strict=True)]
-        return np.column_stack([motion[:, :, 0], own, np.reshape(first, (count, -1))])
-
-    def reports(self, windows: Windows, states: Array, u: Array, p: Array) -> Array:
-        """What the sensors report of simulated states, shape (b, k, 2n); NaN in the padding."""
-        if self.sensors_are_true:
-            reported = states[:, :, : len(windows.names)].copy()
-        else:
-            columns = [a.reshape(-1, a.shape[2]) for a in (states, u)]
-            (flat,) = mapped(self.functions.outputs, columns, p, windows.t.ravel())
-            reported = flat.reshape(*windows.t.shape, -1)
-        reported[~windows.inside] = np.nan
-        return reported
-
-    def _remembered(self, windows: Windows, commands: list[Array], p: Array) -> Array:
-        """Memory at the start of every window, along the measured motion since the last gap."""
-        own = np.zeros((len(windows), self.functions.memory.shape[0]))
-        for key in {*zip(windows.run, windows.segment, strict=True)}:
-            inside = np.flatnonzero((windows.run == key[0]) & (windows.segment == key[1]))
-            last = int(windows.first[inside].max()) + 1
-            if last - key[1] > 1:
-                along = self._along(windows, commands, int(key[0]), slice(int(key[1]), last), p)
-                own[inside] = along[windows.first[inside] - key[1]]
-        return own
-
-    def _along(self, windows: Windows, commands: list[Array], run: int, piece: slice, p: Array) -> Array:
-        log = windows.runs[run]
-        zero = np.zeros(len(log.t))
-        measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
-        actuation = self._chain.along(log.t, commands[run], p).value[piece]
-        return self._memory.along(log.t[piece], measured, actuation, commands[run][piece], p).value
-
-    @cached_property
-    def _dead_time(self) -> ca.Function:
-        f = self.functions
-        return ca.Function("dead_time", [f.p], [f.convert(f.vehicle.composition.dead_time)])
-
-    @cached_property
-    def _true_motion(self) -> ca.Function:
-        f, points = self.functions, self._points
-        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
-        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
-
-    @cached_property
-    def sensors_are_true(self) -> bool:
-        """Whether the sensors report pose and velocity as they are."""
-        motion = ca.vertcat(self.functions.eta, self.functions.nu)
-        return bool(ca.is_equal(self.functions.reported, motion, 2))
-
-
-def _held(u: Array) -> Array:
-    """Commands with the last known value where one is missing; windows do not reach into such gaps."""
-    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
-    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
-    return np.nan_to_num(filled, nan=0.0)
-
-
-def gather(commands: list[Array], windows: Windows) -> Array:
-    """Commands of every window, shape (b, k, n_commands)."""
-    samples = windows.samples
-    return np.stack([commands[run][row] for run, row in zip(windows.run, samples, strict=True)])
+    return Prediction(windows, predictor.reports(windows, predictor.values if p is None else p))
 
 
 def _mean(values: Array) -> Array:

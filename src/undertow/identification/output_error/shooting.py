@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 
 from ..compare.cutting import Windows
-from ..compare.windows import Predictor, gather
+from ..compare.predictor import Predictor
 from ..weak.pointwise import mapped
 
 Array = NDArray[np.float64]
 # Numbers in the sensitivities of one batch of windows: 40 MB.
 _BATCH = 5_000_000
 # Keeps a start bounded in directions that its window does not show, relative to those that it shows.
-_HOLD = 1e-7
+_HOLD = 1e-12
 # Steps of finite differences: relative to a parameter, and for dead times relative to a sampling interval.
-_STEP = 1e-4
+_STEP = 1e-3
 _SHARE_OF_SAMPLE = 0.25
 
 
@@ -92,35 +92,22 @@ class Shooting:
 
     def first_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
-        return self.predictor.start(self.windows, self.predictor.commands(self.windows, p), p)[
-            :, : self._size
-        ]
+        return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
 
     def cost(self, p: Array, starts: Array) -> float:
         """Weighted sum of squares of the simulation error; inf if a simulation diverged."""
-        r = self._residual(self._reported(p, starts)[1])
+        r = self._residual(self.predictor.reports(self.windows, p, starts))
         total = float(np.sum(r**2))
         return total if np.isfinite(total) else float("inf")
 
     def linearise(self, p: Array, starts: Array) -> Reduced:
         """Simulate with sensitivities and eliminate the starts window by window."""
         finite = self._by_differences(p, starts)
-        parts = [self._part(rows, p, starts, finite) for rows in self._batches()]
+        start, u = self.predictor.start_and_drive(self.windows, p, starts)
+        parts = [self._part(rows, p, start, u, finite) for rows in self._batches()]
         return _together(parts, len(self.free))
 
     # --- simulation ---------------------------------------------------------------------------
-    def _start_and_drive(self, p: Array, starts: Array) -> tuple[Array, Array]:
-        commands = self.predictor.commands(self.windows, p)
-        full = self.predictor.start(self.windows, commands, p)
-        full[:, : self._size] = starts
-        return full, gather(commands, self.windows)
-
-    def _reported(self, p: Array, starts: Array) -> tuple[Array, Array]:
-        """Simulated states and what the sensors report of them."""
-        full, u = self._start_and_drive(p, starts)
-        states = self.predictor.simulator.run(full, self.windows.t, u, p)
-        return states, self.predictor.reports(self.windows, states, u, p)
-
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
         """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
         error = (reported - self.windows.measured[rows]) * self.weight
@@ -164,14 +151,13 @@ class Shooting:
         for sign in (1.0, -1.0):
             moved = p.copy()
             moved[place] += sign * step
-            ends.append(self._reported(moved, starts)[1])
+            ends.append(self.predictor.reports(self.windows, moved, starts))
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
-    def _part(self, rows: slice, p: Array, starts: Array, finite: dict[int, Array]) -> Reduced:
-        full, u = self._start_and_drive(p, starts)
+    def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Reduced:
         t = self.windows.t[rows]
         x, s = self.predictor.simulator.run_with_sensitivities(
-            full[rows], t, u[rows], p, self.places, initial=range(self._size)
+            start[rows], t, u[rows], p, self.places, initial=range(self._size)
         )
         reported, slope = self._report_slopes(x, s, u[rows], t, p)
         for k, values in finite.items():
@@ -206,11 +192,11 @@ class Shooting:
         by_free, by_start = np.split(slope.reshape(b, k * size, -1), [n], axis=2)
         table = np.concatenate([by_free, r.reshape(b, -1, 1)], axis=2)
         back, projected = _without(by_start, table)
-        left, right = projected[:, : k * size, :n], projected[:, : k * size, n]
-        triangle = _triangle(projected.reshape(-1, n + 1))
+        left, right = projected[:, :, :n], projected[:, :, n]
+        condensed = _condensed(projected.reshape(-1, n + 1))
         return Reduced(
-            r=triangle[:, n],
-            J=triangle[:, :n],
+            r=condensed[:, n],
+            J=condensed[:, :n],
             cost=float(np.sum(r**2)),
             squares=np.sum(r**2, axis=(0, 1)),
             counts=self._counts(r, slope),
@@ -233,19 +219,25 @@ class Shooting:
 
 
 def _without(by_start: Array, table: Array) -> tuple[Array, Array]:
-    """Least squares on the starts, window by window: solution for every column, and what is left of it."""
-    size = by_start.shape[2]
+    """Least squares on the starts, window by window: solution for every column, and what is left of it.
+
+    Normal equations: the columns of a start are few and well conditioned once they are scaled.
+    """
     scale = np.sqrt(np.sum(by_start**2, axis=1))
-    held = np.where(scale > 0, _HOLD * scale, 1.0)
-    padded = np.concatenate([by_start, held[:, :, None] * np.eye(size)], axis=1)
-    right = np.concatenate([table, np.zeros((len(table), size, table.shape[2]))], axis=1)
-    q, triangle = np.linalg.qr(padded)
-    along = np.swapaxes(q, 1, 2) @ right
-    return np.linalg.solve(triangle, along), right - q @ along
+    scale = np.where(scale > 0, scale, 1.0)[:, None, :]
+    scaled = by_start / scale
+    across = np.swapaxes(scaled, 1, 2)
+    gram = across @ scaled + _HOLD * np.eye(by_start.shape[2])
+    solution = np.linalg.solve(gram, across @ table)
+    return solution / np.swapaxes(scale, 1, 2), table - scaled @ solution
 
 
-def _triangle(table: Array) -> Array:
-    return np.asarray(np.linalg.qr(table, mode="r"))
+def _condensed(table: Array) -> Array:
+    """Few rows with the same products of columns as many."""
+    gram = table.T @ table
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    weight, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    return np.asarray(np.sqrt(np.maximum(weight, 0.0))[:, None] * vectors.T * scale)
 
 
 def _diverged(windows: int, n: int, size: int) -> Reduced:
@@ -256,10 +248,10 @@ def _diverged(windows: int, n: int, size: int) -> Reduced:
 
 def _together(parts: list[Reduced], n: int) -> Reduced:
     stacked = np.vstack([np.column_stack([part.J, part.r]) for part in parts])
-    triangle = _triangle(stacked)
+    condensed = _condensed(stacked)
     return Reduced(
-        r=triangle[:, n],
-        J=triangle[:, :n],
+        r=condensed[:, n],
+        J=condensed[:, :n],
         cost=sum(part.cost for part in parts),
         squares=np.sum([part.squares for part in parts], axis=0),
         counts=np.sum([part.counts for part in parts], axis=0),

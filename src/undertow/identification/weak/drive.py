@@ -65,16 +65,6 @@ class Chain:
         table = flat.reshape(count, -1)
         return self._delayed(t, _spread(table, size, self._felt, len(self.free)), p)
 
-    def states(self, t: Array, u: Array, p: Array) -> Array:
-        """Actuator states at the samples, shape (N, k), from rest under the first command, without delay."""
-        size = self.functions.actuator_states.shape[0]
-        if size == 0:
-            return np.zeros((len(t), size))
-        (start,) = call(self._rest, [u[0], p])
-        columns = [u[:-1], np.diff(t), np.tile(p, (len(t) - 1, 1))]
-        after, _ = call(_accumulated(self._advance, len(t) - 1), [start, *columns])
-        return np.vstack([start, after.reshape(len(t) - 1, -1)])[:, :size]
-
     def _static(self, u: Array, p: Array) -> Driven:
         """A chain without states: its output, sample by sample."""
         function, count = self._output, len(u)

@@ -1,0 +1,178 @@
+"""States that effects own, at the start of windows: what came before a window has set them.
+
+Actuators follow the commands and fluid memory the measured motion, both since the log began. What they were
+then no log says: it is estimated from how the first window goes on, together with the motion at its start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+
+from ..weak.pointwise import Pointwise, call
+from .beginning import best_start
+from .cutting import Windows
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Simulate = Callable[[Array, Array, Array, Array], Array]
+_SUBSTEPS = 4
+# Seconds of the first window that its beginning is estimated from.
+_LOOK = 10.0
+# Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
+_MOTION = 3.0
+_FINEST = 1e-6
+
+
+class Inherited:
+    """Own states of a model at the start of windows.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    points : Pointwise
+        Its true motion in terms of the measured one.
+    simulate : callable
+        Reports (b, k, 2n) from start (b, nx), t, u and p.
+    """
+
+    def __init__(self, functions: Functions, points: Pointwise, simulate: Simulate) -> None:
+        self._functions, self._points, self._simulate = functions, points, simulate
+        self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
+
+    def at_starts(self, windows: Windows, motion: Array, drives: list[Array], u: Array, p: Array) -> Array:
+        """Memory and actuator states at the start of every window, shape (b, size).
+
+        Parameters
+        ----------
+        windows : Windows
+            The windows.
+        motion : (b, 2n) array
+            True pose and velocity at the starts.
+        drives : list of (N, n_commands) arrays
+            Commands of every run as they arrive.
+        u : (b, k, n_commands) array
+            Commands in the windows.
+        p : (n_parameters,) array
+            Parameters.
+        """
+        own = np.zeros((len(windows), self.size))
+        if self.size == 0:
+            return own
+        stretches = _stretches(windows)
+        first = np.array([rows[0] for rows in stretches])
+        rest = self._at_rest(u[first, 0], p)
+        scale = self._scale(
+            [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
+        )
+        begin = self._begun(windows, first, np.column_stack([motion[first], rest]), u[first], scale, p)
+        for rows, state in zip(stretches, begin, strict=True):
+            along = self._along(windows, rows, drives, state, p)
+            own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
+        return own
+
+    # --- along the log ------------------------------------------------------------------------
+    def _at_rest(self, u: Array, p: Array) -> Array:
+        """Memory without a past, actuators as if the first command had been held for long, by stretch."""
+        actuator = [np.asarray(self._rest(one, p)).ravel() for one in u]
+        return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), np.array(actuator)])
+
+    @staticmethod
+    def _scale(along: list[Array]) -> Array:
+        """How large the states become, which is how far off a beginning may be."""
+        largest = np.max([np.max(np.abs(a), axis=0) for a in along], axis=0)
+        return np.where(largest > 0, largest, 1.0)
+
+    def _along(self, windows: Windows, rows: Index, drives: list[Array], start: Array, p: Array) -> Array:
+        """States from the first to the last start in a stretch, shape (N, size)."""
+        run, first = int(windows.run[rows[0]]), int(windows.first[rows[0]])
+        piece = slice(first, int(windows.first[rows[-1]]) + 1)
+        log = windows.runs[run]
+        t, u = log.t[piece], drives[run][piece]
+        count = len(t) - 1
+        if count == 0:
+            return start[None]
+        zero = np.zeros(len(log.t))
+        measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
+        columns = [measured[:-1], measured[1:], u[:-1], t[:-1], np.diff(t), np.tile(p, (count, 1))]
+        (states,) = call(_accumulated(self._advance, count), [start, *columns])
+        return np.vstack([start, states.reshape(count, -1)])
+
+    @cached_property
+    def _rest(self) -> ca.Function:
+        f = self._functions
+        return ca.Function("rest", [f.u, f.p], [ca.densify(f.chain_rest)])
+
+    @cached_property
+    def _advance(self) -> ca.Function:
+        """One sampling interval by Runge-Kutta: the motion is linear in it, the command is held."""
+        f, points = self._functions, self._points
+        own = ca.vertcat(f.memory, f.actuator_states)
+        after, dt = ca.SX.sym("after", points.measured.shape[0]), ca.SX.sym("dt")
+        rate = self._rates
+        z, h = own, dt / _SUBSTEPS
+        for step in range(_SUBSTEPS):
+            begin, middle, end = (
+                points.measured + (step + share) / _SUBSTEPS * (after - points.measured)
+                for share in (0.0, 0.5, 1.0)
+            )
+            time = f.t + step * h
+            k1 = rate(z, begin, f.u, f.p, time)
+            k2 = rate(z + h / 2 * k1, middle, f.u, f.p, time + h / 2)
+            k3 = rate(z + h / 2 * k2, middle, f.u, f.p, time + h / 2)
+            k4 = rate(z + h * k3, end, f.u, f.p, time + h)
+            z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return ca.Function("advance", [own, points.measured, after, f.u, f.t, dt, f.p], [z])
+
+    @cached_property
+    def _rates(self) -> ca.Function:
+        f, points = self._functions, self._points
+        driven = ca.substitute(f.memory_rates, f.actuation, f.chain_output)
+        rates = ca.substitute(ca.vertcat(driven, f.chain_rates), ca.vertcat(f.eta, f.nu), points.true_motion)
+        own = ca.vertcat(f.memory, f.actuator_states)
+        return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
+
+    # --- at its beginning ---------------------------------------------------------------------
+    def _begun(self, windows: Windows, first: Index, start: Array, u: Array, scale: Array, p: Array) -> Array:
+        """Own states at the beginning of every stretch."""
+        step = float(np.median(np.diff(windows.runs[0].t)))
+        look = windows.take(first, max(int(_LOOK / step), 3))
+        noise = _noise(windows)
+        drive = u[:, : look.t.shape[1]]
+
+        def report(trials: Array) -> Array:
+            times, commands = (np.repeat(a, len(trials) // len(a), axis=0) for a in (look.t, drive))
+            return self._simulate(trials, times, commands, p) / noise
+
+        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
+        width = np.concatenate([_MOTION * noise, scale])
+        return best_start(report, measured, start, width)[:, -self.size :]
+
+
+@lru_cache(maxsize=64)
+def _accumulated(function: ca.Function, count: int) -> ca.Function:
+    return function.mapaccum("along", count)
+
+
+def _stretches(windows: Windows) -> list[Index]:
+    """Windows of every stretch without gaps, in order of time."""
+    pairs = np.column_stack([windows.run, windows.segment])
+    number = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    return [np.flatnonzero(number == i) for i in range(number.max() + 1)]
+
+
+def _noise(windows: Windows) -> Array:
+    """Noise of the channels, with a floor for logs that have none."""
+    there = np.isfinite(windows.measured)
+    size = np.sqrt(
+        np.sum(np.where(there, windows.measured, 0.0) ** 2, axis=(0, 1))
+        / np.maximum(there.sum(axis=(0, 1)), 1)
+    )
+    return np.maximum(np.maximum(windows.sigma, _FINEST * size), _FINEST)

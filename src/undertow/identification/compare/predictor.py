@@ -1,0 +1,123 @@
+"""Simulation of windows by one model, from starts that the measurement gives."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+from undertow.codegen.simulate import Simulator
+from undertow.model.vehicle import Vehicle
+
+from ..weak.drive import shifted_mean
+from ..weak.pointwise import Pointwise, mapped
+from .cutting import Windows
+from .inherited import Inherited
+
+Array = NDArray[np.float64]
+
+
+class Predictor:
+    """Predicts windows with one model; keeps its compiled code from one call to the next.
+
+    Parameters
+    ----------
+    model : Vehicle or Functions
+        The model.
+    compiled : bool, optional
+        As for `Simulator`.
+    """
+
+    def __init__(self, model: Vehicle | Functions, *, compiled: bool | None = None) -> None:
+        self.functions = model if isinstance(model, Functions) else Functions(model)
+        self.simulator = Simulator(self.functions, compiled=compiled)
+        self._points = Pointwise(self.functions, ())
+        self._inherited = Inherited(self.functions, self._points, self.simulated)
+
+    @property
+    def values(self) -> Array:
+        """Parameters of the vehicle."""
+        return np.array(self.functions.values(), dtype=float)
+
+    def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
+        """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
+
+        Parameters
+        ----------
+        windows : Windows
+            What is simulated.
+        p : (n_parameters,) array
+            Parameters.
+        motion : (b, 2n) array, optional
+            True pose and velocity at the starts; as measured where not given.
+        """
+        start, u = self.start_and_drive(windows, p, motion)
+        reported = self.simulated(start, windows.t, u, p)
+        reported[~windows.inside] = np.nan
+        return reported
+
+    def start_and_drive(self, windows: Windows, p: Array, motion: Array | None = None) -> tuple[Array, Array]:
+        """States at the start of every window, (b, nx), and commands in it, (b, k, n_commands)."""
+        u = self._commands(windows, p)
+        measured = self.measured_motion(windows, u, p)
+        own = self._inherited.at_starts(windows, measured, self._drives(windows, p), u, p)
+        return np.column_stack([measured if motion is None else motion, own]), u
+
+    def measured_motion(self, windows: Windows, u: Array, p: Array) -> Array:
+        """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
+        f, count = self.functions, len(windows)
+        nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
+        (motion,) = mapped(self._true_motion, [windows.start, *nothing, u[:, 0]], p, windows.t[:, 0])
+        return np.asarray(motion[:, :, 0])
+
+    def simulated(self, start: Array, t: Array, u: Array, p: Array) -> Array:
+        """Simulate, and say what the sensors report, shape (b, k, 2n)."""
+        return self.reported(self.simulator.run(start, t, u, p), t, u, p)
+
+    def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
+        """What the sensors report of states of shape (b, k, nx)."""
+        size = 2 * self._points.size
+        if self.sensors_are_true:
+            return states[:, :, :size].copy()
+        columns = [a.reshape(-1, a.shape[2]) for a in (states, u)]
+        (flat,) = mapped(self.functions.outputs, columns, p, t.ravel())
+        return np.asarray(flat.reshape(*t.shape, -1))
+
+    @cached_property
+    def sensors_are_true(self) -> bool:
+        """Whether the sensors report pose and velocity as they are."""
+        motion = ca.vertcat(self.functions.eta, self.functions.nu)
+        return bool(ca.is_equal(self.functions.reported, motion, 2))
+
+    def _commands(self, windows: Windows, p: Array) -> Array:
+        drives, samples = self._drives(windows, p), windows.samples
+        return np.stack([drives[run][row] for run, row in zip(windows.run, samples, strict=True)])
+
+    def _drives(self, windows: Windows, p: Array) -> list[Array]:
+        """Commands of every run as they arrive: held where missing, late by the dead time of the model."""
+        held = [_held(run.matrix(windows.commands)) for run in windows.runs]
+        delay = float(self._dead_time(p))
+        if delay == 0.0:
+            return held
+        return [shifted_mean(run.t, u, delay) for run, u in zip(windows.runs, held, strict=True)]
+
+    @cached_property
+    def _dead_time(self) -> ca.Function:
+        f = self.functions
+        return ca.Function("dead_time", [f.p], [f.convert(f.vehicle.composition.dead_time)])
+
+    @cached_property
+    def _true_motion(self) -> ca.Function:
+        f, points = self.functions, self._points
+        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
+        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
+
+
+def _held(u: Array) -> Array:
+    """Commands with the last known value where one is missing; windows do not reach into such gaps."""
+    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
+    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
+    return np.nan_to_num(filled, nan=0.0)
