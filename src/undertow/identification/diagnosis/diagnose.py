@@ -8,25 +8,24 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import sympy as sm
 
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue
-from undertow.model.symbols import FORCE_UNITS, symbol
 from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import cut
-from ..compare.windows import Predictor, prediction_error
+from ..compare.windows import predict, prediction_error
 from ..logs import Run
 from ..weak.data import prepare
 from ..weak.fit import WeakFit
 from .estimates import estimate, estimates
-from .result import Diagnosis, Ranked, Remaining, RunInfo, Step
+from .remaining import remaining
+from .result import Diagnosis, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Finding, Search, search
 from .split import keep_blocks_aside
-from .trial import Bench, Score
-from .verdict import Judgement, compensations, excess, judge
+from .trial import Bench, Score, noise_ratio, only_noise
+from .verdict import Judgement, compensations, judge
 
 Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
@@ -134,8 +133,9 @@ class _Story:
         self.fits = [self.base_fit, *(w.trial.fit for w in found.winners)]
         self.scores: list[Score] = [self.bench.judge(f) for f in self.fits]
         self.floor = float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.bench.noise_level, 1e-12)))))
-        final = found.final_score if not found.winners else self.scores[-1]
-        self.judgement: Judgement = judge(_with_final(found, final), self.scores[0], self.bench.noise_level)
+        ends = (self.scores[0], self.scores[-1])
+        quiet = only_noise(noise_ratio(self.fits[-1], self.bench.test))
+        self.judgement: Judgement = judge(found, ends, self.bench.noise_level, quiet)
         self.windows = cut(test, vehicle, min(HORIZON, _shortest(test)))
 
     def told(self, infos: list[RunInfo], seconds: float) -> Outcome:
@@ -155,7 +155,7 @@ class _Story:
             steps=self._steps(),
             indistinguishable=self.judgement.sets,
             warnings=self._warnings(after),
-            remaining=self._remaining(self.scores[len(named)]),
+            remaining=remaining(after, self.bench.test),
             parameters=estimates(after, self.vehicle),
             false_alarm_rate=FALSE_ALARM_RATE,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
@@ -167,8 +167,7 @@ class _Story:
         return score.error / self.floor
 
     def _predicted(self, vehicle: Vehicle) -> float:
-        predictor = Predictor(vehicle, compiled=False)
-        return prediction_error(predictor.predict(self.windows, predictor.values))
+        return prediction_error(predict(vehicle, self.windows, compiled=False))
 
     def _steps(self) -> list[Step]:
         ids = [w.id for w in self.found.winners]
@@ -198,53 +197,11 @@ class _Story:
         fitted = {n: (v, errors[n]) for n, v in self.base_fit.values.items()}
         return compensations(self.vehicle, fitted, after.values if self.judgement.effects else {})
 
-    def _remaining(self, score: Score) -> list[Remaining]:
-        ratio = excess(score, self.bench.noise_level, self.bench.test)
-        return [self._left(i, ratio[name], score) for i, name in enumerate(ratio)]
-
-    def _left(self, i: int, ratio: float, score: Score) -> Remaining:
-        inertia = self._inertia(i)
-        noise = inertia * self._acceleration_noise(i)
-        note = (
-            "explained by the noise"
-            if ratio**2 < 2.0
-            else f"{ratio:.1f} times what the noise alone would leave"
-        )
-        return Remaining(
-            degree_of_freedom=self.vehicle.degrees_of_freedom[i],
-            normalised_error=ratio,
-            residual_rms=noise * ratio,
-            noise_rms=noise,
-            unit=FORCE_UNITS[self.vehicle.dof_indices[i]],
-            note=note,
-        )
-
-    def _inertia(self, i: int) -> float:
-        vehicle = self.base_fit.vehicle
-        values = {symbol(n): vehicle.value_of(n).value for n in vehicle.parameter_names}
-        entry = vehicle.mass_matrix[i, i].xreplace(values)
-        # What is left are motions inside sign functions, where added mass differs forward and backward.
-        return abs(float(entry.xreplace(dict.fromkeys(entry.free_symbols, sm.Integer(1)))))
-
-    def _acceleration_noise(self, i: int) -> float:
-        """Rms that the noise of the velocity gives to the mean acceleration under a test function."""
-        segment = self.bench.test.segments[0]
-        size = len(self.bench.test.names) // 2
-        weights = segment.functions.rate
-        width = float(np.mean(segment.functions.held.sum(axis=1)))
-        return float(
-            self.bench.test.sigma[size + i] * np.sqrt(weights.multiply(weights).sum(axis=1).mean()) / width
-        )
-
 
 def _new_parameters(finding: Finding) -> tuple[str, ...]:
     own = [p.name for p in finding.trial.candidate.parameters]
     removable = finding.trial.candidate.removable
     return tuple(n for n in own if n in finding.trial.kept or (finding.trial.kept and n not in removable))
-
-
-def _with_final(found: Search, score: Score) -> Search:
-    return Search(found.rounds, found.final_fit, score)
 
 
 def _shortest(runs: Sequence[Run]) -> float:

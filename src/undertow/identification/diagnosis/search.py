@@ -15,7 +15,7 @@ from ..weak.data import WeakData
 from ..weak.fit import WeakFit, disturbed, fit_weak
 from .candidates import Candidate, candidates
 from .evidence import Comparison, compare_scores, explained
-from .trial import Bench, Score, Trial, rejected, scout, try_candidate
+from .trial import Bench, Score, Trial, noise_ratio, only_noise, rejected, scout, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
@@ -28,8 +28,6 @@ _FULL_FITS = 8
 _FINALISTS = 6
 # Candidates that one step cannot make better than this (chi-square) are not worth a full fit.
 _WORTH_A_FIT = 20.0
-# A normalised error below this is the noise floor, within what the quadrature of the weak form leaves.
-FLOOR = 1.12
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ def search(
     quiet = base.model.whitening(test, base.p)
     bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
     fit, score = base, bench.base_score
-    while len(rounds) < MAX_EFFECTS and (not rounds or score.error > FLOOR):
+    while len(rounds) < MAX_EFFECTS and (not rounds or not only_noise(noise_ratio(fit, test))):
         current = _round(bench, known, _share_of(report, len(rounds)))
         rounds.append(current)
         if current.winner is None:

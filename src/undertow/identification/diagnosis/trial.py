@@ -22,6 +22,7 @@ from .candidates import Candidate
 Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
+_NOISE_EXPLAINS = 2.0
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,20 @@ class Bench:
         """Typical large command, for starting values in units of the command."""
         pieces = [np.abs(s.u) for s in self.train.segments if s.u.size]
         return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
+
+
+def noise_ratio(fit: WeakFit, data: WeakData) -> Array:
+    """Mean square of the residual for each equation, in units of what the sensors' noise alone gives.
+
+    The noise model has no room for a disturbance here, so a slow error of the model shows with full force.
+    """
+    whitening = fit.model.whitening(data, fit.p)
+    return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
+
+
+def only_noise(ratio: Array) -> bool:
+    """Whether the sensors' noise explains a residual; the quadrature alone leaves up to half as much."""
+    return bool(np.nanmax(ratio) < _NOISE_EXPLAINS)
 
 
 def scout(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float]]:

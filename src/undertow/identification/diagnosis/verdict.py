@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
 
-from ..weak.data import WeakData
 from .evidence import explained
 from .result import Indistinguishable, Verdict
 from .search import Finding, Search
@@ -19,8 +18,6 @@ Array = NDArray[np.float64]
 # An effect is named only where it (with those named before it) explains this share of what exceeds the noise:
 # a wrong effect often takes half of a residual, seldom four fifths of it.
 NAMED_SHARE = 0.8
-# Largest mean square of an equation, in units of the noise, that counts as explained by the noise.
-NOISE_EXPLAINS = 2.0
 
 
 @dataclass(frozen=True)
@@ -48,13 +45,22 @@ class Judgement:
     share: float
 
 
-def judge(found: Search, base: Score, noise: Array) -> Judgement:
-    """Decide; `base` and `noise` are the incomplete model and the channels' noise under the final noise
-    model.
+def judge(found: Search, scores: tuple[Score, Score], noise: Array, quiet: bool) -> Judgement:
+    """Decide.
+
+    Parameters
+    ----------
+    found : Search
+        What the search did.
+    scores : (Score, Score)
+        The incomplete and the final model under the final noise model.
+    noise : (2n,) array
+        Mean square that the noise of the sensors has under that noise model.
+    quiet : bool
+        Whether the noise explains what the final model leaves.
     """
     winners = found.winners
-    share = explained(base, found.final_score, noise)
-    quiet = _only_noise(found.final_score, noise)
+    share = explained(*scores, noise)
     sets = _sets(found)
     if not winners:
         return _without_effect(quiet, share)
@@ -62,10 +68,6 @@ def judge(found: Search, base: Score, noise: Array) -> Judgement:
         return _unexplained(winners, share)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     return Judgement(verdict, _named(winners, sets, share, quiet), winners, sets, share)
-
-
-def _only_noise(score: Score, noise: Array) -> bool:
-    return bool(np.nanmax(score.mean_square / np.maximum(noise, 1e-12)) < NOISE_EXPLAINS)
 
 
 def _without_effect(quiet: bool, share: float) -> Judgement:
@@ -146,10 +148,3 @@ def _compensation(name: str, value: float, prior: float, distance: float, after:
             f"{line}: it was making up for what is missing, and returns to {after / prior:.3g} times with it"
         )
     return f"{line}: either the prior is wrong, or it makes up for something that is missing"
-
-
-def excess(score: Score, noise: Array, data: WeakData) -> dict[str, float]:
-    """Rms of the residual of every force equation, in units of what the noise alone would give."""
-    size = len(data.names) // 2
-    ratio = np.sqrt(score.mean_square[:size] / np.maximum(noise[:size], 1e-12))
-    return {data.names[size + i]: float(r) for i, r in enumerate(ratio) if np.isfinite(r)}

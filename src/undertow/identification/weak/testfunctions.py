@@ -82,7 +82,7 @@ _PHI_INTEGRAL = _PHI.antiderivative()
 
 
 def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int, reach: int = 0) -> csr_array:
-    """Sparse (count, N) matrix of entry(s, i), s = place_i - k, for samples i in the support of function k."""
+    """Sparse (count, N) matrix of entry(s, i), s = place_i - k, for samples in the support of k."""
     rows, columns, values = [], [], []
     first = np.floor(place).astype(np.intp)
     for offset in range(-reach, DEGREE + 1):
