@@ -16,6 +16,7 @@ from ..weak.drive import shifted_mean
 from ..weak.pointwise import Pointwise, mapped
 from .cutting import Windows
 from .inherited import Inherited
+from .prediction import Prediction
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,10 @@ class Predictor:
     def values(self) -> Array:
         """Parameters of the vehicle."""
         return np.array(self.functions.values(), dtype=float)
+
+    def predict(self, windows: Windows, p: Array | None = None) -> Prediction:
+        """Simulate every window from its measured start, by default with the vehicle's own values."""
+        return Prediction(windows, self.reports(windows, self.values if p is None else p))
 
     def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
         """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
