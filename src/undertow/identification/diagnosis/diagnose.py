@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from undertow import __version__
-from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 
@@ -20,6 +19,7 @@ from ..logs import Run
 from ..weak.data import prepare
 from ..weak.fit import WeakFit
 from .estimates import estimate, estimates
+from .excitation import check_excitation
 from .remaining import remaining
 from .result import Diagnosis, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Finding, Search, search
@@ -30,8 +30,6 @@ from .verdict import Judgement, compensations, judge
 Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
 HORIZON = 5.0
-# A velocity that never exceeds this many standard deviations of its noise was not moved.
-_EXCITED = 5.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def diagnose(
     began = time.perf_counter()
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
-    _check_excitation(vehicle, train_runs, train.sigma)
+    check_excitation(vehicle, train_runs, train.sigma)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     found = search(vehicle, train, test, known or catalogue(), lambda done, words: report(0.9 * done, words))
     report(0.9, "judging the result")
@@ -97,17 +95,6 @@ def diagnose(
     roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
     infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
     return story.told(infos, time.perf_counter() - began)
-
-
-def _check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: np.ndarray) -> None:
-    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
-    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
-    if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
-        seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
-        raise UndertowError(
-            f"nothing moves in these logs: standard deviation of {seen}; "
-            "log a manoeuvre in which the vehicle moves"
-        )
 
 
 def _info(run: Run, role: Role) -> RunInfo:

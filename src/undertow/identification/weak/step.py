@@ -51,7 +51,7 @@ def bounded_step(
     low, high = ((b - now) / scale for b in bounds)
     if np.all(np.isinf(low)) and np.all(np.isinf(high)):
         return np.linalg.solve(factor, target) * scale
-    return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), tol=1e-12).x * scale
+    return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x * scale
 
 
 def inverse_of(information: Array) -> Array:
