@@ -1,0 +1,157 @@
+"""The hidden-effect cases: is what was hidden found, and is nothing found where nothing was hidden?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.hidden_effects.conversion import convert_vehicles
+from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnosis.result import Diagnosis
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle
+
+from .reading import Report, quiet, read
+from .text import MISSING, estimate, listed, number, percent, table
+
+CASES = (
+    "auv-null", "rov-null", "auv-current", "auv-deadband", "auv-heave-yaw-quadratic", "auv-lag",
+    "rov-dvl-lever-arm", "rov-tether-drag", "rov-trim", "rov-weak-thruster", "usv-lift",
+    "usv-current-and-wrong-drag", "rov-unlisted",
+)  # fmt: skip
+TRAINING = ("train_1.csv", "train_2.csv", "train_3.csv")
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """One case after its diagnosis.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        `library`, `null` or `alien`, as in truth.json.
+    truth : tuple of str
+        What is hidden.
+    diagnosis : Diagnosis
+    """
+
+    name: str
+    kind: str
+    truth: tuple[str, ...]
+    diagnosis: Diagnosis
+
+    @property
+    def ranks(self) -> list[int]:
+        """Places in the ranking of what is hidden, from 1; empty where the catalogue does not have it."""
+        order = [r.effect for r in self.diagnosis.ranking]
+        return [order.index(effect) + 1 for effect in self.truth if effect in order]
+
+    @property
+    def known(self) -> bool:
+        """Whether the catalogue has all that is hidden."""
+        return set(self.truth) <= set(catalogue())
+
+    @property
+    def judged(self) -> str:
+        """`right`, `among the set` or `wrong`."""
+        if self.kind == "null":
+            return _said(self.diagnosis.verdict == "adequate")
+        if not self.known:
+            return _said(self.diagnosis.verdict == "unexplained")
+        sets = [set(s.effects) for s in self.diagnosis.indistinguishable]
+        named = set(self.diagnosis.effects)
+        if any(set(self.truth) & s for s in sets):
+            return "among the set"
+        return _said(set(self.truth) == named)
+
+
+def _said(right: bool) -> str:
+    return "right" if right else "wrong"
+
+
+def run_case(data: Path, name: str, report: Report = quiet) -> CaseResult:
+    """Diagnose one case.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the data set, with vehicles.json and one folder per case.
+    name : str
+        The case.
+    report : callable
+        Told what share is done, and what is being done.
+    """
+    truth = json.loads((data / name / "truth.json").read_text(encoding="utf-8"))
+    with TemporaryDirectory() as folder:
+        convert_vehicles(data / "vehicles.json", folder)
+        vehicle = load_vehicle(str(Path(folder) / f"{truth['vehicle']}.toml"))
+    train = read([data / name / log for log in TRAINING], vehicle)
+    holdout = read([data / name / "holdout.csv"], vehicle)
+    found = diagnose(vehicle, train, holdout, report=report).diagnosis
+    # What is in no catalogue has no id: there the truth is described among the values.
+    hidden = truth["effects"] or [text.partition(" (")[0] for text in truth["values"]]
+    return CaseResult(name, truth["class"], tuple(hidden), found)
+
+
+HEAD = (
+    "case", "hidden", "verdict", "named", "", "rank of the truth", "kept-aside error", "5 s ahead", "seconds",
+)  # fmt: skip
+
+
+def section(results: Sequence[CaseResult]) -> str:
+    """The table, the tally and what else was said."""
+    right = sum(r.judged != "wrong" for r in results)
+    parts = [
+        f"{right} of {len(results)} verdicts are right.\n",
+        table(HEAD, [_row(r) for r in results], left=5),
+        "Kept-aside error: 1 is the noise of the sensors; before → after the named effects (in brackets: "
+        "after effects that were tried and not named). 5 s ahead: error of the predicted velocities, "
+        "in % of their rms.\n",
+        _sets(results),
+        _found_values(results),
+    ]
+    return "\n".join(p for p in parts if p)
+
+
+def _row(r: CaseResult) -> list[str]:
+    d = r.diagnosis
+    first, last = d.steps[0], d.steps[-1]
+    error = _change(number(first.error), number(last.error), d)
+    ahead = _change(percent(first.prediction), percent(last.prediction), d)
+    ranks = MISSING if not r.truth else ", ".join(map(str, r.ranks)) or "not in the catalogue"
+    named = listed(d.effects)
+    return [r.name, listed(r.truth), d.verdict, named, r.judged, ranks, error, ahead, number(d.seconds, 2)]
+
+
+def _change(before: str, after: str, d: Diagnosis) -> str:
+    if len(d.steps) == 1:
+        return before
+    return f"{before} → {after}" if d.effects else f"{before} (→ {after})"
+
+
+def _sets(results: Sequence[CaseResult]) -> str:
+    lines = [
+        f"- {r.name}: the data cannot tell {' from '.join(s.effects)}; {s.reason}."
+        for r in results
+        for s in r.diagnosis.indistinguishable
+    ]
+    tried = [
+        f"- {r.name}: tried and not named: {' + '.join(r.diagnosis.steps[-1].added)}. {r.diagnosis.headline}"
+        for r in results
+        if len(r.diagnosis.steps) > 1 and not r.diagnosis.effects
+    ]
+    return "\n".join([*lines, *tried]) + "\n" if lines or tried else ""
+
+
+def _found_values(results: Sequence[CaseResult]) -> str:
+    rows = []
+    for r in results:
+        wanted = set(r.diagnosis.effects)
+        found = [p for p in r.diagnosis.parameters if p.effect in wanted and p.prior is None]
+        if found:
+            rows.append([r.name, ", ".join(estimate(p) for p in found)])
+    return "Parameters of the named effects:\n\n" + table(("case", "found"), rows, left=2) if rows else ""

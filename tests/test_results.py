@@ -1,0 +1,90 @@
+"""The table of results: fast cases once more, and that the page in docs tells of every case."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.results.hidden import CASES, CaseResult, run_case
+from benchmarks.results.text import number, percent, table
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared" / "data" / "hidden-effects"
+PAGE = ROOT / "docs" / "results.md"
+
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"the hidden-effect cases are not there ({DATA})")
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return PAGE.read_text(encoding="utf-8")
+
+
+@needs_data
+@pytest.mark.parametrize(("case", "effect"), [("auv-current", "ocean_current"), ("usv-lift", "lift")])
+def test_a_hidden_effect_comes_first_and_explains_the_logs(case: str, effect: str) -> None:
+    found = run_case(DATA, case)
+    assert found.truth == (effect,)
+    assert found.ranks == [1]
+    assert found.diagnosis.effects == [effect]
+    assert found.judged == "right"
+    before, after = found.diagnosis.steps
+    assert before.error > 5
+    assert after.error < 1.15
+    assert before.prediction is not None
+    assert after.prediction is not None
+    assert after.prediction < 0.6 * before.prediction
+
+
+@needs_data
+def test_where_nothing_is_hidden_nothing_is_found() -> None:
+    found = run_case(DATA, "auv-null")
+    assert found.diagnosis.verdict == "adequate"
+    assert found.diagnosis.effects == []
+    assert found.judged == "right"
+    assert found.diagnosis.steps[0].error < 1.15
+
+
+def test_the_page_tells_of_every_case(page: str) -> None:
+    rows = [line.split("|")[1].strip() for line in page.splitlines() if line.startswith("| ")]
+    assert [case for case in CASES if case not in rows] == []
+
+
+def test_the_page_has_no_part_that_failed(page: str) -> None:
+    assert "failed" not in page
+
+
+def test_the_pictures_of_the_page_are_there(page: str) -> None:
+    names = [line.partition("](")[2].rstrip(")") for line in page.splitlines() if line.startswith("![")]
+    assert names
+    assert [n for n in names if not (PAGE.parent / n).is_file()] == []
+
+
+@needs_data
+def test_every_case_of_the_data_is_in_the_table() -> None:
+    assert {p.name for p in DATA.iterdir() if p.is_dir()} == set(CASES)
+
+
+def test_what_counts_as_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Diagnosis:
+        verdict = "unexplained"
+        effects: tuple[str, ...] = ()
+        indistinguishable: tuple[object, ...] = ()
+
+    def judged(kind: str, *truth: str) -> str:
+        return CaseResult("case", kind, truth, Diagnosis()).judged  # type: ignore[arg-type]
+
+    assert judged("alien", "drag that grows") == "right"
+    assert judged("library", "an effect that no catalogue has") == "right"
+    assert judged("library", "lift") == "wrong"
+    assert judged("null") == "wrong"
+    monkeypatch.setattr(Diagnosis, "verdict", "adequate")
+    assert judged("null") == "right"
+    assert judged("alien", "drag that grows") == "wrong"
+
+
+def test_numbers_and_tables() -> None:
+    assert [number(v) for v in (1.0, 0.01234, 123.4, 1e-6, None)] == ["1", "0.0123", "123", "0.000001", "–"]
+    assert [percent(v) for v in (0.0123, 0.456, None)] == ["1.2 %", "46 %", "–"]
+    assert table(("a", "b"), [("x|y", "1")]) == "| a | b |\n| --- | ---: |\n| x\\|y | 1 |\n"
