@@ -5,16 +5,16 @@ from __future__ import annotations
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 
-from ..weak.fit import WeakFit
+from ..fitted import Fitted
 from .result import Estimate
 
 
-def estimates(fit: WeakFit, stated: Vehicle) -> list[Estimate]:
+def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
     """All free parameters of a fit."""
     return [estimate(fit, name, stated) for name in fit.model.free]
 
 
-def estimate(fit: WeakFit, name: str, stated: Vehicle) -> Estimate:
+def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
     vehicle = fit.model.functions.vehicle
     bare = name.removesuffix("_forward").removesuffix("_backward")

@@ -1,0 +1,144 @@
+"""Refitting the parameters of a vehicle, and the error on kept-aside data before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+from undertow.cli._progress import Report
+from undertow.cli._show import console, section, table, text
+from undertow.errors import UndertowError
+from undertow.identification.compare.windows import Prediction, cut, predict, prediction_error
+from undertow.identification.diagnosis.estimates import estimates
+from undertow.identification.diagnosis.excitation import check_excitation
+from undertow.identification.diagnosis.split import keep_blocks_aside
+from undertow.identification.fitted import Fitted, remarks, t_values
+from undertow.identification.logs import Run
+from undertow.identification.output_error import fit_output_error
+from undertow.identification.weak.data import channel_noise, prepare
+from undertow.identification.weak.fit import fit_weak, free_parameters
+from undertow.model.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A refitted model, judged on data that it was not fitted to.
+
+    Attributes
+    ----------
+    stated : Vehicle
+        The model as given.
+    fit : Fitted
+        The fit.
+    method : str
+        "weak" or "output-error".
+    train, test : list of Run
+        Logs that were fitted, and logs kept aside.
+    before, after : Prediction
+        Kept-aside logs predicted by the model as given and as refitted.
+    """
+
+    stated: Vehicle
+    fit: Fitted
+    method: str
+    train: list[Run]
+    test: list[Run]
+    before: Prediction
+    after: Prediction
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Velocity error ahead before and after, as a share of the motion."""
+        return prediction_error(self.before), prediction_error(self.after)
+
+
+def refit(
+    vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run], method: str, horizon: float, tell: Report
+) -> Refit:
+    """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
+
+    Raises
+    ------
+    UndertowError
+        If nothing is to be estimated, a channel is missing, a log is too short, or nothing moves.
+    """
+    if not free_parameters(vehicle):
+        raise UndertowError(
+            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
+            "X_u = { value = ..., estimate = true }"
+        )
+    train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
+    tell(0.0, "fitting")
+    fit: Fitted
+    if method == "weak":
+        fit = fit_weak(vehicle, prepare(train, vehicle))
+    else:
+        fit = fit_output_error(vehicle, train, horizon=horizon, progress=lambda done, w: tell(0.8 * done, w))
+    tell(0.8, "predicting kept-aside data")
+    longest = max(float(r.t[-1] - r.t[0]) for r in test)
+    windows = cut(test, vehicle, min(horizon, 0.9 * longest))
+    before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
+    return Refit(vehicle, fit, method, train, test, before, after)
+
+
+def show(done: Refit) -> None:
+    """Print parameters, how far they can be trusted, and the error before and after."""
+    out = console()
+    section(f"Parameters by {_METHODS[done.method]}", _parameters(done))
+    out.print(text(f"  condition number {done.fit.condition:.3g}"))
+    for name, said in remarks(done.fit, done.stated).items():
+        for remark in said:
+            out.print(text(f"  {name}: {remark}", "yellow"))
+    horizon = done.before.windows.horizon
+    section(f"Velocity error {horizon:.3g} s ahead on kept-aside data, % of the motion", _errors(done))
+    if not done.errors[1] <= done.errors[0]:
+        out.print(text("the refitted model predicts kept-aside data worse than the model as given", "yellow"))
+
+
+_METHODS = {"weak": "the weak form", "output-error": "output error"}
+
+
+def _parameters(done: Refit) -> object:
+    sure = t_values(done.fit)
+    rows = []
+    for e in estimates(done.fit, done.stated):
+        spread = "" if e.standard_error is None else f"± {e.standard_error:.2g}"
+        prior = "" if e.prior is None else f"{e.prior:.5g}"
+        rows.append((e.name, f"{e.value:.5g}", spread, e.unit, prior, f"{sure[e.name]:.3g}"))
+    return table(("parameter", "value", "", "unit", "before", "|t|"), rows)
+
+
+def _errors(done: Refit) -> object:
+    before, after = done.before.relative, done.after.relative
+    rows = [(name, _percent(before[name]), _percent(after[name])) for name in before]
+    whole = [_percent(share) for share in done.errors]
+    return table(("velocity", "as given", "refitted"), [*rows, ("all", *whole)])
+
+
+def _percent(share: float) -> str:
+    return "diverged" if share == float("inf") else f"{100 * share:.3g}"
+
+
+def history(done: Refit) -> dict[str, object]:
+    """How the values came about, for the vehicle file."""
+    roles = [("train", r) for r in done.train] + [("holdout", r) for r in done.test]
+    before, after = done.errors
+    return {
+        "command": f"undertow fit --method {done.method}",
+        "date": date.today().isoformat(),
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in roles],
+        "error_before": before,
+        "error_after": after,
+        "covariance": {"parameters": list(done.fit.model.free), "matrix": done.fit.covariance.tolist()},
+    }
+
+
+def write(done: Refit, template: Path, target: Path) -> None:
+    """Write the vehicle file with the fitted values."""
+    from undertow.model.saving import save_vehicle
+
+    save_vehicle(done.fit.vehicle, template, target, history=history(done))
+    console().print(text(f"wrote {target}"))

@@ -1,0 +1,68 @@
+"""Refit the parameters that a vehicle file marks as estimated, and judge the result on data kept aside.
+
+By the weak form (quick, needs no simulation), or by output error: simulation of many windows with the start
+of each estimated, too (the final word). Every value comes with its standard error; values that the logs do
+not determine, or that are far from what was stated before, are pointed out.
+
+    undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
+
+Without --holdout, stretches of the logs are kept aside. Without --out and --in-place nothing is written.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from undertow.cli._vehicle_and_logs import (
+    EffectsOption,
+    FillOption,
+    FromOption,
+    HoldoutOption,
+    LogsArgument,
+    MapOption,
+    ToOption,
+    VehicleArgument,
+)
+
+_METHOD = typer.Option("--method", help="The weak form, or simulation (output error).")
+_HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
+_OUT = typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
+_IN_PLACE = typer.Option("--in-place", help="Change the vehicle file itself.")
+
+
+def fit(
+    vehicle: VehicleArgument,
+    logs: LogsArgument,
+    holdout: HoldoutOption = None,
+    method: Annotated[Literal["weak", "output-error"], _METHOD] = "weak",
+    horizon: Annotated[float, _HORIZON] = 5.0,
+    out: Annotated[Path | None, _OUT] = None,
+    in_place: Annotated[bool, _IN_PLACE] = False,
+    map: MapOption = None,
+    effects: EffectsOption = None,
+    since: FromOption = None,
+    until: ToOption = None,
+    fill: FillOption = None,
+) -> None:
+    from undertow.cli._adding import target_of
+    from undertow.cli._fitting import refit, show, write
+    from undertow.cli._progress import progress
+    from undertow.cli._vehicle_and_logs import load
+    from undertow.files import check_writable
+
+    target = target_of(vehicle, out, in_place)
+    read: list[str | Path] = [*logs, *(holdout or []), *(effects or []), *([map] if map else [])]
+    check_writable(target, inputs=[*read, *([] if in_place else [vehicle])])
+    loaded = load(
+        vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
+    )
+    with progress("fitting") as tell:
+        done = refit(loaded.vehicle, loaded.train, loaded.holdout, method, horizon, tell)
+    show(done)
+    if target is None:
+        typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
+    else:
+        write(done, loaded.path, target)

@@ -1,0 +1,110 @@
+"""What every estimator hands back, and how far its parameters can be trusted."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.model.vehicle import Vehicle
+
+from .weak.residual import WeakModel
+from .weak.step import bounds_of
+
+Array = NDArray[np.float64]
+# |value| over its standard error below which a parameter could as well be zero.
+_SURE = 2.0
+# Correlation between the errors of two parameters beyond which only a combination of both is known, unless
+# each is this many standard errors from zero all the same.
+_TIED = 0.95
+_WELL = 10.0
+# Standard deviations of prior and fit together beyond which a value is far from what was stated.
+_FAR = 3.0
+
+
+class Fitted(Protocol):
+    """A fit of the free parameters of a model, whatever the estimator."""
+
+    @property
+    def model(self) -> WeakModel:
+        """Model and names of the free parameters."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle with fitted values and standard errors."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values, SI and SNAME signs."""
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors, SI."""
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the free parameters."""
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the scaled regressor."""
+
+
+def t_values(fit: Fitted) -> dict[str, float]:
+    """Magnitude of every fitted value over its standard error."""
+    errors = fit.standard_errors
+    return {n: abs(v) / errors[n] if errors[n] > 0 else float("inf") for n, v in fit.values.items()}
+
+
+def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
+    """What speaks against a fitted value, by parameter: not identifiable, at a bound, far from its prior.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The fit.
+    stated : Vehicle
+        The vehicle with the values and priors that were stated before.
+    """
+    found: dict[str, list[str]] = {n: [] for n in fit.model.free}
+    for part in (_unsure(fit), _tied(fit), _bound(fit), _moved(fit, stated)):
+        for name, text in part.items():
+            found[name].append(text)
+    return found
+
+
+def _unsure(fit: Fitted) -> dict[str, str]:
+    return {n: f"not identifiable: |t| = {t:.1f}" for n, t in t_values(fit).items() if t < _SURE}
+
+
+def _tied(fit: Fitted) -> dict[str, str]:
+    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+    correlation = fit.covariance / np.outer(spread, spread)
+    np.fill_diagonal(correlation, 0.0)
+    names = fit.model.free
+    partner = np.argmax(np.abs(correlation), axis=1).tolist() if len(names) > 1 else []
+    return {
+        names[i]: f"known only together with {names[j]}: correlation {correlation[i, j]:.3f}"
+        for i, j in enumerate(partner)
+        if abs(correlation[i, j]) > _TIED and t_values(fit)[names[i]] < _WELL
+    }
+
+
+def _bound(fit: Fitted) -> dict[str, str]:
+    low, high = bounds_of(fit.model)
+    values = np.array([fit.values[n] for n in fit.model.free])
+    room = 1e-9 * np.maximum(np.abs(values), 1e-6)
+    at = (values - low <= room) | (high - values <= room)
+    return {n: "at the limit of what is physical" for n, hit in zip(fit.model.free, at, strict=True) if hit}
+
+
+def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:
+    found = {}
+    for name, value in fit.values.items():
+        prior = stated.value_of(name)
+        if prior.sigma:
+            distance = abs(value - prior.value) / np.hypot(prior.sigma, fit.standard_errors[name])
+            if distance > _FAR:
+                found[name] = f"{distance:.1f} standard deviations from its prior"
+    return found
