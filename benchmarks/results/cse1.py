@@ -19,7 +19,7 @@ from .additions import Addition, added
 from .basin import Basin, at, dead_band, drag, thrust
 from .reading import Report, read
 from .text import RANKING_HEAD, VERDICT_HEAD, chance, listed, number, percent, ranked, table
-from .words import DELAY, DRAG, THRUST
+from .words import DELAY, DRAG, FALLING, THRUST
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cse1"
 RUNS = ("manual_random_run1", "manual_random_run3")
@@ -85,8 +85,7 @@ def section(directions: list[Direction], basin: Basin) -> str:
     parts = [
         _verdicts(directions),
         *(_ranking(d) for d in directions),
-        "### The falling error\n\nEffects added by hand, each model refitted, all judged on the "
-        "kept-aside run under one noise model; p: chance that so consistent a fall over the blocks of the run is luck.\n",
+        FALLING,
         *(_falling(d) for d in directions),
         *_truth(directions, basin),
     ]

@@ -30,6 +30,12 @@ drag do not explain these runs. Boundary elements and small oscillations give an
 kg. The last table says where the model fails: starting up, coasting, reversing.
 
 """
+FALLING = """\
+### The falling error
+
+Effects added by hand, each model refitted, all judged on the kept-aside run under one noise model; p: chance
+that so consistent a fall over the blocks of the run is luck.
+"""
 DRAG = """\
 What is identified is the resistance of the ship under way with its propellers running. It contains the
 thrust that is lost as the water streams faster through the propellers, for which the model has no effect;
