@@ -17,6 +17,7 @@ from undertow.identification.logs.run import FORCES, POSE, VELOCITY
 
 TOP = 'schema = "undertow/mapping/1"\n'
 EXAMPLES = Path(__file__).parents[2] / "examples"
+DEMO_DATA = Path(__file__).parents[2] / "src" / "undertow" / "demo_data"
 
 
 @pytest.fixture
@@ -78,9 +79,9 @@ def test_a_mapping_that_is_not_there(tmp_path):
         read_mapping(tmp_path / "none.toml")
 
 
-@pytest.mark.parametrize("name", ["cse1", "cfd-surge"])
-def test_the_examples_are_valid(name):
-    assert read_mapping(EXAMPLES / name / "log.toml").columns
+@pytest.mark.parametrize("folder", [EXAMPLES / "cse1", DEMO_DATA / "cfd-surge"])
+def test_the_mappings_that_are_shipped_are_valid(folder):
+    assert read_mapping(folder / "log.toml").columns
 
 
 @given(arrays(float, (len(POSE + VELOCITY + FORCES), 4), elements=st.floats(-100, 100)))

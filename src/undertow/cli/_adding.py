@@ -40,10 +40,11 @@ def target_of(vehicle: str, out: Path | None, in_place: bool) -> Path | None:
 def show(addition: Addition) -> None:
     """Say what the effect does to the error, and with which values."""
     console = Console(highlight=False)
-    before, after = addition.before, addition.after
+    names = ("model as given", f"refitted without {addition.effect}", f"refitted with {addition.effect}")
+    width = max(map(len, names))
     console.print("Error on kept-aside data (1 = noise of the sensors):")
-    console.print(f"  without {addition.effect}: {_errors(before)}")
-    console.print(f"  with {addition.effect}:    {_errors(after)}")
+    for name, step in zip(names, addition.steps, strict=True):
+        console.print(f"  {name:{width}} {_errors(step)}")
     if not addition.helps:
         console.print(f"[yellow]{addition.effect} does not help[/yellow]: no fall, or none beyond chance.")
     errors, units = addition.fit.standard_errors, addition.fit.vehicle.declared_parameters
@@ -63,7 +64,7 @@ def draw(addition: Addition, out: Path) -> None:
     """The error before and after as a picture."""
     from undertow.identification.report import falling_error, save_png
 
-    save_png(falling_error([addition.before, addition.after]), out)
+    save_png(falling_error(addition.steps), out)
     Console().print(f"wrote {escape(str(out))}")
 
 

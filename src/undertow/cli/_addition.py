@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.compare.cutting import cut
-from undertow.identification.compare.windows import Predictor, Windows, prediction_error
+from undertow.identification.compare.windows import Windows, predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.diagnose import HORIZON
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
+from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.search import FALSE_ALARM_RATE, SMALLEST_FALL
 from undertow.identification.diagnosis.split import keep_blocks_aside
@@ -21,7 +23,7 @@ from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import WeakFit, disturbed, fit_weak, mean_square
 from undertow.identification.weak.noise import Whitening
-from undertow.identification.weak.residual import whitened
+from undertow.identification.weak.residual import Linearised, WeakModel, whitened
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
 from undertow.model.vehicle import Vehicle
@@ -33,6 +35,8 @@ class Ground:
 
     Attributes
     ----------
+    vehicle : Vehicle
+        The model as it was given.
     train, test : list of Run
         The logs.
     bench : Bench
@@ -41,6 +45,7 @@ class Ground:
         Stretches of the kept-aside logs over which motion is predicted.
     """
 
+    vehicle: Vehicle
     train: list[Run]
     test: list[Run]
     bench: Bench
@@ -48,8 +53,7 @@ class Ground:
 
     def ahead(self, vehicle: Vehicle) -> float:
         """Velocity error of the prediction ahead on kept-aside data, as a share of the motion."""
-        predictor = Predictor(vehicle, compiled=False)
-        return float(prediction_error(predictor.predict(self.windows, predictor.values)))
+        return float(prediction_error(predict(vehicle, self.windows, compiled=False)))
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,9 @@ class Addition:
         The fit of the model with it.
     kept, dropped : tuple of str
         Parameters of the effect that are in the model now, and those that proved to be zero.
-    before, after : Step
-        Error on kept-aside data (1 = noise of the sensors) and prediction ahead.
+    given, before, after : Step
+        Error on kept-aside data (1 = noise of the sensors) and prediction ahead: of the model as it was
+        given, refitted without the effect, and refitted with it.
     evidence : Comparison
         How strongly the kept-aside data speak for the effect.
     """
@@ -74,9 +79,15 @@ class Addition:
     fit: WeakFit
     kept: tuple[str, ...]
     dropped: tuple[str, ...]
+    given: Step
     before: Step
     after: Step
     evidence: Comparison
+
+    @property
+    def steps(self) -> list[Step]:
+        """The three models in their order."""
+        return [self.given, self.before, self.after]
 
     @property
     def helps(self) -> bool:
@@ -98,16 +109,18 @@ def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (
     Raises
     ------
     UndertowError
-        If a channel is missing or a log is too short.
+        If a channel is missing, a log is too short, or nothing moved in it.
     """
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
+    check_excitation(vehicle, train_runs, train.sigma)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     base = fit_weak(vehicle, train)
     quiet = base.model.whitening(test, base.p)
     bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    return Ground(train_runs, test_runs, bench, cut(test_runs, vehicle, min(HORIZON, 0.9 * longest)))
+    windows = cut(test_runs, vehicle, min(HORIZON, 0.9 * longest))
+    return Ground(vehicle, train_runs, test_runs, bench, windows)
 
 
 def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) -> Addition:
@@ -188,19 +201,31 @@ def _told(ground: Ground, bench: Bench, trial: Trial) -> Addition:
     own = tuple(p.name for p in trial.candidate.parameters)
     kept = tuple(n for n in own if n in trial.fit.model.free)
     noise = trial.fit.model.whitening(bench.test, trial.fit.p)
+    given = Functions(ground.vehicle)
+    p = np.array(given.values(), dtype=float)
     return Addition(
         trial.id,
         trial.fit,
         kept,
         tuple(n for n in own if n not in kept),
-        _step(ground, [], bench.base, noise),
-        _step(ground, [trial.id], trial.fit, noise),
+        _step(ground, [], ground.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
+        _fitted(ground, [], bench.base, noise),
+        _fitted(ground, [trial.id], trial.fit, noise),
         compare_scores(bench.base_score, trial.score, bench.test),
     )
 
 
-def _step(ground: Ground, added: list[str], fit: WeakFit, noise: list[Whitening]) -> Step:
-    """Errors of a fitted model on the kept-aside data; `noise` is that of the channels alone."""
-    test = ground.bench.test
-    r = whitened(fit.model.linearise(test, fit.p), noise).r
-    return Step(added=added, error=Score(r, mean_square(r, test)).error, prediction=ground.ahead(fit.vehicle))
+def _fitted(ground: Ground, added: list[str], fit: WeakFit, noise: list[Whitening]) -> Step:
+    return _step(ground, added, fit.vehicle, fit.model.linearise(ground.bench.test, fit.p), noise)
+
+
+def _step(
+    ground: Ground, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
+) -> Step:
+    """Errors of a model on the kept-aside data; `noise` is that of the channels alone."""
+    r = whitened(at, noise).r
+    return Step(
+        added=added,
+        error=Score(r, mean_square(r, ground.bench.test)).error,
+        prediction=ground.ahead(vehicle),
+    )

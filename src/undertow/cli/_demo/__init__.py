@@ -1,0 +1,1 @@
+"""The story that `undertow demo` tells, on logs that come with the package."""
