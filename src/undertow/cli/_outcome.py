@@ -120,7 +120,7 @@ def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> 
         "added": d.effects,
         "logs": [{"name": r.name, "sha256": r.sha256, "role": r.role} for r in d.runs],
         "error_before": d.steps[0].error,
-        "error_after": d.steps[len(d.effects)].error if len(d.effects) < len(d.steps) else d.steps[-1].error,
+        "error_after": d.steps[-1 if d.effects else 0].error,
         "covariance": {"parameters": list(free), "matrix": outcome.fit.covariance.tolist()},
     }
     save_vehicle(outcome.after, template, out, history=history)

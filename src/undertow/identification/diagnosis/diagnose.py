@@ -25,7 +25,7 @@ from .result import Diagnosis, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Finding, Search, search
 from .split import keep_blocks_aside
 from .trial import Bench, Score, noise_ratio, only_noise
-from .verdict import Judgement, compensations, judge
+from .verdict import Judgement, compensations, judge, unique_ids
 
 Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
@@ -137,7 +137,7 @@ class _Story:
             runs=infos,
             verdict=self.judgement.verdict,
             headline=self.judgement.headline,
-            effects=[f.id for f in named],
+            effects=unique_ids(named),
             ranking=[self._ranked(f) for f in self.found.rounds[0].findings],
             steps=self._steps(),
             indistinguishable=self.judgement.sets,

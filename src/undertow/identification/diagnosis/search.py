@@ -132,7 +132,7 @@ def _share_of(report: Report, done_rounds: int) -> Report:
 
 def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
     possible = candidates(bench.base.vehicle, known)
-    _log.info("normalised error of the model so far %.3f; %d effects to try", bench.base_score.error, len(possible))
+    _log.info("error so far %.3f; %d effects to try", bench.base_score.error, len(possible))
     scouted = _scouted(possible, bench, report)
     worth = [(c, start) for c, cost, start in scouted if bench.base.cost - cost > _WORTH_A_FIT][:_FULL_FITS]
     trials = []

@@ -82,7 +82,7 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
 
 
 def _unexplained(winners: list[Finding], share: float) -> Judgement:
-    names = " and ".join(f.id for f in winners)
+    names = " and ".join(unique_ids(winners))
     text = (
         f"Unexplained: {names} lowers the kept-aside error but explains only {share:.0%} of what "
         "exceeds the noise, too little to be named as what is missing."
@@ -91,12 +91,17 @@ def _unexplained(winners: list[Finding], share: float) -> Judgement:
 
 
 def _named(winners: list[Finding], sets: list[Indistinguishable], share: float, quiet: bool) -> str:
-    names = " and ".join(f.id for f in winners)
+    names = " and ".join(unique_ids(winners))
     rest = "what remains is noise" if quiet else f"it explains {share:.0%} of what exceeds the noise"
     if sets:
         choice = "; ".join(" or ".join(s.effects) for s in sets)
         return f"These data cannot tell: {choice}. Any of them brings the error down alike; {rest}."
     return f"Missing: {names}; {rest}."
+
+
+def unique_ids(findings: list[Finding]) -> list[str]:
+    """Ids in order; an effect may come twice, when a second parameter of it shows only once others are in."""
+    return list(dict.fromkeys(f.id for f in findings))
 
 
 def _sets(found: Search) -> list[Indistinguishable]:
