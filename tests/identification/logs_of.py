@@ -1,0 +1,43 @@
+"""Cases of the independent generator as runs, and the model with its true values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.hidden_effects import Case
+from undertow.identification.logs import Run
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import vehicle_from_table
+from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle_schema import VehicleTable
+
+
+def runs_of(case: Case) -> list[Run]:
+    """The runs of a case."""
+    return [run_of(name, columns) for name, columns in case.runs.items()]
+
+
+def run_of(name: str, columns: Mapping[str, np.ndarray]) -> Run:
+    """Columns with a time column as a run."""
+    channels = {k: v for k, v in columns.items() if k != "t"}
+    return Run(name, columns["t"], channels, sha256=name)
+
+
+def vehicle_of(case: Case) -> Vehicle:
+    """The model that a user would start from."""
+    return vehicle_from_table(VehicleTable.model_validate(case.vehicle), catalogue())
+
+
+def true_vehicle(case: Case) -> Vehicle:
+    """The same model with the true values of its parameters."""
+    vehicle = vehicle_of(case)
+    true = {n: v for n, v in case.truth["parameters"].items() if n in vehicle.values}
+    return vehicle.with_values({n: replace(vehicle.value_of(n), value=v) for n, v in true.items()})
+
+
+def with_effect(vehicle: Vehicle, effect: str, **values: float) -> Vehicle:
+    """The model with one more effect at given values, which may be refitted."""
+    return vehicle.with_effect(catalogue()[effect], {n: Value(v, estimate=True) for n, v in values.items()})

@@ -1,0 +1,186 @@
+"""Output error: the paper's baseline, starts eliminated exactly, and effects anywhere on the way of a command."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
+from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+from undertow.identification import velocities_from_pose
+from undertow.identification.compare.cutting import cut
+from undertow.identification.fitted import remarks, t_values
+from undertow.identification.output_error import OutputErrorFit, fit_output_error
+from undertow.identification.output_error.shooting import Shooting
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import fit_weak
+from undertow.model.vehicle import Vehicle
+
+SIZES = np.array([M_X, TRUTH["X_u"], TRUTH["X_uabsu"]])
+"""What the paper's table gives errors relative to: mass with added mass, linear and quadratic drag."""
+
+CRAMER_RAO = np.array([0.40, 18.0, 2.6])
+WEAK_BASELINE = np.array([0.41, 20.0, 2.9])
+DRAWS = 24
+
+
+def _off(fit: OutputErrorFit, truth: Vehicle) -> dict[str, float]:
+    """Distance of every fitted value from the truth in standard errors."""
+    return {n: (v - truth.value_of(n).value) / fit.standard_errors[n] for n, v in fit.values.items()}
+
+
+# --- the paper's surge experiment -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("horizon", [None, 5.0])
+def test_without_noise_the_truth_is_found(horizon: float | None) -> None:
+    fit = fit_output_error(surge_vehicle(), [surge_run()], horizon=horizon)
+    for name, value in TRUTH.items():
+        assert fit.values[name] == pytest.approx(-value, rel=1e-6)
+
+
+def test_errors_at_two_per_cent_noise_are_near_the_bound() -> None:
+    vehicle = surge_vehicle()
+    truth = -np.array(list(TRUTH.values()))
+    by_weak, by_output = [], []
+    for seed in range(DRAWS):
+        run = surge_run(0.02, seed)
+        weak = fit_weak(vehicle, prepare([run], vehicle))
+        by_weak.append(list(weak.values.values()))
+        by_output.append(
+            list(fit_output_error(vehicle, [run], horizon=None, start=weak.values).values.values())
+        )
+    for found, reference in ((by_output, CRAMER_RAO), (by_weak, WEAK_BASELINE)):
+        rmse = 100 * np.sqrt(np.mean((np.array(found) - truth) ** 2, axis=0)) / SIZES
+        # 24 draws know a standard deviation to about 15 %.
+        np.testing.assert_allclose(rmse, reference, rtol=0.35)
+
+
+def test_claimed_errors_are_the_ones_that_are_made() -> None:
+    fits = [fit_output_error(surge_vehicle(), [surge_run(0.02, 100 + s)], horizon=None) for s in range(12)]
+    claimed = np.median([list(f.standard_errors.values()) for f in fits], axis=0)
+    np.testing.assert_allclose(100 * claimed / SIZES, CRAMER_RAO, rtol=0.15)
+
+
+def test_what_the_experiment_cannot_show_is_said() -> None:
+    fit = fit_output_error(surge_vehicle(), [surge_run(0.1, 3)], horizon=None)
+    said = remarks(fit, surge_vehicle())
+    assert t_values(fit)["X_u"] < 2.0
+    assert any("not identifiable" in text for text in said["X_u"])
+    assert not any("not identifiable" in text for text in said["X_udot"])
+
+
+def test_several_runs_are_fitted_jointly() -> None:
+    one = fit_output_error(surge_vehicle(), [surge_run(0.02, 1)], horizon=None)
+    both = fit_output_error(surge_vehicle(), [surge_run(0.02, 1), surge_run(0.02, 2)], horizon=None)
+    ratio = [both.standard_errors[n] / one.standard_errors[n] for n in TRUTH]
+    np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.25)
+
+
+def test_compiled_code_and_virtual_machine_agree() -> None:
+    fits = [
+        fit_output_error(surge_vehicle(), [surge_run(0.02, 5)], compiled=compiled).values
+        for compiled in (None, False)
+    ]
+    assert fits[0] == pytest.approx(fits[1], rel=1e-9)
+
+
+def test_a_physical_bound_holds() -> None:
+    run = surge_run(0.02, 1)
+    pushed = replace(run, channels={**run.channels, "tau_X": run.channels["tau_X"] - 0.3 * run.channels["u"]})
+    fit = fit_output_error(surge_vehicle(), [pushed], horizon=None)
+    assert fit.values["X_u"] <= 0.0
+    assert any("limit" in text for text in remarks(fit, surge_vehicle())["X_u"])
+
+
+def test_a_simulation_that_diverges_at_the_start_is_told() -> None:
+    vehicle = surge_vehicle()
+    wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4, estimate=False)})
+    with pytest.raises(UndertowError, match="diverges with the starting values"):
+        fit_output_error(wild, [surge_run(0.02)], horizon=None, start={})
+
+
+def test_a_derived_velocity_takes_no_part_but_the_pose_does() -> None:
+    clean = surge_run()
+    x = np.concatenate([[0.0], np.cumsum(0.1 * (clean.channels["u"][1:] + clean.channels["u"][:-1]))])
+    noisy = x + 1e-3 * np.random.default_rng(2).standard_normal(len(x))
+    run = replace(clean, channels={"x": noisy, "tau_X": clean.channels["tau_X"]})
+    fit = fit_output_error(surge_vehicle(), [velocities_from_pose(run, ["surge"])], horizon=None)
+    assert np.isnan(fit.mean_square()[1])
+    assert fit.mean_square()[0] == pytest.approx(1.0, abs=0.35)
+    assert fit.values["X_udot"] == pytest.approx(-TRUTH["X_udot"], abs=0.02 * M_X)
+
+
+# --- the starts -------------------------------------------------------------------------------------------
+
+
+def test_eliminating_the_starts_gives_the_slope_of_the_best_cost() -> None:
+    vehicle = surge_vehicle()
+    functions = Functions(vehicle)
+    windows = cut([surge_run(0.02, 1)], vehicle, 5.0)
+    shooting = Shooting(functions, windows, list(TRUTH), np.array([0.0, 1.0 / windows.sigma[1]]))
+    p = np.array(functions.values())
+
+    def best(p: np.ndarray) -> tuple[float, np.ndarray]:
+        starts = shooting.first_starts(p)
+        for _ in range(6):
+            at = shooting.linearise(p, starts)
+            starts = starts + at.start_step
+        return shooting.cost(p, starts), starts
+
+    at = shooting.linearise(p, best(p)[1])
+    assert np.max(np.abs(at.start_step)) < 1e-9
+    for k, place in enumerate(shooting.places):
+        step = 1e-4 * abs(p[place]) * np.eye(len(p))[place]
+        slope = (best(p + step)[0] - best(p - step)[0]) / (2 * step[place])
+        assert 2 * at.J[:, k] @ at.r == pytest.approx(slope, rel=1e-4)
+
+
+def test_batches_of_windows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = fit_output_error(surge_vehicle(), [surge_run(0.02, 1)])
+    monkeypatch.setattr("undertow.identification.output_error.shooting._BATCH", 1)
+    pieces = fit_output_error(surge_vehicle(), [surge_run(0.02, 1)])
+    assert pieces.values == pytest.approx(whole.values, rel=1e-8)
+    np.testing.assert_allclose(pieces.covariance, whole.covariance, rtol=1e-6)
+
+
+# --- several degrees of freedom, and effects on the way from a command to a measurement --------------------
+
+
+def test_three_degrees_of_freedom_come_out_within_their_errors() -> None:
+    case = make_case("usv", (), 4, duration=40.0, runs=("steps", "multisine"))
+    fit = fit_output_error(vehicle_of(case), runs_of(case))
+    assert max(map(abs, _off(fit, true_vehicle(case)).values())) < 4.0
+    np.testing.assert_allclose(fit.mean_square(), 1.0, atol=0.2)
+
+
+def test_a_delay_is_found_by_its_effect_on_the_commands() -> None:
+    case = make_case("usv", ("actuation_delay",), 2, duration=40.0, runs=("steps", "multisine"))
+    model = with_effect(vehicle_of(case), "actuation_delay", delay=0.1)
+    fit = fit_output_error(model, runs_of(case))
+    true = case.truth["values"]["actuation_delay"]["delay"]
+    assert fit.values["delay"] == pytest.approx(true, abs=max(4 * fit.standard_errors["delay"], 0.01))
+
+
+def test_a_lag_is_found_though_nobody_knows_the_thrust_at_the_beginning() -> None:
+    case = make_case("usv", ("thruster_lag",), 2, duration=40.0, runs=("steps", "multisine"))
+    model = with_effect(vehicle_of(case), "thruster_lag", T_lag=0.3)
+    fit = fit_output_error(model, runs_of(case))
+    true = case.truth["values"]["thruster_lag"]["T"]
+    assert fit.values["T_lag"] == pytest.approx(true, abs=4 * fit.standard_errors["T_lag"])
+    assert np.nanmax(fit.mean_square()) < 1.3
+
+
+def test_a_lever_arm_is_found_by_what_the_sensor_reports() -> None:
+    case = make_case("usv", ("velocity_lever_arm",), 2, duration=40.0, runs=("steps", "multisine"))
+    fit = fit_output_error(
+        with_effect(vehicle_of(case), "velocity_lever_arm", x_s=0.0, y_s=0.0), runs_of(case)
+    )
+    true = case.truth["values"]["velocity_lever_arm"]
+    for name in ("x_s", "y_s"):
+        assert fit.values[name] == pytest.approx(true[name], abs=4 * fit.standard_errors[name])
