@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def added(
     bench = _bench(vehicle, train, test)
     fits = {(): bench.base}
     for chain in chains:
-        fits[chain] = _chained(bench, chain)
+        fits[chain] = _chained(bench, vehicle, chain)
     best = min(fits.values(), key=lambda fit: fit.cost)
     sharp = bench.sharpened(best)
     # The models are refitted under the noise model that judges them.
@@ -87,17 +87,22 @@ def _bench(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> Bench
     return Bench(known, aside, base.whitening, disturbed(quiet, base.disturbance, aside), base)
 
 
-def _chained(bench: Bench, chain: tuple[str, ...]) -> WeakFit:
+def _chained(bench: Bench, vehicle: Vehicle, chain: tuple[str, ...]) -> WeakFit:
+    """Priors stay those of the vehicle: a fit of the incomplete model is no prior knowledge."""
     for effect in chain:
-        fit = _with(bench, effect)
+        candidate = Candidate(catalogue()[effect], vehicle)
+        start = scout(candidate, bench)[1]
+        # All parameters of the effect are kept, also those that a diagnosis would drop as uncertain.
+        fit = bench.fit(candidate.vehicle, candidate.free(), start)
         bench = Bench(bench.train, bench.test, bench.train_whitening, bench.test_whitening, fit)
+        vehicle = _estimating(candidate)
     return bench.base
 
 
-def _with(bench: Bench, effect: str) -> WeakFit:
-    """All parameters of the effect are kept, also those that a diagnosis would drop as uncertain."""
-    candidate = Candidate(catalogue()[effect], bench.base.vehicle)
-    return bench.fit(candidate.vehicle, candidate.free(), scout(candidate, bench)[1])
+def _estimating(candidate: Candidate) -> Vehicle:
+    """The model with the effect, whose parameters are free in later fits, too."""
+    own = {p.name: candidate.vehicle.value_of(p.name) for p in candidate.parameters}
+    return candidate.vehicle.with_values({n: replace(v, estimate=True) for n, v in own.items()})
 
 
 def _addition(
