@@ -39,7 +39,7 @@ def surge_vehicle() -> Vehicle:
 
 
 def surge_run(noise: float = 0.0, seed: int = 0) -> Run:
-    """Profile P, 30 s: velocity with white noise in shares of its rms; the force is logged as its interval mean."""
+    """Profile P, 30 s: velocity with noise in shares of its rms; the force is logged as its interval mean."""
     t = np.arange(0.0, 30.0 + 1e-9, INTERVAL)
     force = _mean_force(t)
     u = np.zeros(len(t))

@@ -1,4 +1,4 @@
-"""Output error: the paper's baseline, starts eliminated exactly, and effects anywhere on the way of a command."""
+"""Output error: the paper's baseline, starts eliminated exactly, and effects on the way of a command."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ _SECANT = 1e-6
 _SHARES = np.array([1.0, 0.3, 0.1, 0.03, 0.0])
 # Fall of the sum of squares below which the search ends.
 _ENOUGH = 1e-6
+_LOST = 1e300
 
 
 def best_start(report: Callable[[Array], Array], measured: Array, start: Array, width: Array) -> Array:
@@ -46,7 +47,9 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
     for _ in range(_ROUNDS):
         step = _gauss_newton(residual, moved)
         trials = moved[:, None] + _SHARES[:, None] * step[:, None]
-        cost = np.nan_to_num(np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2), nan=np.inf)
+        with np.errstate(over="ignore"):
+            cost = np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
+        cost = np.nan_to_num(cost, nan=_LOST, posinf=_LOST)
         best = np.argmin(cost, axis=1)
         moved = trials[np.arange(len(best)), best]
         gained = cost[:, -1] - cost[np.arange(len(best)), best]

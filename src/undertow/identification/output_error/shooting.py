@@ -97,7 +97,8 @@ class Shooting:
     def cost(self, p: Array, starts: Array) -> float:
         """Weighted sum of squares of the simulation error; inf if a simulation diverged."""
         r = self._residual(self.predictor.reports(self.windows, p, starts))
-        total = float(np.sum(r**2))
+        with np.errstate(over="ignore"):
+            total = float(np.sum(r**2))
         return total if np.isfinite(total) else float("inf")
 
     def linearise(self, p: Array, starts: Array) -> Reduced:

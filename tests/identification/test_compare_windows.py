@@ -1,0 +1,215 @@
+"""Windows and predictions: starts from the measurement alone, gaps, dead time, states that nobody measures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
+from tests.identification.surge import TRUTH, surge_run, surge_vehicle
+from undertow.errors import UndertowError
+from undertow.identification.compare.beginning import best_start
+from undertow.identification.compare.starting import local_value, start_values
+from undertow.identification.compare.windows import Predictor, cut, predict, prediction_error
+from undertow.identification.logs import Run
+from undertow.model.vehicle import Vehicle
+
+CLOCK = np.arange(0.0, 20.0, 0.05)
+SIGMA = 0.01
+
+
+def _true_surge() -> Vehicle:
+    vehicle = surge_vehicle()
+    return vehicle.with_values({n: replace(vehicle.value_of(n), value=-v) for n, v in TRUTH.items()})
+
+
+def _noise(seed: int = 0) -> np.ndarray:
+    return SIGMA * np.random.default_rng(seed).standard_normal(len(CLOCK))
+
+
+# --- the start of a window --------------------------------------------------------------------------------
+
+
+def test_a_smooth_signal_is_known_better_than_a_sample() -> None:
+    signal = np.sin(CLOCK)
+    at = np.arange(5, 395)
+    error = local_value(CLOCK, signal + _noise(), at, SIGMA) - signal[at]
+    assert np.sqrt(np.mean(error**2)) < 0.55 * SIGMA
+
+
+def test_a_kink_and_a_jump_are_not_smoothed_away() -> None:
+    kink = np.maximum(CLOCK - 10.0, 0.0) * 3.0
+    jump = np.where(CLOCK >= 10.0, 1.0, 0.0)
+    at = np.arange(190, 211)
+    for signal in (kink, jump):
+        errors = [local_value(CLOCK, signal + _noise(s), at, SIGMA) - signal[at] for s in range(30)]
+        assert np.max(np.sqrt(np.mean(np.square(errors), axis=0))) < 1.6 * SIGMA
+
+
+def test_a_lone_outlier_is_no_start() -> None:
+    signal = np.sin(CLOCK) + _noise()
+    signal[100] += 3.0
+    value = local_value(CLOCK, signal, np.array([99, 100, 101]), SIGMA)
+    np.testing.assert_allclose(value, np.sin(CLOCK[99:102]), atol=5 * SIGMA)
+
+
+def test_without_noise_the_sample_itself_is_taken() -> None:
+    signal = np.exp(np.sin(3 * CLOCK))
+    np.testing.assert_allclose(local_value(CLOCK, signal, np.arange(400), 0.0), signal, rtol=1e-12)
+
+
+def test_a_signal_too_short_to_smooth_is_taken_as_it_is() -> None:
+    short = np.array([1.0, 2.0, 4.0])
+    np.testing.assert_array_equal(local_value(CLOCK[:3], short, np.array([0, 2]), SIGMA), [1.0, 4.0])
+
+
+def test_angles_are_smoothed_over_longer_by_their_rates() -> None:
+    phi, theta = 0.3 * np.sin(4 * CLOCK), 0.2 * np.cos(3 * CLOCK)
+    psi = np.sin(2 * CLOCK) + 0.4 * CLOCK
+    phi_dot, theta_dot, psi_dot = (np.gradient(a, CLOCK, edge_order=2) for a in (phi, theta, psi))
+    # Euler rates to body rates (Fossen 2021, section 2.2).
+    p = phi_dot - np.sin(theta) * psi_dot
+    q = np.cos(phi) * theta_dot + np.cos(theta) * np.sin(phi) * psi_dot
+    r = -np.sin(phi) * theta_dot + np.cos(theta) * np.cos(phi) * psi_dot
+    clean = np.column_stack([phi, theta, psi, p, q, r])
+    noise = SIGMA * np.random.default_rng(1).standard_normal(clean.shape)
+    noise[:, 3:] *= 0.1
+    names, at = ("phi", "theta", "psi", "p", "q", "r"), np.arange(0, 400, 7)
+    value = start_values(CLOCK, clean + noise, names, np.array([SIGMA] * 3 + [0.1 * SIGMA] * 3), at)
+    rms = np.sqrt(np.mean((value - clean[at])[:, :3] ** 2, axis=0))
+    assert np.all(rms < 0.35 * SIGMA)
+
+
+def test_what_is_not_measured_starts_at_zero() -> None:
+    measured = np.column_stack([np.full(len(CLOCK), np.nan), np.cos(CLOCK)])
+    value = start_values(CLOCK, measured, ("x", "u"), np.array([0.0, 0.0]), np.array([0, 40]))
+    np.testing.assert_allclose(value, [[0.0, 1.0], [0.0, np.cos(2.0)]])
+
+
+# --- windows ----------------------------------------------------------------------------------------------
+
+
+def test_windows_follow_each_other_and_a_last_one_may_lack_a_sample() -> None:
+    windows = cut([surge_run()], surge_vehicle(), 5.0)
+    np.testing.assert_array_equal(windows.first, np.arange(0, 150, 25))
+    np.testing.assert_array_equal(windows.count, 26)
+    shorter = cut([surge_run().slice(None, 29.8)], surge_vehicle(), 5.0)
+    assert shorter.count.tolist() == [26] * 5 + [25]
+    assert np.isnan(shorter.measured[-1, -1]).all()
+    assert len(cut([surge_run().slice(None, 27.0)], surge_vehicle(), 5.0)) == 5
+
+
+def test_windows_may_overlap() -> None:
+    windows = cut([surge_run()], surge_vehicle(), 5.0, overlap=0.5)
+    assert len(windows) == 10
+    assert np.all(np.diff(windows.t[:, 0]) >= 2.4)
+
+
+def test_a_gap_is_not_crossed() -> None:
+    run = surge_run()
+    u = run.channels["u"].copy()
+    u[60:70] = np.nan
+    windows = cut([replace(run, channels={**run.channels, "u": u})], surge_vehicle(), 5.0)
+    inside = windows.samples[windows.inside]
+    assert not set(range(60, 70)) & set(inside.tolist())
+    assert set(windows.segment.tolist()) == {0, 70}
+    assert np.isfinite(predict(_true_surge(), windows).predicted).any()
+
+
+def test_a_log_shorter_than_the_horizon_is_refused_with_its_length() -> None:
+    with pytest.raises(UndertowError, match=r"predict over 40 s.*lasts 30 s.*shorter horizon"):
+        cut([surge_run()], surge_vehicle(), 40.0)
+    with pytest.raises(UndertowError, match="horizon = -1 s"):
+        cut([surge_run()], surge_vehicle(), -1.0)
+
+
+# --- predictions ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("horizon", [1.0, 5.0, 20.0, None])
+def test_the_true_model_predicts_a_log_without_noise(horizon: float | None) -> None:
+    prediction = predict(_true_surge(), [surge_run()], horizon)
+    assert prediction.rms["u"] < 1e-7
+    assert prediction_error(prediction) < 1e-6
+    assert prediction.fit["u"] == pytest.approx(100.0, abs=1e-3)
+
+
+def test_compiled_code_and_virtual_machine_agree() -> None:
+    a, b = (predict(_true_surge(), [surge_run(0.02)], compiled=c) for c in (None, False))
+    np.testing.assert_allclose(a.predicted, b.predicted, atol=1e-12)
+
+
+def test_five_per_cent_off_is_told_as_five_per_cent() -> None:
+    prediction = predict(_true_surge(), [surge_run()], None)
+    off = np.nan_to_num(prediction.windows.measured * 1.05)
+    told = replace(prediction, predicted=off)
+    assert prediction_error(told) == pytest.approx(0.05, rel=1e-9)
+
+
+def test_noise_alone_gives_an_error_of_the_noise() -> None:
+    case = make_case("usv", (), 5, duration=60.0, runs=("steps", "multisine"))
+    prediction = predict(true_vehicle(case), runs_of(case), 1.0)
+    assert prediction.normalised["u"] == pytest.approx(1.0, abs=0.15)
+    assert prediction.normalised["psi"] == pytest.approx(1.0, abs=0.3)
+    assert predict(vehicle_of(case), runs_of(case), 5.0).relative["r"] > prediction.relative["r"]
+
+
+def test_a_simulation_that_diverges_is_counted_and_infinite() -> None:
+    vehicle = _true_surge()
+    wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4)})
+    prediction = predict(wild, [surge_run(0.02)], None)
+    assert prediction.diverged == 1
+    assert prediction_error(prediction) == np.inf
+
+
+def test_a_dead_time_acts_on_the_commands() -> None:
+    run = surge_run()
+    thruster = {"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]}
+    late = Run("late", run.t, {"u": run.channels["u"], "f1": np.roll(run.channels["tau_X"], -2)})
+    vehicle = _with_thruster(thruster)
+    delayed = with_effect(vehicle, "actuation_delay", delay=0.4)
+    assert predict(delayed, [late], None).rms["u"] < 1e-6
+    assert predict(vehicle, [late], None).rms["u"] > 1e-3
+
+
+def _with_thruster(thruster: dict[str, object]) -> Vehicle:
+    from undertow.model.vehicle import Thruster
+
+    vehicle = _true_surge()
+    wrench = tuple(map(float, thruster["wrench"]))  # type: ignore[arg-type]
+    return replace(vehicle, force_channels=(), thrusters=(Thruster(str(thruster["name"]), wrench),))
+
+
+# --- states that nobody measures --------------------------------------------------------------------------
+
+
+def test_a_lag_is_followed_from_an_estimated_beginning() -> None:
+    case = make_case("usv", ("thruster_lag",), 2, noise=0.0, duration=40.0, runs=("steps",))
+    true = case.truth["values"]["thruster_lag"]["T"]
+    lagged = with_effect(true_vehicle(case), "thruster_lag", T_lag=true)
+    prediction = predict(lagged, runs_of(case), 5.0)
+    # The thrusters stood still when the log began, which it does not say.
+    assert prediction_error(prediction) < 5e-3
+    start, _ = Predictor(lagged).start_and_drive(prediction.windows, np.array(Predictor(lagged).values))
+    assert np.max(np.abs(start[0, 6:])) < 0.02 * np.max(np.abs(start[:, 6:]))
+
+
+def test_the_best_start_of_a_line_is_its_least_squares_fit() -> None:
+    t = np.linspace(0.0, 1.0, 30)
+    measured = (2.0 + 3.0 * t)[None, :, None] / SIGMA
+
+    def report(starts: np.ndarray) -> np.ndarray:
+        return (starts[:, :1] + starts[:, 1:] * t)[:, :, None] / SIGMA
+
+    found = best_start(report, measured, np.zeros((1, 2)), np.array([10.0, 10.0]))
+    np.testing.assert_allclose(found, [[2.0, 3.0]], atol=1e-5)
+
+
+def test_a_start_that_cannot_be_simulated_stays_where_it_is() -> None:
+    found = best_start(
+        lambda s: np.full((len(s), 4, 1), np.nan), np.ones((1, 4, 1)), np.ones((1, 2)), np.ones(2)
+    )
+    np.testing.assert_array_equal(found, 1.0)
