@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import undertow
 from undertow.identification.compare.forces import residual_forces
 from undertow.identification.compare.regimes import regimes
 from undertow.identification.diagnosis.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.logs import Mapping, Run
+from undertow.identification.logs import Run, read_mapping
 from undertow.identification.weak.data import prepare
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
@@ -28,16 +29,7 @@ REGIMES = (BEGINNING, "start-up", "coasting", "reversing", "thrust positive", "t
 _BEGINNING = 3.0
 #: Added by hand, whatever the verdict; the last is the one that the README of the data suspects.
 CHAINS = (("constant_force",), ("drag_asymmetry",), ("radiation_memory",))
-MAPPING = {
-    "schema": "undertow/mapping/1",
-    "time": {"column": "t_s", "unit": "s"},
-    "ignore": ["acceleration_m_s2", "hydro_force_N", "hydro_pressure_N", "hydro_viscous_N"],
-    "columns": {
-        "force_applied_N": {"channel": "tau_X", "unit": "N"},
-        "position_m": {"channel": "x", "unit": "m"},
-        "velocity_m_s": {"channel": "u", "unit": "m/s"},
-    },
-}
+MAPPING = Path(undertow.__file__).parent / "demo_data" / "cfd-surge" / "log.toml"
 
 
 @dataclass(frozen=True)
@@ -64,7 +56,7 @@ class Way:
 def run_both(data: Path, report: Report) -> list[Way]:
     """Identify on one profile and judge on the other, both ways."""
     vehicle = load_vehicle("box-hull")
-    mapping = Mapping.model_validate(MAPPING)
+    mapping = read_mapping(MAPPING)
     runs = read([data / f"surge_{name}_coarse.csv" for name in PROFILES], vehicle, mapping)
     found = []
     for i, (train, test) in enumerate([runs, runs[::-1]]):
