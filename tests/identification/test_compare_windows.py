@@ -1,4 +1,4 @@
-"""Windows and predictions: starts from the measurement alone, gaps, dead time, states that nobody measures."""
+"""Windows and predictions: starts from the measurement, gaps, dead time, states that nobody measures."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def test_a_signal_too_short_to_smooth_is_taken_as_it_is() -> None:
 
 
 def test_angles_are_smoothed_over_longer_by_their_rates() -> None:
-    phi, theta = 0.3 * np.sin(4 * CLOCK), 0.2 * np.cos(3 * CLOCK)
-    psi = np.sin(2 * CLOCK) + 0.4 * CLOCK
+    phi, theta = 0.3 * np.sin(2 * CLOCK), 0.2 * np.cos(1.5 * CLOCK)
+    psi = np.sin(CLOCK) + 0.4 * CLOCK
     phi_dot, theta_dot, psi_dot = (np.gradient(a, CLOCK, edge_order=2) for a in (phi, theta, psi))
     # Euler rates to body rates (Fossen 2021, section 2.2).
     p = phi_dot - np.sin(theta) * psi_dot
