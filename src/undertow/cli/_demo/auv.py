@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from undertow.cli._addition import add_effect, lay_ground
-from undertow.cli._outcome import pictures_data, write_vehicle
+from undertow.cli._outcome import write_vehicle
 from undertow.cli._progress import progress
 from undertow.cli._vehicle_and_logs import load
 from undertow.identification.compare.comparison import compare
@@ -22,7 +22,7 @@ from undertow.identification.report import (
 from undertow.model.catalogue import catalogue
 from undertow.model.symbols import VELOCITY
 
-from .scene import DATA, Scene
+from .scene import DATA, Scene, report_data_of
 
 if TYPE_CHECKING:
     from undertow.cli._vehicle_and_logs import Loaded
@@ -41,7 +41,7 @@ def tell(scene: Scene) -> None:
         "A small AUV with four thrusters was logged in three runs of a minute; a fourth run is kept aside. "
         "Its vehicle file has mass, added mass, damping and restoring, with guesses good to 15 %."
     )
-    comparison = compare(loaded.vehicle, loaded.holdout)
+    comparison = compare(loaded.vehicle, loaded.holdout, compiled=False)
     scene.say(f"Where the model fails on the kept-aside run: it {comparison.result.headline}.")
     with progress("looking for what is missing") as report:
         outcome = diagnose(loaded.vehicle, loaded.train, loaded.holdout, report=report)
@@ -68,8 +68,8 @@ def _verdict(scene: Scene, outcome: Outcome) -> None:
 
 
 def _pictures(scene: Scene, outcome: Outcome) -> None:
-    data = pictures_data(outcome)
-    names = ("refitted", " ".join(["with", *outcome.diagnosis.effects]))
+    data = report_data_of(outcome)
+    names = (data.before, data.after)
     scene.text("auv/report.html", render_report(outcome.diagnosis, data), "the full report")
     drawn = {
         "error-map": (error_map(data.maps[0], names), "where force is missing, by motion and regime"),

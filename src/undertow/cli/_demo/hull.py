@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.cli._addition import Addition, Ground, add_effect, lay_ground, visible_effects
-from undertow.cli._outcome import pictures_data, write_vehicle
+from undertow.cli._outcome import write_vehicle
 from undertow.cli._progress import progress
 from undertow.cli._vehicle_and_logs import load
 from undertow.identification.compare.comparison import compare
@@ -25,7 +25,7 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import resolve_vehicle
 from undertow.model.vehicle import Vehicle
 
-from .scene import DATA, Scene
+from .scene import DATA, Scene, report_data_of
 
 _FOLDER = DATA / "cfd-surge"
 _VEHICLE = "box-hull"
@@ -173,7 +173,7 @@ def _chart(ways: tuple[Way, Way], ids: list[str]) -> Any:
     rows = ("inertia and drag alone", *ids)
     regimes = tuple(way.name for way in ways)
     chart = ErrorMap(rows, regimes, 100 * np.array(table), quantity="velocity error [%]", floor=None)
-    return error_map(chart, ("one effect added, fitted to one profile → judged on the other", ""))
+    return error_map(chart, ("fitted to one profile → judged on the other", ""))
 
 
 def _most(scene: Scene, ways: tuple[Way, Way], best: str) -> None:
@@ -228,7 +228,7 @@ def _runs(scene: Scene, ways: tuple[Way, Way], best: str) -> None:
 def _files(scene: Scene, ways: tuple[Way, Way]) -> None:
     for way in ways:
         d, name = way.outcome.diagnosis, f"hull/{way.profile}-to-{way.other}"
-        text = render_report(d, pictures_data(way.outcome))
+        text = render_report(d, report_data_of(way.outcome))
         scene.text(f"{name}.html", text, f"full report: fitted to {way.profile}, judged on {way.other}")
         scene.text(f"{name}.json", d.model_dump_json(indent=1) + "\n", "the same for programs")
         if d.effects:

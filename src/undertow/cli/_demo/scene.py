@@ -18,7 +18,20 @@ from undertow.files import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from undertow.identification.diagnosis.diagnose import Outcome
+    from undertow.identification.report import ReportData
+
 DATA = Path(str(files("undertow") / "demo_data"))
+
+
+def report_data_of(outcome: Outcome) -> ReportData:
+    """What a report draws, without a compiler: for a minute of data compiling takes longer than it saves."""
+    from undertow.identification.compare.comparison import compare
+    from undertow.identification.report import report_data
+
+    before = compare(outcome.before, outcome.test, compiled=False)
+    after = compare(outcome.after, outcome.test, compiled=False) if outcome.diagnosis.effects else None
+    return report_data(before, after, names=("refitted", " ".join(["with", *outcome.diagnosis.effects])))
 
 
 @dataclass

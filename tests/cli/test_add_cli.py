@@ -1,0 +1,121 @@
+"""`undertow add`: one effect into a vehicle file, judged on kept-aside data."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from benchmarks.hidden_effects import Case
+from undertow.cli.main import main
+from undertow.model.loading import load_vehicle
+
+from .bad import contents
+
+Capture = pytest.CaptureFixture[str]
+LOGS = ["train.csv", "--holdout", "holdout.csv"]
+
+
+def add(effect: str, *words: str) -> int:
+    return main(["add", effect, "usv.toml", *LOGS, "--no-codegen", *words])
+
+
+def test_the_current_goes_into_a_new_file(case: Path, simulated: Case, capsys: Capture) -> None:
+    before = (case / "usv.toml").read_bytes()
+    assert add("ocean_current", "--out", "new.toml", "--picture", "fall.png") == 0
+    out = capsys.readouterr().out
+    assert "model as given" in out
+    assert "wrote new.toml" in out
+    assert (case / "usv.toml").read_bytes() == before, "the file it came from stays as it is"
+    assert (case / "fall.png").read_bytes().startswith(b"\x89PNG")
+    vehicle = load_vehicle(case / "new.toml")
+    for name, value in simulated.truth["values"]["ocean_current"].items():
+        found = vehicle.value_of(name)
+        assert found.estimate
+        assert found.sigma is not None
+        assert abs(found.value - value) < max(5 * found.sigma, 0.02 * abs(value)), name
+
+
+def test_the_file_says_how_the_values_came_about(case: Path) -> None:
+    assert add("ocean_current", "--out", "new.toml") == 0
+    (history,) = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))["history"]
+    assert history["added"] == ["ocean_current"]
+    assert history["helps"] is True
+    assert [(log["name"], log["role"]) for log in history["logs"]] == [
+        ("train", "train"),
+        ("holdout", "holdout"),
+    ]
+    assert history["error_after"] < 0.3 * history["error_before"]
+    assert {"V_N", "V_E"} <= set(history["covariance"]["parameters"])
+
+
+def test_without_a_target_nothing_is_written(case: Path, capsys: Capture) -> None:
+    before = contents(case)
+    assert add("ocean_current") == 0
+    assert "nothing was written: --out NEW.toml or --in-place" in capsys.readouterr().out
+    assert contents(case) == before
+
+
+def test_in_place_changes_the_file_itself(case: Path) -> None:
+    before = contents(case)
+    assert add("ocean_current", "--in-place") == 0
+    after = contents(case)
+    assert set(after) == set(before)
+    assert {name for name in after if after[name] != before[name]} == {str(case / "usv.toml")}
+    assert any(e.id == "ocean_current" for e in load_vehicle(case / "usv.toml").effects)
+    assert add("ocean_current", "--out", "again.toml") == 2, "there is nothing left to add"
+
+
+def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
+    before = contents(case)
+    assert add("dry_friction", "--out", "new.toml") == 1
+    out, err = capsys.readouterr()
+    assert "dry_friction does not help" in out
+    assert err.splitlines() == [
+        "dry_friction does not lower the error on kept-aside data: nothing was written; --force writes it"
+    ]
+    assert contents(case) == before
+
+
+def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: Capture) -> None:
+    assert add("dry_friction", "--out", "new.toml", "--force") == 0
+    assert "dry_friction does not help" in capsys.readouterr().out
+    table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
+    assert "dry_friction" in table["effects"]
+    assert table["history"][0]["helps"] is False
+
+
+def test_the_code_is_regenerated(case: Path, capsys: Capture) -> None:
+    words = ["add", "ocean_current", "usv.toml", *LOGS, "--out", "new.toml", "--build", "code"]
+    assert main(words) == 0
+    name = load_vehicle(case / "new.toml").name
+    assert "wrote the code in" in capsys.readouterr().out
+    assert "V_N" in (case / "code" / name / "model.h").read_text(encoding="utf-8")
+    assert main(["codegen", "new.toml", "--check", "--out", "code"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("effect", "words", "message"),
+    [
+        ("ocean_curent", [], "did you mean 'ocean_current'?"),
+        ("thrusters", [], "part of every vehicle"),
+        ("ocean_current", ["--out", "usv.toml"], "usv.toml"),
+        ("ocean_current", ["--out", "new.toml", "--in-place"], "choose one"),
+        ("ocean_current", ["--out", "nowhere/new.toml"], "nowhere"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    case: Path, capsys: Capture, effect: str, words: list[str], message: str
+) -> None:
+    before = contents(case)
+    assert add(effect, *words) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert contents(case) == before
+
+
+def test_a_bundled_vehicle_is_not_changed_in_place(capsys: Capture) -> None:
+    assert main(["add", "ocean_current", "box-hull", "log.csv", "--in-place"]) == 2
+    assert "comes with undertow" in capsys.readouterr().err

@@ -1,0 +1,165 @@
+"""`undertow demo`: what it writes, and that it claims no more than the diagnosis does."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from undertow.cli._demo.scene import DATA
+from undertow.cli.main import main
+
+AUV = ("diagnosis.json", "error-map.png", "falling-error.png", "measured-vs-simulated.png")
+WRITTEN = {
+    "index.html",
+    *(f"auv/{name}" for name in (*AUV, "report.html", "residual-force.png", "vehicle.toml")),
+    *(
+        f"hull/{way}.{kind}"
+        for way in ("step-to-multistep", "multistep-to-step")
+        for kind in ("html", "json")
+    ),
+    *(f"hull/{name}.png" for name in ("effects", "step", "multistep")),
+}
+FIRST, SECOND = "1. An AUV", "2. A box hull"
+
+
+@dataclass(frozen=True)
+class Told:
+    """A demo that ran: its folder, its words with single spaces, and the folder that it was started in."""
+
+    folder: Path
+    words: str
+    here: Path
+
+    def read(self, name: str) -> Any:
+        return json.loads((self.folder / name).read_text(encoding="utf-8"))
+
+    def hull(self) -> str:
+        return self.words[self.words.index(SECOND) :]
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
+    """Without a compiler, in a folder that has nothing to do with the repository."""
+    here = tmp_path_factory.mktemp("elsewhere")
+    folder = here / "deep" / "story"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UNDERTOW_NO_COMPILER", "1")
+        patch.setenv("XDG_CACHE_HOME", str(here / "cache"))
+        patch.chdir(here)
+        words = _run(folder)
+    return Told(folder, words, here)
+
+
+def _run(folder: Path) -> str:
+    import contextlib
+    import io
+
+    stream = io.StringIO()
+    with contextlib.redirect_stdout(stream):
+        assert main(["demo", "--out", str(folder)]) == 0
+    return " ".join(stream.getvalue().split())
+
+
+def test_all_files_are_written_and_nothing_else(told: Told) -> None:
+    files = {str(p.relative_to(told.folder)) for p in told.folder.rglob("*") if p.is_file()}
+    extra = {n for n in files - WRITTEN if not re.fullmatch(r"hull/\S+-to-\S+\.toml", n)}
+    assert files >= WRITTEN
+    assert not extra
+    beside = {p.name for p in told.here.iterdir()} - {"cache"}
+    assert beside == {"deep"}, "only the folder that was asked for"
+    for name in WRITTEN:
+        assert f"{told.folder / name}".replace(" ", "") in told.words.replace(" ", "")
+
+
+def test_pictures_are_pictures(told: Told) -> None:
+    for path in told.folder.rglob("*.png"):
+        assert path.read_bytes().startswith(b"\x89PNG")
+        assert path.stat().st_size > 10_000
+
+
+def test_the_page_needs_nothing_but_its_folder(told: Told) -> None:
+    page = (told.folder / "index.html").read_text(encoding="utf-8")
+    names = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert WRITTEN - {"index.html"} <= set(names)
+    assert all((told.folder / name).is_file() for name in names)
+
+
+def test_the_current_is_named_with_its_values(told: Told) -> None:
+    truth = json.loads((DATA / "auv" / "truth.json").read_text(encoding="utf-8"))["values"]["ocean_current"]
+    diagnosis = told.read("auv/diagnosis.json")
+    assert diagnosis["verdict"] == "missing_effect"
+    assert diagnosis["effects"] == ["ocean_current"]
+    found = {p["name"]: p for p in diagnosis["parameters"]}
+    for name, value in truth.items():
+        off = abs(found[name]["value"] - value)
+        assert off < max(5 * found[name]["standard_error"], 0.02 * abs(value)), name
+        assert f"{name} = {value:.4f}" in told.words, "the truth is told for comparison"
+
+
+def test_the_error_falls_on_the_run_that_was_kept_aside(told: Told) -> None:
+    first, *_, last = told.read("auv/diagnosis.json")["steps"]
+    assert last["error"] < 0.3 * first["error"]
+    assert last["error"] < 1.2, "down to the noise of the sensors"
+    assert last["prediction"] < 0.3 * first["prediction"]
+    row = re.search(
+        r"model as given │ (\S+) .*? refitted │ (\S+) .*? with ocean_current │ (\S+) ", told.words
+    )
+    assert row
+    given, refitted, found = map(float, row.groups())
+    assert found < 0.3 * refitted < 0.3 * given
+
+
+def test_the_new_vehicle_file_has_the_current(told: Told) -> None:
+    text = (told.folder / "auv" / "vehicle.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    assert set(table["effects"]["ocean_current"]) == {"V_N", "V_E"}
+    assert table["history"][0]["added"] == ["ocean_current"]
+    before = tomllib.loads((DATA / "auv" / "vehicle.toml").read_text(encoding="utf-8"))
+    assert "ocean_current" not in before["effects"], "the shipped file stays as it is"
+
+
+@pytest.mark.parametrize("way", ["step-to-multistep", "multistep-to-step"])
+def test_the_hull_is_not_explained_beyond_its_diagnosis(told: Told, way: str) -> None:
+    diagnosis = told.read(f"hull/{way}.json")
+    assert diagnosis["headline"] in told.hull(), "the verdict is told word for word"
+    assert "stays unexplained" in told.hull()
+    named = diagnosis["effects"]
+    assert (told.folder / f"hull/{way}.toml").exists() == bool(named)
+    if diagnosis["verdict"] == "unexplained":
+        assert not named
+        assert "is not what the diagnosis names" in told.hull()
+    assert "Missing:" not in told.hull() or named
+    fit, judged = way.split("-to-")
+    roles = {r["role"]: r["name"] for r in diagnosis["runs"]}
+    assert roles == {"train": f"surge_{fit}_coarse", "holdout": f"surge_{judged}_coarse"}
+
+
+def test_the_hull_fails_where_the_flow_has_a_memory(told: Told) -> None:
+    """Start-up, coasting and reversal; a tenth of the push (6 N) is far more than these logs have noise."""
+    rows = {
+        name: [float(v) for v in re.findall(r"([\d.]+) N", cells)]
+        for name, cells in re.findall(r"│ (start-up|coasting|reversal)[^│]*│([^│]*│[^│]*)│", told.hull())
+    }
+    assert set(rows) == {"start-up", "coasting", "reversal"}
+    assert all(min(values) > 0.2 and max(values) > 0.6 for values in rows.values()), rows
+
+
+def test_fluid_memory_lowers_the_error_both_ways_round(told: Told) -> None:
+    rows = {
+        n: (float(a), float(b))
+        for n, a, b in re.findall(r"│ ([\w ]+?) │ ([\d.]+)% │ ([\d.]+)% │", told.hull())
+    }
+    plain, memory = rows["inertia and drag alone"], rows["radiation_memory"]
+    assert all(m < 0.7 * p for m, p in zip(memory, plain, strict=True))
+    masses = re.search(r"give ([\d.]+) and ([\d.]+) kg .*? with it ([\d.]+) and ([\d.]+) kg", told.hull())
+    assert masses
+    a, b, c, d = map(float, masses.groups())
+    assert abs(a - b) > 5.0, "one hull, two added masses"
+    assert abs(c - d) < 5.0
+    assert c == pytest.approx(20.6, abs=5.0)
