@@ -1,0 +1,142 @@
+"""`undertow compare` and `undertow fit` on a short case: what they print, write and leave alone."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from undertow.cli.main import main
+from undertow.identification.compare.result import ComparisonResult
+from undertow.model.loading import load_vehicle
+
+LOG = ["usv.toml", "train.csv"]
+
+
+def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return capsys.readouterr().out.splitlines()
+
+
+# --- compare ----------------------------------------------------------------------------------------------
+
+
+def test_compare_ends_with_where_the_model_fails(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", *LOG, "--json", "out.json"]) == 0
+    out = _lines(capsys)
+    result = ComparisonResult.model_validate_json(Path("out.json").read_text())
+    assert out[-1] == f"usv: {result.headline}"
+    assert "fails most in" in result.headline
+    assert any("noise explains" in line for line in out)
+    assert any("velocity error 5 s ahead" in line for line in out)
+    assert [r.name for r in result.runs] == ["train"]
+
+
+def test_compare_takes_several_logs_and_a_part_of_them(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "compare",
+        *LOG,
+        "holdout.csv",
+        "--from",
+        "2",
+        "--to",
+        "12",
+        "--horizon",
+        "2",
+        "--json",
+        "out.json",
+    ]
+    assert main(words) == 0
+    result = json.loads(Path("out.json").read_text())
+    assert [r["samples"] for r in result["runs"]] == [201, 201]
+    assert result["horizon"] == 2.0
+    assert result["windows"] == 10
+
+
+def test_compare_draws_what_it_found(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", *LOG, "--plots", "pictures"]) == 0
+    drawn = sorted(p.name for p in Path("pictures").iterdir())
+    assert drawn == [
+        "ahead_1_train.png",
+        "error_map.png",
+        "force_budget.png",
+        "free_run_1_train.png",
+        "residual_surge.png",
+        "residual_sway.png",
+        "residual_yaw.png",
+    ]
+    assert all((Path("pictures") / n).read_bytes().startswith(b"\x89PNG") for n in drawn)
+    assert "7 pictures in pictures" in _lines(capsys)
+
+
+def test_a_log_given_twice_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", *LOG, "train.csv"]) == 2
+    assert "have the same content: give each once" in capsys.readouterr().err
+
+
+def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
+    (case / "other").mkdir()
+    (case / "other" / "train.csv").write_text((case / "holdout.csv").read_text())
+    assert main(["compare", *LOG, "other/train.csv", "--json", "out.json"]) == 0
+    names = [r["name"] for r in json.loads(Path("out.json").read_text())["runs"]]
+    assert names == [f"{case.name}/train", "other/train"]
+
+
+# --- fit --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["weak", "output-error"])
+def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str], method: str) -> None:
+    words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml"]
+    assert main(words) == 0
+    out = "\n".join(_lines(capsys))
+    assert "condition number" in out
+    assert "wrote new.toml" in out
+    before, after = load_vehicle("usv.toml"), load_vehicle("new.toml")
+    assert after.value_of("X_udot").value != before.value_of("X_udot").value
+    assert after.value_of("X_udot").estimate
+    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert told["command"] == f"undertow fit --method {method}"
+    assert [log["role"] for log in told["logs"]] == ["train", "holdout"]
+    assert told["error_after"] != told["error_before"]
+    assert len(told["covariance"]["matrix"]) == len(told["covariance"]["parameters"]) == 9
+
+
+def test_fit_keeps_stretches_aside_and_writes_nothing_unasked(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (case / "usv.toml").read_bytes()
+    assert main(["fit", *LOG]) == 0
+    assert "nothing was written" in _lines(capsys)[-1]
+    assert sorted(p.name for p in case.iterdir()) == ["holdout.csv", "train.csv", "usv.toml"]
+    assert (case / "usv.toml").read_bytes() == before
+
+
+def test_fit_in_place_changes_the_file(case: Path) -> None:
+    old = load_vehicle("usv.toml")
+    assert main(["fit", *LOG, "--holdout", "holdout.csv", "--in-place"]) == 0
+    assert load_vehicle("usv.toml").value_of("Y_v").value != old.value_of("Y_v").value
+
+
+def test_fit_prints_values_in_the_signs_of_the_file(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (case / "usv.toml").read_text().replace('"sname"', '"magnitudes"')
+    text = text.replace("value = -", "value = ")
+    (case / "positive.toml").write_text(text)
+    assert main(["fit", "positive.toml", "train.csv", "--holdout", "holdout.csv"]) == 0
+    (line,) = [line for line in _lines(capsys) if line.split()[:1] == ["Y_vdot"]]
+    assert float(line.split()[1]) > 0
+
+
+def test_fit_needs_something_to_estimate(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (case / "usv.toml").read_text().replace("estimate = true", "estimate = false")
+    (case / "known.toml").write_text(text)
+    assert main(["fit", "known.toml", "train.csv"]) == 2
+    assert "no parameter of 'usv' is to be estimated" in capsys.readouterr().err
+
+
+def test_an_unknown_method_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", *LOG, "--method", "magic"]) == 2
+    assert "'magic'" in capsys.readouterr().err
