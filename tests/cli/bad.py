@@ -14,7 +14,7 @@ from undertow.cli.main import main
 Columns = dict[str, np.ndarray]
 Refused = Callable[..., str]
 
-LOG_COMMANDS = [name for name in ("compare", "diagnose", "fit") if name in commands()]
+LOG_COMMANDS = [name for name in ("compare", "diagnose", "add", "fit") if name in commands()]
 VEHICLE_COMMANDS = [*LOG_COMMANDS, "codegen"]
 
 

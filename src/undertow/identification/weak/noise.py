@@ -23,6 +23,8 @@ def white_noise(t: Array, y: Array) -> float:
     A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is
     smooth; the order that leaves least is taken, so a fast signal does not pass for noise.
     """
+    if len(t) <= 4 * _ORDERS[0]:
+        return 0.0  # too few samples to tell noise from motion
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
     found = [_by_difference(y, even, k) for k in _ORDERS if len(y) > 4 * k]
