@@ -105,7 +105,8 @@ def pictures_data(outcome: Outcome) -> ReportData:
 
     before = compare(outcome.before, outcome.test)
     after = compare(outcome.after, outcome.test) if outcome.diagnosis.effects else None
-    return report_data(before, after)
+    names = ("model refitted", " ".join(["with", " and ".join(outcome.diagnosis.effects) or "nothing added"]))
+    return report_data(before, after, names=names)
 
 
 def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> None:

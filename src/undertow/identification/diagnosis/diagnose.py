@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from undertow import __version__
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
@@ -17,7 +15,8 @@ from ..compare.cutting import cut
 from ..compare.windows import predict, prediction_error
 from ..logs import Run
 from ..weak.data import prepare
-from ..weak.fit import WeakFit
+from ..weak.fit import WeakFit, mean_square
+from ..weak.residual import whitened
 from .estimates import estimate, estimates
 from .excitation import check_excitation
 from .remaining import remaining
@@ -119,7 +118,9 @@ class _Story:
         self.bench: Bench = found.rounds[0].bench.sharpened(found.final_fit)
         self.fits = [self.base_fit, *(w.trial.fit for w in found.winners)]
         self.scores: list[Score] = [self.bench.judge(f) for f in self.fits]
-        self.floor = float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.bench.noise_level, 1e-12)))))
+        final = self.fits[-1]
+        # All models are shown in units of the same noise, that of the sensors alone.
+        self.whitening = final.model.whitening(self.bench.test, final.p)
         ends = (self.scores[0], self.scores[-1])
         quiet = only_noise(noise_ratio(self.fits[-1], self.bench.test))
         self.judgement: Judgement = judge(found, ends, self.bench.noise_level, quiet)
@@ -150,8 +151,9 @@ class _Story:
         )
         return Outcome(diagnosis, self.base_fit.vehicle, after.vehicle, self.train, self.test, after)
 
-    def _normalised(self, score: Score) -> float:
-        return score.error / self.floor
+    def _normalised(self, fit: WeakFit) -> float:
+        r = whitened(fit.model.linearise(self.bench.test, fit.p), self.whitening).r
+        return Score(r, mean_square(r, self.bench.test)).error
 
     def _predicted(self, vehicle: Vehicle) -> float:
         return prediction_error(predict(vehicle, self.windows, compiled=False))
@@ -159,20 +161,19 @@ class _Story:
     def _steps(self) -> list[Step]:
         ids = [w.id for w in self.found.winners]
         return [
-            Step(added=ids[:i], error=self._normalised(score), prediction=self._predicted(fit.vehicle))
-            for i, (fit, score) in enumerate(zip(self.fits, self.scores, strict=True))
+            Step(added=ids[:i], error=self._normalised(fit), prediction=self._predicted(fit.vehicle))
+            for i, fit in enumerate(self.fits)
         ]
 
     def _ranked(self, finding: Finding) -> Ranked:
-        trial, bench = finding.trial, self.found.rounds[0].bench
-        floor = float(np.exp(0.5 * np.nanmean(np.log(np.maximum(bench.noise_level, 1e-12)))))
+        trial, base = finding.trial, self.found.rounds[0].bench.base
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
             about=trial.candidate.effect.about(),
             parameters=[estimate(trial.fit, n, self.vehicle) for n in _new_parameters(finding)],
-            error_before=bench.base_score.error / floor,
-            error_after=trial.score.error / floor,
+            error_before=self._normalised(base),
+            error_after=self._normalised(trial.fit),
             explained=finding.explained,
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,

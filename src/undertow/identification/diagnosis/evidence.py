@@ -13,6 +13,8 @@ from ..weak.data import WeakData
 from .trial import Score
 
 Array = NDArray[np.float64]
+# Mean square, in units of the noise, from which an equation counts as not explained by it.
+_ABOVE_NOISE = 1.3
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,15 @@ def _summary(means: Array) -> Comparison:
 
 
 def explained(before: Score, after: Score, noise: Array) -> float:
-    """Share of the mean square above the level of the channels' noise that went away."""
-    floor = np.exp(np.nanmean(np.log(np.maximum(noise, 1e-12))))
-    excess = before.error**2 - floor
-    return (
-        float(np.clip((before.error**2 - max(after.error**2, floor)) / excess, -1.0, 1.0))
-        if excess > 0
-        else 0.0
-    )
+    """Share of what exceeds the noise of the sensors that went away.
+
+    Equations that the noise explains have no say; the others count by how far they are above it, in
+    that one very bad equation does not hide the rest.
+    """
+    first, last, floor = before.mean_square, after.mean_square, np.maximum(noise, 1e-12)
+    counted = np.nan_to_num(first / floor) > _ABOVE_NOISE
+    if not np.any(counted):
+        return 0.0
+    first, last, floor = first[counted], last[counted], floor[counted]
+    share = np.clip((first - np.maximum(last, floor)) / (first - floor), -1.0, 1.0)
+    return float(np.average(share, weights=np.log(first / floor)))

@@ -165,14 +165,13 @@ def scout(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float]]:
 def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
     """Fit a candidate, drop the parameters that do not matter, and judge it."""
     fit = bench.fit(candidate.vehicle, candidate.free(), start)
-    kept = _parameters_that_matter(fit, candidate.removable)
-    if candidate.removable and not kept:
-        return rejected(candidate, bench)
-    if len(kept) < len(candidate.removable):
-        fit = _refit(candidate, fit, kept, bench)
-    # A candidate that explains much earns a finer noise model than the incomplete model had.
+    # A candidate that explains much earns a finer noise model than the incomplete model had: under that
+    # one its parameters show how well they are known.
     if fit.cost < 0.5 * len(fit.at.r):
         fit = settled(fit, most=1)
+    kept = _parameters_that_matter(fit, candidate.removable)
+    if len(kept) < len(candidate.removable):
+        fit = _refit(candidate, fit, kept)
     return Trial(candidate, fit, kept, bench.judge(fit))
 
 
@@ -181,15 +180,21 @@ def rejected(candidate: Candidate, bench: Bench) -> Trial:
     return Trial(candidate, bench.base, (), bench.base_score)
 
 
-def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], bench: Bench) -> WeakFit:
+def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...]) -> WeakFit:
     dropped = set(candidate.removable) - set(kept)
     # What is left out goes back to zero, which is where the candidate's vehicle has it.
     start = {n: v for n, v in fit.values.items() if n not in dropped}
-    return bench.fit(candidate.vehicle, [n for n in fit.model.free if n not in dropped], start)
+    free = [n for n in fit.model.free if n not in dropped]
+    return fit_weak(
+        candidate.vehicle, fit.data, free, start=start, whitening=fit.whitening, disturbance=fit.disturbance
+    )
 
 
 def _parameters_that_matter(fit: WeakFit, removable: tuple[str, ...]) -> tuple[str, ...]:
-    """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation."""
+    """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
+
+    This thins an effect out; whether it is needed at all is for the kept-aside data to say, so one stays.
+    """
     names = list(fit.model.free)
     information = fit.information
     inflation = np.sqrt(np.diag(fit.covariance) / np.diag(inverse_of(information)))
@@ -200,7 +205,7 @@ def _parameters_that_matter(fit: WeakFit, removable: tuple[str, ...]) -> tuple[s
         t = np.abs(estimate[active]) / spread
         open_to_drop = [i for i, k in enumerate(active) if names[k] in removable]
         weakest = min(open_to_drop, key=lambda i: t[i], default=None)
-        if weakest is None or t[weakest] >= T_KEEP:
+        if weakest is None or len(open_to_drop) == 1 or t[weakest] >= T_KEEP:
             return tuple(names[k] for k in active if names[k] in removable)
         gone = active.pop(weakest)
         # Fixing one parameter at zero moves the others along the valley of the cost.

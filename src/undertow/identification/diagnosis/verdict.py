@@ -75,8 +75,8 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
         text = "Nothing is missing: what the refitted model leaves is the noise of the sensors."
         return Judgement("adequate", text, [], [], share)
     text = (
-        "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect "
-        "of the catalogue lowers the error on kept-aside data."
+        "Unexplained: the refitted model leaves more than the noise of the sensors, and for no effect "
+        "of the catalogue is there enough evidence on kept-aside data."
     )
     return Judgement("unexplained", text, [], [], share)
 
