@@ -3,8 +3,8 @@
 INTRODUCTION = """\
 # Results
 
-What undertow makes of data that it was not built on. Nothing was tuned to them; wrong answers stay in. This
-page is made by a program (last section) and is not edited by hand.
+What undertow makes of data that it was not built on. What is true is read for these tables only; wrong
+answers stay in. This page is made by a program (last section) and is not edited by hand.
 """
 HIDDEN = """\
 ## Simulated logs with one hidden effect
@@ -19,7 +19,8 @@ CSE1 = """\
 
 Measured pose (20 Hz motion capture) and thruster set-points; velocities are derived from the pose. Vehicle
 and mapping file: [examples/cse1](../examples/cse1/README.md). The towing and bollard tests of the same ship
-were not used.
+were not used. That thrust per command is estimated was decided after a first look at these logs: held at the
+value of the thesis, it left a dead band without support.
 
 """
 CFD = """\
