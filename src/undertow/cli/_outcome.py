@@ -40,8 +40,11 @@ def _ranking(diagnosis: Diagnosis) -> Table:
     table = Table(
         title="Candidates, judged on kept-aside data (error 1 = noise of the sensors)", title_justify="left"
     )
-    for name in ("effect", "error before", "error after", "explains", "significant", "parameters"):
-        table.add_column(name, justify="left" if name in ("effect", "parameters") else "right")
+    table.add_column("effect", no_wrap=True)
+    for name in ("before", "after", "explains"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("sure", no_wrap=True)
+    table.add_column("parameters")
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     for r in helping:
         text = ", ".join(_value(p) for p in r.parameters[:4]) + (" ..." if len(r.parameters) > 4 else "")
@@ -79,16 +82,18 @@ def write_outcome(
     """Write what was asked for, each file whole, and say where it is."""
     from undertow.files import write_whole
 
-    console = Console()
+    # Everything is prepared before anything is written, so that a failure leaves no file behind.
+    texts = {}
     if json is not None:
-        write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
-        console.print(f"wrote {escape(str(json))}")
+        texts[json] = outcome.diagnosis.model_dump_json(indent=1) + "\n"
     if report is not None:
-        write_whole(report, page(outcome))
-        console.print(f"wrote {escape(str(report))}")
+        texts[report] = page(outcome)
     if apply is not None:
         write_vehicle(outcome, template, apply, "undertow diagnose")
-        console.print(f"wrote {escape(str(apply))}")
+    for path, text in texts.items():
+        write_whole(path, text)
+    for written in filter(None, (json, report, apply)):
+        Console().print(f"wrote {escape(str(written))}")
 
 
 def page(outcome: Outcome) -> str:
