@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from undertow.identification.report.data import RunTraces
 from undertow.model.loading import load_vehicle
 
 from .additions import Addition, added
-from .basin import Basin, at, dead_band, drag, thrust
+from .basin import Array, Basin, at, dead_band, drag, thrust
 from .reading import Report, read
 from .text import RANKING_HEAD, VERDICT_HEAD, chance, listed, number, percent, ranked, table
 from .words import DELAY, DRAG, FALLING, THRUST
@@ -147,7 +148,7 @@ def _truth(directions: list[Direction], basin: Basin) -> list[str]:
         "Sway force Y(v), N:\n",
         sway,
         "### Thrust against the bollard tests\n",
-        THRUST,
+        _thrust_in_words(directions, basin),
         "Both Voith Schneider propellers together, surge, N:\n",
         pushes[0],
         "Port propeller, sway, N:\n",
@@ -167,13 +168,39 @@ def _drag_in_words(directions: list[Direction], basin: Basin) -> str:
         ("surge", "u", basin.surge, SURGE_SPEEDS),
         ("sway", "v", basin.sway, SWAY_SPEEDS),
     ):
-        for d in directions:
-            ratio = drag(d.best.vehicle, axis, speeds) / at(points, speeds)
-            lines.append(
-                f"- {motion}, identified on {d.train.name}: {ratio.min():.1f} to {ratio.max():.1f} times the "
-                f"towing force over {abs(speeds).min():g} to {abs(speeds).max():g} m/s."
-            )
+        found = [drag(d.best.vehicle, axis, speeds) for d in directions]
+        lines += _ratios(motion, directions, found, points, speeds, "towing force", "m/s")
     return "\n".join([*lines, "", DRAG])
+
+
+def _thrust_in_words(directions: list[Direction], basin: Basin) -> str:
+    """How identified thrust compares, as ratios over the larger set-points."""
+    lines = []
+    large = np.array([0.6, 0.8, 1.0])
+    for name, thrusters, points in (
+        ("both propellers, surge ahead", ("u1", "u3"), basin.vsp_surge),
+        ("port propeller, sway to starboard", ("u2",), basin.vsp_sway),
+        ("bow thruster", ("u5",), basin.bow),
+    ):
+        found = [thrust(d.best.vehicle, thrusters, large) for d in directions]
+        lines += _ratios(name, directions, found, points, large, "bollard force", "of the set-point")
+    return "\n".join([*lines, "", THRUST])
+
+
+def _ratios(
+    name: str,
+    directions: list[Direction],
+    found: list[Array],
+    measured: Array,
+    values: Array,
+    force: str,
+    unit: str,
+) -> Iterator[str]:
+    where = f"over {abs(values).min():g} to {abs(values).max():g} {unit}"
+    for d, forces in zip(directions, found, strict=True):
+        ratio = forces / at(measured, values)
+        times = f"{ratio.min():.1f} to {ratio.max():.1f} times the {force}"
+        yield f"- {name}, identified on {d.train.name}: {times} {where}."
 
 
 _BOW = np.array([0.2, 0.4, 0.6, 0.8, 1.0])

@@ -50,7 +50,8 @@ THRUST = """\
 The bollard curves are not symmetric and have the wrong sign between set-points -0.2 and 0: a dead band that
 is the same for all thrusters and both directions, followed by a straight line, is a rough picture of them.
 The bow thruster was driven to about a third of its range in these runs, so the upper half of its table is
-extrapolated.
+extrapolated. Why its thrust and that in sway lie where they do is not known; the yaw inertia, which scales
+all moments, is a guess of the ship's users.
 """
 DELAY = """\
 The delay agrees with the one found by hand to about a tenth of a second. The identified dead band is
