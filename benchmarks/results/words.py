@@ -29,8 +29,8 @@ CFD = """\
 One degree of freedom, force prescribed, no noise; bundled vehicle `box-hull`. Inertia, linear and quadratic
 drag do not explain these runs. Boundary elements and small oscillations give an added mass of 20.4 to 21.1
 kg, to be held against X_udot below. The last table says where the model fails: starting up, coasting,
-reversing. The error of a diagnosis averages over the force and the pose equation, and the latter holds for
-any model here; the error of the force alone is in the tables of effects added by hand.
+reversing. Errors of the effects added by hand are those of the force alone, under one noise model for all
+of them: their scale is not that of the diagnosis.
 
 """
 FALLING = """\
