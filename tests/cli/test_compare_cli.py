@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from undertow.cli._lazy import each_named
 from undertow.cli.main import main
 from undertow.identification.compare.result import ComparisonResult
 from undertow.model.loading import load_vehicle
@@ -140,3 +141,29 @@ def test_fit_needs_something_to_estimate(case: Path, capsys: pytest.CaptureFixtu
 def test_an_unknown_method_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", *LOG, "--method", "magic"]) == 2
     assert "'magic'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("v a --holdout b c --out o", "v a --holdout b --holdout c --out o"),
+        ("v a --holdout b --holdout c d", "v a --holdout b --holdout c --holdout d"),
+        ("v a --holdout b --out o c", "v a --holdout b --out o c"),
+        ("v a --holdout b -- c", "v a --holdout b -- c"),
+        ("v a --in-place", "v a --in-place"),
+    ],
+)
+def test_every_log_after_holdout_is_kept_aside(words: str, meant: str) -> None:
+    assert each_named(words.split()) == meant.split()
+
+
+def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
+    rows = (case / "holdout.csv").read_text().splitlines(keepends=True)
+    (case / "more.csv").write_text("".join(rows[:300]))
+    assert main(["fit", *LOG, "--out", "new.toml", "--holdout", "holdout.csv", "more.csv"]) == 0
+    logs = tomllib.loads(Path("new.toml").read_text())["history"][0]["logs"]
+    assert [(log["name"], log["role"]) for log in logs] == [
+        ("train", "train"),
+        ("holdout", "holdout"),
+        ("more", "holdout"),
+    ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -20,6 +21,7 @@ from typer.core import TyperCommand
 import undertow.cli as package
 
 _ENTRY = "main"
+_TAKING_SEVERAL = {"--holdout"}
 
 
 def commands() -> dict[str, str]:
@@ -47,7 +49,22 @@ class LazyCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         assert self.name is not None
-        return load(self.name).make_context(info_name, args, parent, **extra)
+        return load(self.name).make_context(info_name, each_named(args), parent, **extra)
+
+
+def each_named(words: Sequence[str]) -> list[str]:
+    """``--holdout a b`` as ``--holdout a --holdout b``: no log may slip in among those to fit."""
+    result: list[str] = []
+    option = ""
+    for i, word in enumerate(words):
+        if word == "--":
+            return [*result, *words[i:]]
+        if word.startswith("-") and word != "-":
+            option = word if word in _TAKING_SEVERAL else ""
+        elif option and result[-1] != option:
+            result.append(option)
+        result.append(word)
+    return result
 
 
 def _command_of(module: ModuleType, name: str) -> Any:

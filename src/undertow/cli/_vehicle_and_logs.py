@@ -28,7 +28,7 @@ VehicleArgument = Annotated[
 LogsArgument = Annotated[list[Path], typer.Argument(metavar="LOG", help="Logs: CSV, CSV.gz or Parquet.")]
 HoldoutOption = Annotated[
     list[Path] | None,
-    typer.Option("--holdout", metavar="LOG", help="Log kept aside for judging; give it once for each log."),
+    typer.Option("--holdout", metavar="LOG", help="Logs kept aside for judging, up to the next option."),
 ]
 MapOption = Annotated[
     Path | None,
