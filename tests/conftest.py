@@ -13,7 +13,8 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("undertow")
     os.environ["MPLBACKEND"] = "Agg"
     # Compiled code of the tests is kept from one run to the next, but not in the user's own cache.
-    cache = config.cache.mkdir("undertow") if config.cache else None
+    plugin = getattr(config, "cache", None)
+    cache = plugin.mkdir("undertow") if plugin else None
     if cache is not None:
         cache.chmod(0o700)
         os.environ["XDG_CACHE_HOME"] = str(cache)

@@ -140,7 +140,7 @@ def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) 
     UndertowError
         If the model has all of the effect already, or lacks one that it needs.
     """
-    candidate = _candidate(effect, ground.bench.base.vehicle)
+    candidate = _candidate(effect, ground.bench.base.model.functions.vehicle)
     start = scout(candidate, ground.bench)[1]
     if not _visible(candidate, ground.bench, start):
         raise UndertowError(
@@ -176,7 +176,7 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
 def visible_effects(ground: Ground, known: Catalogue) -> list[type[Effect]]:
     """Effects that could be added to the model and that these logs could show."""
     bench = ground.bench
-    possible = candidates(bench.base.vehicle, known)
+    possible = candidates(bench.base.model.functions.vehicle, known)
     return [c.effect for c in possible if _visible(c, bench, scout(c, bench)[1])]
 
 

@@ -75,9 +75,10 @@ class Candidate:
             dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)
         ]
 
-    def with_values(self, values: Mapping[str, Value]) -> Vehicle:
-        """The model with the effect at found values."""
-        return self.base.with_effect(self.effect, {}).with_values(values)
+    def adopted(self, values: Mapping[str, float]) -> Vehicle:
+        """The model with the effect in it for good: what was found of its parameters, all else as stated."""
+        found = {p.name: Value(values[p.name], estimate=True) for p in self.parameters if p.name in values}
+        return self.base.with_effect(self.effect, found)
 
 
 def _start(parameter: Parameter, start: float, command_scale: float) -> float:

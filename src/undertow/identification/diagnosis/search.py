@@ -12,7 +12,7 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, disturbed, fit_weak
+from ..weak.fit import WeakFit, disturbed, fit_weak, free_parameters
 from .candidates import Candidate, candidates
 from .evidence import Comparison, compare_scores, explained
 from .trial import Bench, Score, Trial, noise_ratio, only_noise, rejected, scout, try_candidate
@@ -115,9 +115,12 @@ def search(
         rounds.append(current)
         if current.winner is None:
             break
-        fit, score = current.winner.trial.fit, current.winner.trial.score
-        _log.info("adding %s: normalised error %.3f", current.winner.id, score.error)
-        bench = Bench(train, test, current.bench.train_whitening, current.bench.test_whitening, fit)
+        trial = current.winner.trial
+        fit, score = trial.fit, trial.score
+        _log.info("adding %s: normalised error %.3f", trial.id, score.error)
+        grown = trial.candidate.adopted(fit.values)
+        base = current.bench.fit(grown, free_parameters(grown), fit.values)
+        bench = Bench(train, test, current.bench.train_whitening, current.bench.test_whitening, base)
     return Search(rounds, fit, score)
 
 
@@ -131,7 +134,7 @@ def _share_of(report: Report, done_rounds: int) -> Report:
 
 
 def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
-    possible = candidates(bench.base.vehicle, known)
+    possible = candidates(bench.base.model.functions.vehicle, known)
     _log.info("error so far %.3f; %d effects to try", bench.base_score.error, len(possible))
     scouted = _scouted(possible, bench, report)
     worth = [(c, start) for c, cost, start in scouted if bench.base.cost - cost > _WORTH_A_FIT][:_FULL_FITS]

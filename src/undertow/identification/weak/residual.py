@@ -137,7 +137,9 @@ def _without_start(part: Linearised, whitening: Whitening) -> Array:
     last = 1 + part.J.shape[1]
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
-    start = start[:, size > 1e-9 * size.max(initial=0.0)]
-    if not start.shape[1]:
+    # A start long ago is forgotten: what is left of it would underflow in the product below.
+    felt = size > max(1e-9 * size.max(initial=0.0), 1e-9)
+    if not felt.any():
         return kept
+    start = start[:, felt] / size[felt]
     return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ kept)))
