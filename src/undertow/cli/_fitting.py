@@ -90,8 +90,8 @@ def show(done: Refit) -> None:
     section(f"Parameters by {_METHODS[done.method]}", _parameters(done))
     out.print(text(f"  condition number {done.fit.condition:.3g}"))
     for name, said in remarks(done.fit, done.stated).items():
-        for remark in said:
-            out.print(text(f"  {name}: {remark}", "yellow"))
+        if said:
+            out.print(text(f"  {name}: {'; '.join(said)}", "yellow"))
     horizon = done.before.windows.horizon
     section(f"Velocity error {horizon:.3g} s ahead on kept-aside data, % of the motion", _errors(done))
     if not done.errors[1] <= done.errors[0]:
