@@ -91,7 +91,7 @@ def show(done: Refit) -> None:
     out.print(text(f"  condition number {done.fit.condition:.3g}"))
     for name, said in remarks(done.fit, done.stated).items():
         if said:
-            out.print(text(f"  {name}: {'; '.join(said)}", "yellow"))
+            out.print(text(f"  {name}: {'; '.join(said)}", "yellow"), soft_wrap=True)
     horizon = done.before.windows.horizon
     section(f"Velocity error {horizon:.3g} s ahead on kept-aside data, % of the motion", _errors(done))
     if not done.errors[1] <= done.errors[0]:
