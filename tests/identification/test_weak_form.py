@@ -172,3 +172,19 @@ def test_a_wrong_sign_is_not_fitted(tmp_path: Path) -> None:
     model, runs = _case(tmp_path, "usv", (), 8, 30.0)
     fit = fit_weak(model, prepare(runs[:1], model))
     assert all(fit.values[n] <= 0 for n in fit.values if n != "delay")
+
+
+def test_a_gap_in_the_commands_spoils_only_its_neighbourhood(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    model, runs = _case(tmp_path, "usv", (), 5, 20.0)
+    model = model.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.13, estimate=True)})
+    commands = {
+        n: np.where(np.abs(runs[0].t - 8.0) < 0.2, np.nan, runs[0].channels[n]) for n in ("f1", "f2", "f3")
+    }
+    gappy = replace(runs[0], channels=dict(runs[0].channels) | commands)
+    data = prepare([gappy], model)
+    weak = WeakModel(Functions(model), ("delay",))
+    parts = weak.linearise(data, np.array(weak.functions.values()))
+    assert len(parts) == 2
+    assert all(np.all(np.isfinite(p.r)) and np.all(np.isfinite(p.J)) for p in parts)

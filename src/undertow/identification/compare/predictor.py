@@ -12,7 +12,7 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.model.vehicle import Vehicle
 
-from ..weak.drive import shifted_mean
+from ..weak.drive import shifted_mean, without_gaps
 from ..weak.pointwise import Pointwise, mapped
 from .cutting import Windows
 from .inherited import Inherited
@@ -103,7 +103,7 @@ class Predictor:
 
     def _drives(self, windows: Windows, p: Array) -> list[Array]:
         """Commands of every run as they arrive: held where missing, late by the dead time of the model."""
-        held = [_held(run.matrix(windows.commands)) for run in windows.runs]
+        held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
         delay = float(self._dead_time(p))
         if delay == 0.0:
             return held
@@ -119,10 +119,3 @@ class Predictor:
         f, points = self.functions, self._points
         inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
         return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
-
-
-def _held(u: Array) -> Array:
-    """Commands with the last known value where one is missing; windows do not reach into such gaps."""
-    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
-    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
-    return np.nan_to_num(filled, nan=0.0)

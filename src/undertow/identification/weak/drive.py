@@ -132,6 +132,13 @@ class Chain:
         return Driven(value, moved + per_second[:, :, None] * slope.ravel(), start)
 
 
+def without_gaps(u: Array) -> Array:
+    """Commands with the last known value where one is missing; nothing is judged inside such gaps."""
+    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
+    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
+    return np.nan_to_num(filled, nan=0.0)
+
+
 def shifted_mean(t: Array, held: Array, delay: float) -> Array:
     """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first
     value.

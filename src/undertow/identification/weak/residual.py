@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 
 from .data import Segment, WeakData
-from .drive import Chain, Driven, Memory
+from .drive import Chain, Driven, Memory, without_gaps
 from .noise import Whitening, overlap, residual_covariance
 from .pointwise import Pointwise, mapped
 
@@ -58,7 +58,7 @@ class WeakModel:
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
-        driven = [self._chain.along(r.t, r.matrix(data.commands), p) for r in data.runs]
+        driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
         return [self._segment(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
 
     def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
@@ -106,7 +106,7 @@ class WeakModel:
 
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
         """Whitening of every segment under the noise of the channels, at parameters p."""
-        driven = [self._chain.along(r.t, r.matrix(data.commands), p) for r in data.runs]
+        driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
         return [self._segment_whitening(s, _cut(driven[s.run], s), data, p) for s in data.segments]
 
     def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
