@@ -11,10 +11,10 @@ from undertow.identification.compare.cutting import Windows, cut
 from undertow.identification.compare.windows import predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.trial import Bench, scout
+from undertow.identification.diagnosis.trial import Bench, open_bench, scout
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import WeakFit, disturbed, fit_weak
+from undertow.identification.weak.fit import WeakFit
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
 
@@ -82,9 +82,7 @@ def added(
 def _bench(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> Bench:
     known = prepare(train, vehicle)
     aside = prepare(test, vehicle, sigma=known.sigma)
-    base = fit_weak(vehicle, known)
-    quiet = base.model.whitening(aside, base.p)
-    return Bench(known, aside, base.whitening, disturbed(quiet, base.disturbance, aside), base)
+    return open_bench(vehicle, known, aside)
 
 
 def _chained(bench: Bench, vehicle: Vehicle, chain: tuple[str, ...]) -> WeakFit:

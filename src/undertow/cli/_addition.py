@@ -18,10 +18,10 @@ from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.search import FALSE_ALARM_RATE, SMALLEST_FALL
 from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.diagnosis.trial import Bench, Score, Trial, scout, try_candidate
+from undertow.identification.diagnosis.trial import Bench, Score, Trial, open_bench, scout, try_candidate
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import WeakFit, disturbed, fit_weak, mean_square
+from undertow.identification.weak.fit import WeakFit, mean_square
 from undertow.identification.weak.noise import Whitening
 from undertow.identification.weak.residual import Linearised, WeakModel, whitened
 from undertow.model.catalogue import Catalogue
@@ -115,9 +115,7 @@ def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (
     train = prepare(train_runs, vehicle)
     check_excitation(vehicle, train_runs, train.sigma)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
-    base = fit_weak(vehicle, train)
-    quiet = base.model.whitening(test, base.p)
-    bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
+    bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
     windows = cut(test_runs, vehicle, min(HORIZON, 0.9 * longest))
     return Ground(vehicle, train_runs, test_runs, bench, windows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -158,11 +158,6 @@ def declared(owner: type) -> Iterable[Parameter | DerivativeMatrix]:
     for cls in reversed(owner.__mro__):
         found.update({k: v for k, v in vars(cls).items() if isinstance(v, Parameter | DerivativeMatrix)})
     return found.values()
-
-
-def renamed(parameter: Parameter, suffix: str) -> Parameter:
-    """The same parameter under a longer name (forward and backward values of one coefficient)."""
-    return replace(parameter, name=f"{parameter.name}_{suffix}", about=f"{parameter.about} ({suffix})")
 
 
 def printed(parameter: Parameter, value: float, signs: str) -> float:

@@ -12,10 +12,10 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, disturbed, fit_weak, free_parameters
+from ..weak.fit import WeakFit, free_parameters
 from .candidates import Candidate, candidates
 from .evidence import Comparison, compare_scores, explained
-from .trial import Bench, Score, Trial, noise_ratio, only_noise, rejected, scout, try_candidate
+from .trial import Bench, Trial, noise_ratio, only_noise, open_bench, rejected, scout, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
@@ -76,7 +76,6 @@ class Search:
 
     rounds: list[Round]
     final_fit: WeakFit
-    final_score: Score
 
     @property
     def winners(self) -> list[Finding]:
@@ -106,22 +105,20 @@ def search(
     """
     rounds: list[Round] = []
     report(0.0, "fitting the model as it is")
-    base = fit_weak(vehicle, train)
-    quiet = base.model.whitening(test, base.p)
-    bench = Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
-    fit, score = base, bench.base_score
+    bench = open_bench(vehicle, train, test)
+    fit = bench.base
     while len(rounds) < MAX_EFFECTS and (not rounds or not only_noise(noise_ratio(fit, test))):
         current = _round(bench, known, _share_of(report, len(rounds)))
         rounds.append(current)
         if current.winner is None:
             break
         trial = current.winner.trial
-        fit, score = trial.fit, trial.score
-        _log.info("adding %s: normalised error %.3f", trial.id, score.error)
+        fit = trial.fit
+        _log.info("adding %s: normalised error %.3f", trial.id, trial.score.error)
         grown = trial.candidate.adopted(fit.values)
         base = current.bench.fit(grown, free_parameters(grown), fit.values)
         bench = Bench(train, test, current.bench.train_whitening, current.bench.test_whitening, base)
-    return Search(rounds, fit, score)
+    return Search(rounds, fit)
 
 
 def _share_of(report: Report, done_rounds: int) -> Report:

@@ -139,6 +139,13 @@ class Bench:
         return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
 
 
+def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData) -> Bench:
+    """Fit the model as it is and take its noise model for both parts of the data."""
+    base = fit_weak(vehicle, train)
+    quiet = base.model.whitening(test, base.p)
+    return Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
+
+
 def noise_ratio(fit: WeakFit, data: WeakData) -> Array:
     """Mean square of the residual for each equation, in units of what the sensors' noise alone gives.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
-from .pointwise import call
+from .pointwise import call, map_over
 
 Array = NDArray[np.float64]
 _SUBSTEPS = 4
@@ -68,7 +68,7 @@ class Chain:
     def _static(self, u: Array, p: Array) -> Driven:
         """A chain without states: its output, sample by sample."""
         function, count = self._output, len(u)
-        value, slope = call(_mapped(function, count), [u, np.tile(p, (count, 1))])
+        value, slope = call(map_over(function, count), [u, np.tile(p, (count, 1))])
         size = self.functions.actuation.shape[0]
         table = np.concatenate([value.reshape(count, size), slope.reshape(count, -1)], axis=1)
         return _spread(table, size, self._felt, len(self.free))
@@ -276,11 +276,6 @@ def _runge_kutta(rate, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:
     k3 = rate(z + h / 2 * k2, share + width / 2)
     k4 = rate(z + h * k3, share + width)
     return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-@lru_cache(maxsize=64)
-def _mapped(function: ca.Function, count: int) -> ca.Function:
-    return function.map(count)
 
 
 @lru_cache(maxsize=64)

@@ -155,7 +155,7 @@ def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> l
     """Evaluate at N samples: `columns` are (N, k) arrays; results have shape (N, rows, columns)."""
     count = len(t)
     arguments = [*columns, np.tile(p, (count, 1)), t[:, None]]
-    flat = call(_map(function, count), arguments)
+    flat = call(map_over(function, count), arguments)
     shapes = [function.size_out(i) for i in range(function.n_out())]
     # CasADi is column-major: a sample's matrix lies transposed in the flat result.
     return [f.reshape(count, c, r).transpose(0, 2, 1) for f, (r, c) in zip(flat, shapes, strict=True)]
@@ -177,5 +177,6 @@ def call(function: ca.Function, arguments: list[Array]) -> list[Array]:
 
 
 @lru_cache(maxsize=256)
-def _map(function: ca.Function, count: int) -> ca.Function:
+def map_over(function: ca.Function, count: int) -> ca.Function:
+    """The function over `count` samples in one call; made once."""
     return function.map(count)
