@@ -18,7 +18,8 @@ from undertow.model.vehicle import Vehicle
 
 from ..weak.data import Segment, WeakData, prepare
 from ..weak.drive import Chain, Memory
-from ..weak.pointwise import Pointwise, mapped
+from ..weak.mapping import mapped
+from ..weak.pointwise import Pointwise
 from ..weak.residual import WeakModel, whitened
 
 Array = NDArray[np.float64]

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
-from ..weak.pointwise import Pointwise, call
+from ..weak.mapping import call
+from ..weak.pointwise import Pointwise
 from .beginning import best_start
 from .cutting import Windows
 

@@ -13,7 +13,8 @@ from undertow.codegen.simulate import Simulator
 from undertow.model.vehicle import Vehicle
 
 from ..weak.drive import shifted_mean, without_gaps
-from ..weak.pointwise import Pointwise, mapped
+from ..weak.mapping import mapped
+from ..weak.pointwise import Pointwise
 from .cutting import Windows
 from .inherited import Inherited
 from .prediction import Prediction

@@ -14,7 +14,7 @@ from undertow.codegen.functions import Functions
 
 from ..compare.cutting import Windows
 from ..compare.predictor import Predictor
-from ..weak.pointwise import mapped
+from ..weak.mapping import mapped
 
 Array = NDArray[np.float64]
 # Numbers in the sensitivities of one batch of windows: 40 MB.

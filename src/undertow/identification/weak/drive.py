@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
-from .pointwise import call, map_over
+from .mapping import call, map_over
 
 Array = NDArray[np.float64]
 _SUBSTEPS = 4

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
-from scipy.sparse import block_array, csr_array, diags_array, eye_array, kron
+from scipy.sparse import csr_array, diags_array, eye_array, kron
 
+from .entries import Entries
 from .testfunctions import TestFunctions
 
 Array = NDArray[np.float64]
@@ -109,18 +111,20 @@ def overlap(functions: TestFunctions, t: Array, equations: int) -> csr_array:
     return csr_array(kron(gram, eye_array(equations)))
 
 
-def residual_covariance(functions: TestFunctions, slope: Array, sigma: Array, rows: list[int]) -> csr_array:
+def residual_covariance(
+    functions: TestFunctions, slopes: Entries, sigma: Array, rows: Sequence[int]
+) -> csr_array:
     """Covariance of the weak residual from noise on the measured channels.
 
     Parameters
     ----------
     functions : TestFunctions
         K test functions over N samples.
-    slope : (N, 5n, 2n) array
-        Derivative of the pointwise rows in the measured pose and velocity.
+    slopes : Entries
+        Derivative of the 5n pointwise rows in the 2n measured poses and velocities, at the samples.
     sigma : (2n,) array
         Standard deviations of the measured channels.
-    rows : list of int
+    rows : sequence of int
         Equations that are used, among the 2n (forces first, then kinematics).
 
     Returns
@@ -128,26 +132,46 @@ def residual_covariance(functions: TestFunctions, slope: Array, sigma: Array, ro
     sparse (K len(rows), K len(rows))
         Ordered by test function, then by equation.
     """
-    n = slope.shape[2] // 2
-    blocks = [[_channel(functions, slope, row, c, n, sigma[c]) for c in range(2 * n)] for row in rows]
-    stacked = block_array(blocks, format="csr")
-    order = np.arange(len(rows) * functions.count).reshape(len(rows), -1).T.ravel()
-    stacked = csr_array(stacked[order])
+    n = len(sigma) // 2
+    block = slopes.row // n
+    equation = slopes.row % n + np.where((block == 2) | (block == 3), n, 0)
+    weights = _on_one_pattern(functions)
+    pattern = weights[0]
+    felt = []
+    for row in rows:
+        for channel in range(2 * n):
+            chosen = np.flatnonzero((equation == row) & (slopes.column == channel))
+            if sigma[channel] > 0 and len(chosen):
+                terms = (weights[_WEIGHTS[block[e]]].data * slopes.data[pattern.indices, e] for e in chosen)
+                felt.append((rows.index(row), channel, sigma[channel] * sum(terms)))
+    return _product(felt, pattern, len(rows), 2 * n)
+
+
+# Which test weights (value, rate, held) a block of pointwise rows meets.
+_WEIGHTS = (1, 0, 1, 0, 2)
+
+
+def _on_one_pattern(functions: TestFunctions) -> list[csr_array]:
+    """Weights of value, rate and held with explicit zeros, so that all have the same nonzeros."""
+    parts = [functions.value, functions.rate, functions.held]
+    one = csr_array(sum(abs(w) for w in parts))
+    one.sort_indices()
+    found = []
+    for w in parts:
+        padded = csr_array((1e-300 * one) + w)
+        padded.sort_indices()
+        found.append(padded)
+    return found
+
+
+def _product(felt: list[tuple[int, int, Array]], pattern: csr_array, rows: int, channels: int) -> csr_array:
+    """S S' of the sensitivities S, (K rows) by (N channels), stacked from its blocks."""
+    count, samples = pattern.shape
+    if not felt:
+        return csr_array((count * rows, count * rows))
+    function = np.repeat(np.arange(count), np.diff(pattern.indptr))
+    place = np.concatenate([function * rows + row for row, _, _ in felt])
+    across = np.concatenate([pattern.indices * channels + channel for _, channel, _ in felt])
+    data = np.concatenate([d for _, _, d in felt])
+    stacked = csr_array((data, (place, across)), shape=(count * rows, samples * channels))
     return csr_array(stacked @ stacked.T)
-
-
-def _channel(
-    functions: TestFunctions, slope: Array, row: int, channel: int, n: int, sigma: float
-) -> csr_array:
-    """Sensitivity of equation `row` to one standard deviation of a channel, shape (K, N)."""
-    differentiated, plain, held = (0, n, 4 * n) if row < n else (2 * n, 3 * n, None)
-    place = row % n
-    terms = [(functions.rate, differentiated), (functions.value, plain)]
-    if held is not None:
-        terms.append((functions.held, held))
-    total = csr_array(functions.value.shape)
-    for weights, first in terms:
-        column = sigma * slope[:, first + place, channel]
-        if np.any(column):
-            total = total + csr_array(weights.multiply(column[None, :]))
-    return csr_array(total)

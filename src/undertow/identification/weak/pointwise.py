@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions, solve_symmetric
+
+from .mapping import call
 
 Array = NDArray[np.float64]
 
@@ -42,7 +44,7 @@ class Pointwise:
     def inverse(self) -> ca.SX:
         """Inverse of the mass matrix: a number from outside where it does not depend on the motion."""
         if self.mass_is_constant:
-            return ca.SX.sym("inverse", self.size, self.size)
+            return ca.SX.sym("inverse", self._coupled)
         return solve_symmetric(self._true(self.functions.mass_matrix), ca.SX.eye(self.size))
 
     @cached_property
@@ -51,12 +53,22 @@ class Pointwise:
         f = self.functions
         return not ca.depends_on(ca.vec(f.mass_matrix), ca.vertcat(f.eta, f.nu, f.t))
 
+    @cached_property
+    def _coupled(self) -> ca.Sparsity:
+        """Where the inverse of the mass matrix can differ from zero: between motions that inertia couples."""
+        one = ca.DM(self.functions.mass_matrix.sparsity(), 1)
+        reach = ca.DM.eye(self.size) + one + one.T
+        for _ in range(self.size):
+            reach = reach @ reach > 0
+        return ca.sparsify(ca.DM(reach)).sparsity()
+
     def mass_inverse(self, p: Array) -> Array:
-        """Value of `inverse` at parameters p, column-major, shape (n * n,); empty where it varies."""
+        """Nonzeros of `inverse` at parameters p; empty where it varies from sample to sample."""
         if not self.mass_is_constant:
             return np.zeros(0)
         (mass,) = call(self._mass, [p])
-        return np.asarray(np.linalg.inv(mass.reshape(self.size, self.size)), dtype=float).ravel()
+        inverse = np.linalg.inv(mass.reshape(self.size, self.size))
+        return np.asarray(inverse[self._coupled.row(), self._coupled.get_col()], dtype=float)
 
     @cached_property
     def _mass(self) -> ca.Function:
@@ -122,61 +134,25 @@ class Pointwise:
     @cached_property
     def _inputs(self) -> list[ca.SX]:
         f = self.functions
-        constant = ca.vec(self.inverse) if self.mass_is_constant else ca.SX(0, 1)
+        constant = ca.vertcat(*self.inverse.nonzeros()) if self.mass_is_constant else ca.SX(0, 1)
         return [self.measured, f.actuation, f.memory, f.u, constant, f.p, f.t]
 
     @cached_property
-    def value(self) -> ca.Function:
-        """The rows, shape (5n,)."""
-        return ca.Function("weak", self._inputs, [ca.densify(self._rows)])
-
-    @cached_property
     def value_and_derivatives(self) -> ca.Function:
-        """The rows, and their derivatives in the free parameters, the actuation and the memory states."""
+        """The rows, and their (sparse) derivatives in the free parameters, the actuation and the memory."""
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.free])
-        derivatives = [self._slope(v) for v in (free, f.actuation, f.memory)]
-        results = ca.cse([self._rows, *derivatives])
-        return ca.Function("weak_derivatives", self._inputs, [ca.densify(v) for v in results])
+        derivatives = [ca.sparsify(self._slope(v)) for v in (free, f.actuation, f.memory)]
+        results = ca.cse([ca.densify(self._rows), *derivatives])
+        return ca.Function("weak_derivatives", self._inputs, results)
 
     @cached_property
     def noise(self) -> ca.Function:
-        """Derivative of the rows in the measured pose and velocity, shape (5n, 2n)."""
-        return ca.Function("weak_noise", self._inputs, [ca.densify(self._slope(self.measured))])
+        """Derivative of the rows in the measured pose and velocity, shape (5n, 2n), sparse."""
+        return ca.Function("weak_noise", self._inputs, [ca.sparsify(self._slope(self.measured))])
 
     @cached_property
     def held_depends_on_motion(self) -> bool:
         """Whether the force of the commands depends on the motion."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.depends_on(ca.vertcat(self._by_commands, ca.vec(self.functions.mass_matrix)), motion))
-
-
-def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> list[Array]:
-    """Evaluate at N samples: `columns` are (N, k) arrays; results have shape (N, rows, columns)."""
-    count = len(t)
-    arguments = [*columns, np.tile(p, (count, 1)), t[:, None]]
-    flat = call(map_over(function, count), arguments)
-    shapes = [function.size_out(i) for i in range(function.n_out())]
-    # CasADi is column-major: a sample's matrix lies transposed in the flat result.
-    return [f.reshape(count, c, r).transpose(0, 2, 1) for f, (r, c) in zip(flat, shapes, strict=True)]
-
-
-def call(function: ca.Function, arguments: list[Array]) -> list[Array]:
-    """Call a function through its buffers; arguments and results are flat, column-major, without copies by
-    CasADi.
-    """
-    buffer, evaluate = function.buffer()
-    inputs = [np.ascontiguousarray(a, dtype=float) for a in arguments]
-    results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
-    for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array.ravel().data))
-    for i, array in enumerate(results):
-        buffer.set_res(i, memoryview(array.data))
-    evaluate()
-    return results
-
-
-@lru_cache(maxsize=256)
-def map_over(function: ca.Function, count: int) -> ca.Function:
-    """The function over `count` samples in one call; made once."""
-    return function.map(count)

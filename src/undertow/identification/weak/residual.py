@@ -12,8 +12,10 @@ from undertow.codegen.functions import Functions
 
 from .data import Segment, WeakData
 from .drive import Chain, Driven, Memory, without_gaps
+from .entries import Entries
+from .mapping import nonzeros
 from .noise import Whitening, overlap, residual_covariance
-from .pointwise import Pointwise, mapped
+from .pointwise import Pointwise
 
 Array = NDArray[np.float64]
 
@@ -64,43 +66,47 @@ class WeakModel:
     def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
-        table = self._total(inputs, actuation, memory, p, s.t)
+        entries = self._entries(inputs, actuation, memory, p, s.t)
         if self._points.held_depends_on_motion:
-            table = self._averaged_over_steps(table, s, actuation, memory, p)
-        return self._tested(table, s, rows)
+            later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
+            inputs = self._inputs(later[0], actuation.value, later[1], s.u, p)
+            entries = entries.averaged(
+                self._entries(inputs, actuation, memory, p, s.t), 4 * self._points.size
+            )
+        return self._tested(entries, s, rows)
 
     def _inputs(self, measured: Array, actuation: Array, memory: Array, u: Array, p: Array) -> list[Array]:
-        constant = self._points.mass_inverse(p)
-        return [measured, actuation, memory, u, np.tile(constant, (len(u), 1))]
+        return [measured, actuation, memory, u, self._points.mass_inverse(p)]
 
-    def _total(self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array) -> Array:
-        """Pointwise rows beside their total derivatives in the free parameters and in the first states."""
-        value, free, by_actuation, by_memory = mapped(self._points.value_and_derivatives, inputs, p, t)
-        total = free + by_actuation @ actuation.slope + by_memory @ memory.slope
-        return np.concatenate(
-            [value, total, by_actuation @ actuation.start, by_memory @ memory.start], axis=2
+    def _entries(self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array) -> Entries:
+        """The rows at the samples with their total derivatives in the free parameters and first states."""
+        function = self._points.value_and_derivatives
+        value, free, by_actuation, by_memory = nonzeros(function, [*inputs, p, t[:, None]], len(t))
+        first, last = 1, 1 + len(self.free)
+        patterns = [function.sparsity_out(i) for i in range(4)]
+        states = actuation.start.shape[2]
+        return Entries.joined(
+            [
+                Entries.of(value, patterns[0], 0),
+                Entries.of(free, patterns[1], first),
+                Entries.chained(by_actuation, patterns[2], actuation.slope, first),
+                Entries.chained(by_memory, patterns[3], memory.slope, first),
+                Entries.chained(by_actuation, patterns[2], actuation.start, last),
+                Entries.chained(by_memory, patterns[3], memory.start, last + states),
+            ],
+            last + states + memory.start.shape[2],
         )
 
-    def _averaged_over_steps(
-        self, table: Array, s: Segment, actuation: Driven, memory: Driven, p: Array
-    ) -> Array:
-        """Take the force of the commands at both ends of the interval in which they are held."""
-        n = self._points.size
-        later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
-        inputs = self._inputs(later[0], actuation.value, later[1], s.u, p)
-        end = self._total(inputs, actuation, memory, p, s.t)
-        table[:, 4 * n :] = 0.5 * (table[:, 4 * n :] + end[:, 4 * n :])
-        return table
-
-    def _tested(self, table: Array, s: Segment, rows: tuple[int, ...]) -> Linearised:
+    def _tested(self, entries: Entries, s: Segment, rows: tuple[int, ...]) -> Linearised:
         n, f = self._points.size, s.functions
-        width = table.shape[2]
-        flat = table.reshape(len(s.t), -1)
-        blocks = [flat[:, i * n * width : (i + 1) * n * width] for i in range(5)]
-        force = f.rate @ blocks[0] + f.value @ blocks[1] + f.held @ blocks[4]
-        kinematic = f.rate @ blocks[2] + f.value @ blocks[3]
-        both = np.concatenate([force, kinematic], axis=1).reshape(f.count, 2 * n, width)[:, list(rows)]
-        stacked = both.reshape(-1, width)
+        table = np.zeros((f.count, 2 * n, entries.width))
+        for block, weights in enumerate((f.rate, f.value, f.rate, f.value, f.held)):
+            chosen = np.flatnonzero(entries.row // n == block)
+            tested = weights @ entries.data[:, chosen]
+            equation = entries.row[chosen] % n + (n if block in (2, 3) else 0)
+            for k, (i, j) in enumerate(zip(equation, entries.column[chosen], strict=True)):
+                table[:, i, j] += tested[:, k]
+        stacked = table[:, list(rows)].reshape(-1, entries.width)
         last = 1 + len(self.free)
         return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
@@ -112,8 +118,10 @@ class WeakModel:
     def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
-        (slope,) = mapped(self._points.noise, inputs, p, s.t)
-        noise = residual_covariance(s.functions, slope, data.sigma, list(data.rows))
+        function = self._points.noise
+        (slope,) = nonzeros(function, [*inputs, p, s.t[:, None]], len(s.t))
+        slopes = Entries.of(slope, function.sparsity_out(0), 0)
+        noise = residual_covariance(s.functions, slopes, data.sigma, data.rows)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
