@@ -267,7 +267,7 @@ def test_thrusters_4_and_5() -> None:
         *[sm.Matrix([*along, *(at.cross(along) + d * along)]) for at, along in columns]
     )
     names = ("f1", "f2", "f3", "f4")
-    composition = Composition((Thrusters(names, allocation),), tuple(range(6)), names)
+    composition = Composition((Thrusters(names).placed(allocation),), tuple(range(6)), names)
     f1, f2, f3, f4 = composition.signals.actuation
     unit = {symbol(f"thrust_{n}"): sm.Integer(1) for n in names}
     force = sm.Matrix([f2 + f4, 0, f1 + f3])

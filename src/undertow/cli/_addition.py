@@ -155,8 +155,7 @@ def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) 
 
 
 def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
-    present = {e.id for e in vehicle.effects}
-    lacking = [name for name in effect.requires if name not in present]
+    lacking = vehicle.lacks(effect)
     if effect.built_in:
         raise UndertowError(f"effect '{effect.id}' is part of every vehicle: there is nothing to add")
     if lacking:

@@ -195,6 +195,8 @@ def _legend(statement: Statement) -> Iterator[tuple[str, str]]:
     for start, meaning in (
         ("command_", "what reaches the step, in units of the command"),
         ("actuation_", "what reaches the thruster, in units of its command"),
+        ("e_x_", "direction of a thruster, forward; e_y and e_z likewise"),
+        ("lever_x_", "moment about the x axis per newton of its thrust, m; lever_y and lever_z likewise"),
     ):
         if any(n.startswith(start) for n in found):
             yield f"{start}<thruster>", meaning

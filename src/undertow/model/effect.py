@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import abc
-from typing import ClassVar
+import copy
+from typing import ClassVar, Self
 
 import sympy as sm
 
@@ -31,6 +32,8 @@ class Effect(abc.ABC):
         Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
     built_in : bool
         True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
+    allocation : Matrix, shape (6, n_thrusters)
+        Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     """
 
     id: ClassVar[str]
@@ -42,6 +45,13 @@ class Effect(abc.ABC):
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
         self.thrusters = thrusters
+        self.allocation = sm.zeros(6, len(thrusters))
+
+    def placed(self, allocation: sm.Matrix) -> Self:
+        """The effect on a vehicle whose thrusters press on it like this, `allocation` of shape (6, n)."""
+        there = copy.copy(self)
+        there.allocation = allocation
+        return there
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -76,12 +86,14 @@ class Effect(abc.ABC):
     @property
     def constants(self) -> dict[sm.Symbol, str]:
         """Symbols, with units, that stand for numbers of the hardware on a `specimen`."""
-        return {}
+        return {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
 
     @classmethod
-    def specimen(cls) -> Effect:
+    def specimen(cls) -> Self:
         """An instance to look at and to check, as it would be on a vehicle with two thrusters."""
-        return cls(("port", "starboard"))
+        names = ("port", "starboard")
+        columns = [[*(f"e_{a}_{n}" for a in "xyz"), *(f"lever_{a}_{n}" for a in "xyz")] for n in names]
+        return cls(names).placed(sm.Matrix.hstack(*map(column, columns)))
 
     @classmethod
     def about(cls) -> str:

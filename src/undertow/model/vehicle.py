@@ -63,6 +63,11 @@ class Thruster:
     limit: float | None = None
 
 
+def _table_of(effect_id: str) -> str:
+    """What a vehicle file brings an effect in by."""
+    return {Thrusters.id: "[[thrusters]]"}.get(effect_id, f"[effects.{effect_id}]")
+
+
 @dataclass(frozen=True)
 class Vehicle:
     """A marine vehicle as a sum of effects, for any subset of the six degrees of freedom.
@@ -100,14 +105,18 @@ class Vehicle:
         self._check_requirements()
 
     def _check_requirements(self) -> None:
-        present = {e.id for e in self.effects}
         for effect in self.effects:
-            missing = [r for r in effect.requires if r not in present]
+            missing = self.lacks(effect)
             if missing:
                 raise UndertowError(
                     f"effect '{effect.id}' shares parameters of '{missing[0]}', which vehicle '{self.name}' "
-                    f"lacks: add [effects.{missing[0]}] to the vehicle file"
+                    f"lacks: add {_table_of(missing[0])} to the vehicle file"
                 )
+
+    def lacks(self, effect: Effect | type[Effect]) -> list[str]:
+        """Ids of the effects that `effect` requires and that the vehicle has not; thrusters count as one."""
+        present = {e.id for e in self.all_effects}
+        return [r for r in effect.requires if r not in present]
 
     @property
     def dof_indices(self) -> tuple[int, ...]:
@@ -133,12 +142,17 @@ class Vehicle:
     def all_effects(self) -> tuple[Effect, ...]:
         """The effects with those that the hardware brings in."""
         names = tuple(t.name for t in self.thrusters)
-        columns = [[sm.Float(v) if v % 1 else sm.Integer(int(v)) for v in t.wrench] for t in self.thrusters]
-        allocation = sm.Matrix(columns).T if columns else sm.zeros(6, 0)
-        hardware: list[Effect] = [Thrusters(names, allocation)] if names else []
+        hardware: list[Effect] = [Thrusters(names)] if names else []
         if self.force_channels:
             hardware.append(GeneralisedForce(names))
-        return (*self.effects, *hardware)
+        allocation = self.allocation
+        return tuple(e.placed(allocation) for e in (*self.effects, *hardware))
+
+    @cached_property
+    def allocation(self) -> sm.Matrix:
+        """Force and moment of one newton of thrust of each thruster, shape (6, n_thrusters), 1 and m."""
+        columns = [[sm.Float(v) if v % 1 else sm.Integer(int(v)) for v in t.wrench] for t in self.thrusters]
+        return sm.Matrix(columns).T if columns else sm.zeros(6, 0)
 
     @cached_property
     def composition(self) -> Composition:

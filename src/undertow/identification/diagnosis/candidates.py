@@ -87,7 +87,6 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
 
 def candidates(vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle."""
-    present = {e.id for e in vehicle.effects}
-    possible = [c for c in known.values() if not c.built_in and set(c.requires) <= present]
+    possible = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
     found = [Candidate(cls, vehicle) for cls in possible]
     return [c for c in found if not c.adds_nothing]
