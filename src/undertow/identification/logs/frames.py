@@ -25,6 +25,11 @@ def swap_position(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
     return _negated(turned, ("z",))
 
 
+def turned_name(name: str, position: str) -> str:
+    """Return the name that a channel of the log has after the turn from `position` to NED."""
+    return _SWAPPED.get(name, name) if position == "ENU" else name
+
+
 def swap_attitude(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
     """Turn roll-pitch-yaw of FLU axes in ENU into those of FRD axes in NED, or back.
 

@@ -18,6 +18,8 @@ It is data (TOML) and nothing in it is executed. Example::
     north = "y"
     heading = { channel = "psi", unit = "deg" }
     port = { channel = "f1", unit = "N", scale = 0.5 }
+    stern = { channel = "f2", scale = 2.9e-4, power = 2 }      # rpm to N, with the sign of the rpm
+    dvl_u = { channel = "u", unit = "m/s", fresh = "dvl_new" }  # slower than the log
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class _Strict(BaseModel):
 
 
 class Column(_Strict):
-    """One column: its channel value is ``scale * cell + offset`` in `unit`, converted to SI.
+    """One column: its channel value is ``scale * cell^power + offset`` in `unit`, converted to SI.
 
     Attributes
     ----------
@@ -50,18 +52,24 @@ class Column(_Strict):
         Unit of the column; None: the SI unit of the channel.
     scale, offset : float
         Applied to the cell first; `offset` is in `unit`.
+    power : float
+        Exponent of the magnitude of the cell; the sign stays (rpm |rpm| for 2).
     wrapped : bool or None
         Whether the angle jumps by a turn and is to be unwrapped; None: only psi is.
     optional : bool
         Whether a log may lack this column.
+    fresh : str or None
+        Column that is not zero in rows where this one has a new sample, for a sensor slower than the log.
     """
 
     channel: str = Field(min_length=1)
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
+    power: float = Field(default=1.0, gt=0)
     wrapped: bool | None = None
     optional: bool = False
+    fresh: str | None = Field(default=None, min_length=1)
 
 
 class Time(_Strict):

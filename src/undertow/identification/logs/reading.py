@@ -15,6 +15,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs import checks, frames
 from undertow.identification.logs.mapping import Column, CommandPolicy, Mapping
 from undertow.identification.logs.run import FORCES, UNITS, Run
+from undertow.identification.logs.slow import new_only, on_the_clock
 from undertow.identification.logs.table import file_bytes, is_dates, numbers, read_table, seconds
 from undertow.model.units import scale_offset, si_unit
 
@@ -83,6 +84,8 @@ def read_log(
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
     ).slice(*window)
     run = _unwrapped(run, list(sources.values()))
+    slow = [column.channel for column in sources.values() if column.fresh is not None]
+    run = on_the_clock(run, [frames.turned_name(name, mapping.frames.position) for name in slow])
     return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where)
 
 
@@ -92,6 +95,8 @@ def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where:
     for name, column in mapping.columns.items():
         if not column.optional or column.channel in commands:
             _must_have(name, names, where, f"column for channel {column.channel!r},")
+        if column.fresh is not None and name in names:
+            _must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
     found = {name: column for name, column in mapping.columns.items() if name in names}
     taken = {column.channel for column in found.values()}
     for name in names:
@@ -142,7 +147,12 @@ def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[Array, lis
 
 def _values(table: pl.DataFrame, name: str, column: Column, mapping: Mapping, where: str) -> Array:
     scale, offset = _to_si(name, column, where)
-    return scale * numbers(table, name, mapping, where) + offset
+    cells = numbers(table, name, mapping, where)
+    if column.power != 1.0:
+        cells = np.sign(cells) * np.abs(cells) ** column.power
+    if column.fresh is not None:
+        cells = new_only(cells, numbers(table, column.fresh, mapping, where))
+    return scale * cells + offset
 
 
 def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
@@ -195,9 +205,10 @@ def _unwrap(angle: Array) -> Array:
 def _conversions(sources: dict[str, Column], mapping: Mapping, where: str) -> list[str]:
     factors = {name: _to_si(name, column, where) for name, column in sources.items()}
     changed = [
-        f"{sources[name].channel} = {scale:.9g} {name}" + (f" + {offset:.9g}" if offset else "")
+        f"{sources[name].channel} = {scale:.9g} {_term(name, sources[name].power)}"
+        + (f" + {offset:.9g}" if offset else "")
         for name, (scale, offset) in factors.items()
-        if (scale, offset) != (1.0, 0.0)
+        if (scale, offset, sources[name].power) != (1.0, 0.0, 1.0)
     ]
     notes = [f"converted: {', '.join(changed)}"] if changed else []
     spec = mapping.frames
@@ -209,8 +220,13 @@ def _conversions(sources: dict[str, Column], mapping: Mapping, where: str) -> li
     return notes
 
 
+def _term(name: str, power: float) -> str:
+    return name if power == 1.0 else f"{name} |{name}|" + ("" if power == 2.0 else f"^{power - 1.0:g}")
+
+
 def _unused(names: Sequence[str], sources: dict[str, Column], mapping: Mapping) -> list[str]:
-    used = {*sources, *mapping.ignore, mapping.time.column}
+    flags = {column.fresh for column in sources.values()}
+    used = {*sources, *mapping.ignore, mapping.time.column, *flags}
     left = [name for name in names if name not in used]
     return [f"columns not used: {', '.join(left)}"] if left else []
 

@@ -1,0 +1,79 @@
+"""Sensors slower than their log, and commands in a unit whose square is the thrust."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from undertow.errors import UndertowError
+from undertow.identification import Mapping, read_log
+
+RATE, PERIOD = 6.0, 1.0  # rows a second; seconds between reports
+
+
+@pytest.fixture
+def slow_log(tmp_path):
+    """A log of 60 s whose velocity repeats a report of each second; `true` is what it reports."""
+    t = np.arange(0.0, 60.0, 1 / RATE)
+    reported = PERIOD * np.floor(t / PERIOD + 1e-9)
+    new = np.isclose(t, reported)
+    noise = np.random.default_rng(5).normal(0.0, 0.01, 60)
+    u = np.sin(0.3 * reported) + noise[reported.astype(int)]
+    rows = "\n".join(f"{a:.6f},{b:.6f},{int(c)}" for a, b, c in zip(t, u, new, strict=True))
+    path = tmp_path / "slow.csv"
+    path.write_text("t,dvl,new\n" + rows + "\n")
+    return path, t, np.sin(0.3 * t)
+
+
+def mapping(**column):
+    return Mapping.model_validate({"columns": {"dvl": {"channel": "u", "fresh": "new", **column}}})
+
+
+def test_rows_between_reports_are_not_late(slow_log):
+    path, t, true = slow_log
+    held = read_log(path, Mapping.model_validate({"columns": {"dvl": "u"}, "ignore": ["new"]}))
+    run = read_log(path, mapping())
+    inside = np.isfinite(run.channels["u"])
+    assert inside.sum() == len(t) - 5  # the rows after the last report
+    error = np.std(run.channels["u"][inside] - true[inside])
+    assert error < 0.012
+    assert np.std(held.channels["u"] - true) > 8 * error
+
+
+def test_the_noise_is_that_of_means_over_seconds(slow_log):
+    run = read_log(slow_log[0], mapping())
+    assert run.sigma["u"] == pytest.approx(0.01 * np.sqrt(RATE * PERIOD), rel=0.35)
+    assert any("60 reports in 360 rows" in note for note in run.notes)
+
+
+def test_a_gap_without_reports_stays_a_gap(slow_log):
+    path, t, _ = slow_log
+    lines = path.read_text().splitlines()
+    silent = [
+        line if not 20 <= float(line.split(",")[0]) < 28 else line.rsplit(",", 1)[0] + ",0"
+        for line in lines[1:]
+    ]
+    path.write_text("\n".join([lines[0], *silent]) + "\n")
+    u = read_log(path, mapping()).channels["u"]
+    lost = (t > 19.1) & (t < 27.9)
+    assert np.isnan(u[lost]).all()
+    assert np.isfinite(u[~lost & (t < 59)]).all()
+
+
+def test_a_slow_channel_with_hardly_a_report_is_refused(slow_log):
+    with pytest.raises(UndertowError, match="has 3 new reports, at least 10 are needed"):
+        read_log(slow_log[0], mapping(), window=(0.0, 2.5))
+
+
+def test_a_flag_that_is_not_there_is_named(slow_log):
+    with pytest.raises(UndertowError, match="no column, named as `fresh` of 'dvl', 'news'"):
+        read_log(slow_log[0], mapping(fresh="news"))
+
+
+def test_rpm_become_newton_with_their_sign(tmp_path):
+    path = tmp_path / "rpm.csv"
+    path.write_text("t,u,n\n0,0.1,-1000\n1,0.2,0\n2,0.3,500\n")
+    columns = {"n": {"channel": "stern", "scale": 3e-4, "power": 2}}
+    run = read_log(path, Mapping.model_validate({"columns": columns}), ["stern"])
+    np.testing.assert_allclose(run.channels["stern"], [-300.0, 0.0, 75.0])
+    assert any("stern = 0.0003 n |n|" in note for note in run.notes)
