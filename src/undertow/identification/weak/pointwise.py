@@ -101,7 +101,8 @@ class Pointwise:
         for force in self._forces:
             acceleration = ca.SX.sym("acceleration", n)
             slope = ca.jacobian(force - mass @ acceleration, variables)
-            parts.append(self.inverse @ ca.substitute(slope, acceleration, self.inverse @ force))
+            given = ca.densify(self.inverse @ force)  # without commands, a force may be empty
+            parts.append(self.inverse @ ca.substitute(slope, acceleration, given))
         return ca.vertcat(kinematic[:n, :], parts[0], kinematic[2 * n : 4 * n, :], parts[1])
 
     @cached_property
