@@ -48,7 +48,8 @@ def test_catalogue_has_the_effects_of_the_first_version() -> None:
         ("dissipative", {"linear_damping", "quadratic_damping", "cubic_damping", "dry_friction"}),
         ("rate", {"ocean_current"}),
         ("rest", {"thruster_gain", "thruster_deadband", "thruster_lag", "actuation_delay"}),
-        ("affine", {"velocity_lever_arm"}),
+        ("affine", {"velocity_lever_arm", "sensor_delay"}),
+        ("dead_time", {"actuation_delay", "sensor_delay", "velocity_lever_arm"}),
     ],
 )
 def test_laws_are_tried_where_they_apply(check: str, effects: set[str]) -> None:

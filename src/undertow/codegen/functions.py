@@ -156,6 +156,11 @@ class Functions:
         return ca.vertcat(self.convert.matrix(eta), self.convert.matrix(nu))
 
     @cached_property
+    def report_dead_time(self) -> ca.SX:
+        """How old pose and velocity are when the sensors report them, shape (2n,), s."""
+        return self.convert.matrix(self.vehicle.composition.report_dead_time)
+
+    @cached_property
     def x_dot(self) -> ca.SX:
         """Time derivative of the state, from x, u, p, t; M is solved for, never inverted symbolically."""
         driven = ca.substitute(self.forcing, self.actuation, self.chain_output)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import sympy as sm
 
+from .catalogue import catalogue
 from .effect import Actuation, Effect, Flow, Measurement, Wrench
 from .kinematics import pose_jacobian, rotation, skew
 from .symbols import FORCE, Signals, column, signals, symbol
@@ -79,7 +80,13 @@ class Composition:
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
         absent = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
-        return dict.fromkeys([*motions, *absent], sm.Integer(0))
+        return dict.fromkeys([*motions, *absent, *self._absent_parameters()], sm.Integer(0))
+
+    def _absent_parameters(self) -> list[sm.Symbol]:
+        """Parameters that an effect would share if the vehicle had them."""
+        present = {e.id for e in self.effects}
+        absent = {i for e in self.effects for i in e.shares if i not in present}
+        return [symbol(p.name) for i in absent for p in catalogue()[i](self.thrusters).parameters]
 
     @cached_property
     def relative_motion(self) -> dict[sm.Symbol, sm.Expr]:
@@ -114,7 +121,8 @@ class Composition:
     def wrenches(self) -> dict[Wrench, sm.Matrix]:
         """Wrench of every effect in the vehicle's degrees of freedom."""
         effects = [e for e in self.effects if isinstance(e, Wrench)]
-        return {e: self.reduce(self._rows(e.wrench(self.signals))) for e in effects}
+        s = self.signals
+        return {e: self.reduce(self._rows(e.spelled_out(e.wrench(s), s))) for e in effects}
 
     @cached_property
     def residual(self) -> sm.Matrix:
@@ -127,8 +135,8 @@ class Composition:
         return self._reachable(e for e in self.effects if isinstance(e, Wrench))
 
     def _reachable(self, effects: Iterable[Wrench]) -> dict[sm.Symbol, sm.Expr]:
-        used = self.residual.free_symbols
-        rates = ((e.state_symbols, self.reduce(e.rates(self.signals))) for e in effects)
+        used, s = self.residual.free_symbols, self.signals
+        rates = ((e.state_symbols, self.reduce(e.spelled_out(e.rates(s), s))) for e in effects)
         return {x: rate for pair in rates for x, rate in zip(*pair, strict=True) if x in used}
 
     @cached_property
@@ -166,10 +174,17 @@ class Composition:
         return self._rows(eta).xreplace(self.locked), self._rows(nu).xreplace(self.locked)
 
     @cached_property
+    def report_dead_time(self) -> sm.Matrix:
+        """Sum of the dead times of what the sensors report, pose then velocity, shape (2n, 1), s."""
+        effects = [e for e in self.effects if isinstance(e, Measurement)]
+        total = sum((e.dead_time() for e in effects), sm.zeros(12, 1))
+        return sm.Matrix.vstack(self._rows(total[:6, :]), self._rows(total[6:, :]))
+
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Parameters that occur in the equations, in the order of the effects; environment last."""
         chain, rates, _ = self.chain
-        parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time])]
+        parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time]), self.report_dead_time]
         parts += [sm.Matrix(list(rates.values()) or [0]), sm.Matrix(list(self.wrench_states.values()) or [0])]
         used = {str(x) for part in parts for x in part.free_symbols}
         return tuple(n for n in self._declared_names() if n in used)

@@ -48,7 +48,7 @@ class _Law:
 
 
 def _is(*kinds: str) -> Callable[[Statement], bool]:
-    return lambda s: s.kind in kinds
+    return lambda s: any(kind in s.kinds for kind in kinds)
 
 
 _LAWS = (
@@ -65,7 +65,16 @@ _LAWS = (
         "linearity", "linear parameters are linear together, the others are not", laws.linearity_as_declared
     ),
     _Law(
-        "affine", "what is reported is affine in pose and velocity", laws.affine_in_motion, _is("measurement")
+        "affine",
+        "what is reported is affine in the motion at a given attitude",
+        laws.affine_in_motion,
+        _is("measurement"),
+    ),
+    _Law(
+        "dead_time",
+        "no dead time can be negative",
+        laws.dead_time_positive,
+        _is("actuation", "measurement"),
     ),
     _Law("rate", "acceleration is the derivative of velocity", laws.rate_is_derivative, _is("flow")),
     _Law("symmetry", "its part of the mass matrix is symmetric", laws.inertia_symmetric, laws.accelerates),
@@ -158,12 +167,13 @@ def _text_complaints(cls: type[Effect]) -> Iterator[str]:
 
 
 def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
-    if not isinstance(cls.requires, tuple):
-        yield f"requires is {cls.requires!r}: write a tuple, such as ('added_mass',)"
-        return
-    for required in cls.requires:
-        if required not in known:
-            yield f"requires '{required}', which is no known effect: correct the id"
+    for what, ids in (("requires", cls.requires), ("shares", cls.shares)):
+        if not isinstance(ids, tuple):
+            yield f"{what} is {ids!r}: write a tuple, such as ('added_mass',)"
+            return
+        for beside in ids:
+            if beside not in known:
+                yield f"{what} '{beside}', which is no known effect: correct the id"
 
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:

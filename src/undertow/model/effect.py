@@ -13,7 +13,7 @@ from .symbols import Signals, column
 
 
 class Effect(abc.ABC):
-    """One physical effect of a marine vehicle; subclass `Wrench`, `Flow`, `Actuation` or `Measurement`.
+    """One physical effect of a marine vehicle; subclass `Wrench`, `Flow`, `Actuation`, `Measurement` or two.
 
     The docstring's first line is the effect's meaning. Parameters are class attributes
     (`Parameter`, `PerThruster`, `DerivativeMatrix`) and read as symbols on an instance.
@@ -30,6 +30,8 @@ class Effect(abc.ABC):
         What in a log would give the effect away.
     requires : tuple of str
         Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
+    shares : tuple of str
+        Ids of effects whose parameters it shares as well where the vehicle has them, and takes as zero where not.
     built_in : bool
         True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
     allocation : Matrix, shape (6, n_thrusters)
@@ -41,6 +43,7 @@ class Effect(abc.ABC):
     reference: ClassVar[str]
     signature: ClassVar[str] = ""
     requires: ClassVar[tuple[str, ...]] = ()
+    shares: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
@@ -89,6 +92,11 @@ class Effect(abc.ABC):
         return {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
 
     @classmethod
+    def suits(cls, dofs: tuple[str, ...]) -> bool:
+        """Whether a vehicle with these degrees of freedom (surge, sway, ...) can show the effect at all."""
+        return True
+
+    @classmethod
     def specimen(cls) -> Self:
         """An instance to look at and to check, as it would be on a vehicle with two thrusters."""
         names = ("port", "starboard")
@@ -122,6 +130,16 @@ class Wrench(Effect):
     def rates(self, s: Signals) -> sm.Matrix:
         """Time derivative of the effect's own states, shape (n, 1)."""
         return sm.zeros(len(self.states), 1)
+
+    def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
+        """Symbols that stand for longer expressions in `wrench` and `rates`; later ones may use earlier ones."""
+        return {}
+
+    def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
+        """What `wrench` or `rates` returned, without abbreviations."""
+        for name, meaning in reversed(self.abbreviations(s).items()):
+            stated = stated.xreplace({name: meaning})
+        return stated
 
 
 class Flow(Effect):
@@ -179,18 +197,31 @@ class Measurement(Effect):
 
     @abc.abstractmethod
     def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
-        """Pose and body velocity that the sensors report; affine in `eta` and `nu`."""
+        """Pose and body velocity that the sensors report.
+
+        The reported attitude is affine in the attitude, all else affine in position and velocity at a given
+        attitude, so that the true motion can be worked out from what is reported.
+        """
+
+    def dead_time(self) -> sm.Matrix:
+        """How old each reported pose coordinate and body velocity is, shape (12, 1), s; never negative."""
+        return sm.zeros(12, 1)
 
 
 KINDS: dict[str, type[Effect]] = {
-    "wrench": Wrench,
     "flow": Flow,
+    "wrench": Wrench,
     "actuation": Actuation,
     "measurement": Measurement,
 }
 
 
-def kind_of(effect: Effect | type[Effect]) -> str:
-    """Which of the four kinds an effect is."""
+def kinds_of(effect: Effect | type[Effect]) -> tuple[str, ...]:
+    """Which of the four kinds an effect is; a wave moves the water and presses on the hull, so it is two."""
     cls = effect if isinstance(effect, type) else type(effect)
-    return next(kind for kind, base in KINDS.items() if issubclass(cls, base))
+    return tuple(kind for kind, base in KINDS.items() if issubclass(cls, base))
+
+
+def kind_of(effect: Effect | type[Effect]) -> str:
+    """The kinds of an effect in words."""
+    return " and ".join(kinds_of(effect))

@@ -15,7 +15,7 @@ from .kinematics import pose_jacobian
 from .parameter import Parameter
 from .probing import Probe, bent_row, compiled, nonzero_row
 from .statement import Statement
-from .symbols import DOFS, VELOCITY, symbol
+from .symbols import DOFS, POSE, VELOCITY, symbol
 
 _TRIALS = 200
 _ROUNDING = 1e-9
@@ -95,7 +95,7 @@ def _settings(values: dict[sm.Symbol, sm.Expr]) -> str:
 
 def _rest_states(s: Statement) -> Sequence[sm.Expr]:
     """A step of the actuation chain may be slow; what counts is what it does to a command that is held."""
-    return s.part("rest_state") if s.kind == "actuation" else s.effect.state_symbols
+    return s.part("rest_state") if "actuation" in s.kinds else s.effect.state_symbols
 
 
 def rests_at_rest(s: Statement) -> Iterator[str]:
@@ -111,9 +111,10 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     """Parameters declared linear are regressor columns, together; the others are not."""
     own = [p for p in s.own if symbol(p.name) in s.free_symbols]
     linear = [p for p in own if p.linear]
-    if s.kind in ("flow", "measurement"):
+    moved = [kind for kind in s.kinds if kind in ("flow", "measurement")]
+    if moved:
         for p in linear:
-            yield f"parameter '{p.name}' of a {s.kind} effect is no regressor column: declare linear=False"
+            yield f"parameter '{p.name}' of a {moved[0]} effect is no regressor column: declare linear=False"
         return
     main = s.parts[0].matrix
     hidden = {x for part in s.parts[1:] for x in part.matrix.free_symbols}
@@ -143,12 +144,33 @@ def _names(parameters: Sequence[Parameter]) -> str:
 
 
 def affine_in_motion(s: Statement) -> Iterator[str]:
-    """What sensors report is affine in pose and velocity."""
-    motion = [*s.signals.eta, *s.signals.nu]
-    for part in s.parts:
-        row = bent_row(part.matrix, motion, s)
+    """Reported attitude is affine in the attitude, all else in position and velocity at a given attitude."""
+    place, attitude = [*s.signals.eta[:3], *s.signals.nu], list(s.signals.eta[3:])
+    pose, velocity = s.part("reported pose"), s.part("reported velocity")
+    turned = pose[3:, :]
+    for matrix, names, along in (
+        (pose[:3, :], POSE[:3], place),
+        (turned, POSE[3:], attitude),
+        (velocity, VELOCITY, place),
+    ):
+        row = bent_row(matrix, along, s)
         if row is not None:
-            yield f"{part.rows[row]} is not affine in pose and velocity: {_short(part.matrix[row])}"
+            what = "attitude" if along is attitude else "position and velocity"
+            yield f"reported {names[row]} is not affine in {what}: {_short(matrix[row])}"
+    for name, angle in zip(POSE[3:], turned, strict=True):
+        if angle.free_symbols & set(place):
+            yield f"reported {name} depends on more than the attitude: {_short(angle)}"
+
+
+def dead_time_positive(s: Statement) -> Iterator[str]:
+    """Nothing acts or is reported before its time, for parameters within bounds."""
+    part = next(p for p in s.parts if p.name == "dead_time")
+    values, probe = compiled(list(part.matrix)), Probe(s)
+    for _ in range(_TRIALS):
+        early = [i for i, seconds in enumerate(values(probe.point())) if seconds < 0]
+        if early:
+            yield f"{part.rows[early[0]]} can be negative within the bounds: {_short(part.matrix[early[0]])}"
+            return
 
 
 # --- inertia ------------------------------------------------------------------------------------
@@ -253,7 +275,7 @@ def rate_is_derivative(s: Statement) -> Iterator[str]:
 
 def accelerates(s: Statement) -> bool:
     """Whether the effect has a part in the mass matrix."""
-    return s.kind == "wrench" and bool(
+    return "wrench" in s.kinds and bool(
         s.in_still_water(s.part("wrench")).free_symbols & set(s.signals.nu_dot)
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import sympy as sm
@@ -11,7 +11,7 @@ import sympy as sm
 from undertow.errors import UndertowError
 
 from .catalogue import Catalogue, lookup
-from .effect import Actuation, Effect, Flow, Measurement, Wrench, kind_of
+from .effect import Actuation, Effect, Flow, Measurement, Wrench, kinds_of
 from .parameter import Parameter
 from .symbols import (
     FORCE,
@@ -39,7 +39,7 @@ class Part:
     name : str
         The method it comes from.
     matrix : Matrix, shape (n, 1)
-        What the method returned.
+        What the method returned, spelled out.
     rows : tuple of str
         What each row is called, for instance "X" or "d(lagged_port)/dt".
     units : tuple of str
@@ -48,6 +48,8 @@ class Part:
         What the rows would be without the effect; None where that question has no meaning (rates of states).
     usable : frozenset of Symbol
         Signals that the part may be stated in.
+    written : Matrix, optional
+        What the method returned, where abbreviations in it have been spelled out in `matrix`.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Part:
     units: tuple[str, ...]
     absent: sm.Matrix | None
     usable: frozenset[sm.Symbol]
+    written: sm.Matrix | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Statement:
     parts : tuple of Part
         What the effect states.
     shared : tuple of Parameter
-        Parameters of the effects that it requires.
+        Parameters of the effects that it requires or shares with.
     """
 
     effect: Effect
@@ -80,9 +83,9 @@ class Statement:
     shared: tuple[Parameter, ...]
 
     @property
-    def kind(self) -> str:
+    def kinds(self) -> tuple[str, ...]:
         """Which of the four kinds the effect is."""
-        return kind_of(self.effect)
+        return kinds_of(self.effect)
 
     @cached_property
     def own(self) -> tuple[Parameter, ...]:
@@ -132,9 +135,10 @@ def statement_of(effect: Effect, known: Catalogue) -> Statement:
         If the effect cannot state it, or a part is no column of the right length.
     """
     signal_set = signals(effect.thrusters)
-    shared = tuple(p for r in effect.requires for p in lookup(r, known)(effect.thrusters).parameters)
+    beside = (*effect.requires, *effect.shares)
+    shared = tuple(p for r in beside for p in lookup(r, known)(effect.thrusters).parameters)
     try:
-        parts = _BUILDERS[kind_of(effect)](effect, signal_set)
+        parts = tuple(p for kind in kinds_of(effect) for p in _BUILDERS[kind](effect, signal_set))
     except Exception as error:  # whatever the author's code raises is the author's to mend
         raise UndertowError(f"the physics cannot be stated: {type(error).__name__}: {error}") from error
     for part in parts:
@@ -167,7 +171,8 @@ def _rates(effect: Effect, matrix: sm.Matrix, usable: frozenset[sm.Symbol]) -> P
 def _wrench(effect: Wrench, s: Signals) -> tuple[Part, ...]:
     usable = frozenset(signal_units(s))
     wrench = Part("wrench", effect.wrench(s), FORCE, FORCE_UNITS, sm.zeros(6, 1), usable)
-    return wrench, _rates(effect, effect.rates(s), usable)
+    parts = wrench, _rates(effect, effect.rates(s), usable)
+    return tuple(replace(p, matrix=effect.spelled_out(p.matrix, s), written=p.matrix) for p in parts)
 
 
 def _flow(effect: Flow, s: Signals) -> tuple[Part, ...]:
@@ -214,6 +219,14 @@ def _measurement(effect: Measurement, s: Signals) -> tuple[Part, ...]:
             VELOCITY_UNITS,
             s.nu,
             usable,
+        ),
+        Part(
+            "dead_time",
+            effect.dead_time(),
+            tuple(f"dead time of {n}" for n in (*POSE, *VELOCITY)),
+            ("s",) * 12,
+            sm.zeros(12, 1),
+            frozenset(),
         ),
     )
 

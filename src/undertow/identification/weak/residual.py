@@ -13,6 +13,7 @@ from undertow.codegen.functions import Functions
 from .data import Segment, WeakData
 from .drive import Chain, Driven, Memory, without_gaps
 from .entries import Entries
+from .lateness import Lateness
 from .mapping import nonzeros
 from .noise import Whitening, overlap, residual_covariance
 from .pointwise import Pointwise
@@ -32,11 +33,14 @@ class Linearised:
         Derivative in the free parameters.
     start : (m, n_states) array
         Derivative in the effects' own states at the start of the segment.
+    known : int, optional
+        Rows from here on need what was not measured yet when the segment ended, and count for nothing.
     """
 
     r: Array
     J: Array
     start: Array
+    known: int | None = None
 
 
 class WeakModel:
@@ -57,11 +61,15 @@ class WeakModel:
         self._points = Pointwise(functions, self.places)
         self._chain = Chain(functions, self.places)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
+        self._late = Lateness(functions, self.places)
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
         driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
-        return [self._segment(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
+        return [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
+
+    def _in_time(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
+        return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
     def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
@@ -113,7 +121,10 @@ class WeakModel:
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
         """Whitening of every segment under the noise of the channels, at parameters p."""
         driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
-        return [self._segment_whitening(s, _cut(driven[s.run], s), data, p) for s in data.segments]
+        return [
+            self._segment_whitening(self._late.in_time(s, p), _cut(driven[s.run], s), data, p)
+            for s in data.segments
+        ]
 
     def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
@@ -142,6 +153,10 @@ def whitened(parts: list[Linearised], whitening: list[Whitening]) -> Linearised:
 def _without_start(part: Linearised, whitening: Whitening) -> Array:
     """Project out the directions of the first states: the rest of the residual does not depend on them."""
     table = whitening(np.column_stack([part.r, part.J, part.start]))
+    if part.known is not None:
+        # Whitened rows depend on none that come later. Those that are known stand for the lost ones as well.
+        table[part.known :] = 0.0
+        table *= np.sqrt(len(table) / part.known)
     last = 1 + part.J.shape[1]
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)

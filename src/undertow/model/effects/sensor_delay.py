@@ -1,0 +1,27 @@
+"""Dead time of the velocity sensor."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Measurement
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class SensorDelay(Measurement):
+    """The velocity sensor (DVL) reports u, v and w late; pose and angular velocity come in time."""
+
+    id = "sensor_delay"
+    reference = "transport delay; Ljung (1999), System Identification, section 4.2 (dead time)"
+    signature = "measured velocity trails the position's rate by a constant time, whatever the manoeuvre"
+
+    velocity_delay = Parameter(
+        "s", "age of a velocity when it is reported", (0.0, 2.0), linear=False, starts=(0.05, 0.3)
+    )
+
+    def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
+        return eta, nu
+
+    def dead_time(self) -> sm.Matrix:
+        return sm.Matrix([0] * 6 + [self.velocity_delay] * 3 + [0] * 3)
