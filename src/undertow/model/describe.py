@@ -14,7 +14,7 @@ from sympy.printing.str import StrPrinter
 
 from .catalogue import Catalogue, catalogue
 from .dimensions import short_unit
-from .effect import Effect
+from .effect import Effect, Wrench
 from .parameter import Parameter, PerThruster, declared
 from .statement import Part, Statement, statement_of
 from .symbols import FORCE, VELOCITY
@@ -110,7 +110,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
     about, _, details = inspect.cleandoc(cls.__doc__ or "").partition("\n")
     return Description(
         id=cls.id,
-        kind=statement.kind,
+        kind=" and ".join(statement.kinds),
         family=cls.family,
         about=about,
         details=" ".join(details.split()),
@@ -154,12 +154,20 @@ def _note(p: Parameter) -> ParameterNote:
 
 # --- equations -----------------------------------------------------------------------------------
 def _equations(statement: Statement) -> Iterator[Equation]:
-    """Rows in which the effect does something."""
-    names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols)}
+    """Rows in which the effect does something, then what is abbreviated in them."""
+    effect = statement.effect
+    short = effect.abbreviations(statement.signals) if isinstance(effect, Wrench) else {}
+    names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols, *short)}
+    for row, right in (*_written(statement), *((str(x), e) for x, e in short.items())):
+        left = latex_row(row)
+        yield Equation(row, _Plain().doprint(right), f"{left} = {sm.latex(right, symbol_names=names)}")
+
+
+def _written(statement: Statement) -> Iterator[tuple[str, sm.Expr]]:
+    """Active rows as the effect writes them, abbreviations left as they are."""
     for part in statement.parts:
-        for row, right in _active_rows(part):
-            left = latex_row(row)
-            yield Equation(row, _Plain().doprint(right), f"{left} = {sm.latex(right, symbol_names=names)}")
+        written = dict(zip(part.rows, part.matrix if part.written is None else part.written, strict=True))
+        yield from ((row, written[row]) for row, _ in _active_rows(part))
 
 
 def _active_rows(part: Part) -> Iterator[tuple[str, sm.Expr]]:

@@ -65,6 +65,31 @@ def pose_jacobian(eta: sm.Matrix) -> sm.Matrix:
     return sm.diag(rotation(angles), euler_rates(angles))
 
 
+def inertia_tensor(
+    moments: tuple[sm.Expr, sm.Expr, sm.Expr], products: tuple[sm.Expr, sm.Expr, sm.Expr]
+) -> sm.Matrix:
+    """Inertia tensor from (I_x, I_y, I_z) and the products of inertia (I_xy, I_xz, I_yz), shape (3, 3)."""
+    xy, xz, yz = products
+    return sm.diag(*moments) - sm.Matrix([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+
+
+def inertia_matrix(mass: sm.Expr, moments: sm.Matrix, tensor: sm.Matrix) -> sm.Matrix:
+    """Inertia matrix of a body about the origin from its base parameters, shape (6, 6).
+
+    Parameters
+    ----------
+    mass : Expr
+        Mass, kg.
+    moments : Matrix, shape (3, 1)
+        Static moments, mass times place of the centre of gravity, kg m.
+    tensor : Matrix, shape (3, 3)
+        Inertia tensor about the origin, kg m^2.
+    """
+    arm = skew(moments)
+    upper = sm.Matrix.hstack(mass * sm.eye(3), -arm)
+    return sm.Matrix.vstack(upper, sm.Matrix.hstack(arm, tensor))
+
+
 def coriolis(inertia: sm.Matrix, nu: sm.Matrix) -> sm.Matrix:
     """Skew-symmetric Coriolis and centripetal matrix C(nu) of a constant symmetric inertia, shape (6, 6).
 

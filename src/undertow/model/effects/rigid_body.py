@@ -6,7 +6,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.effect import Wrench
-from undertow.model.kinematics import skew
+from undertow.model.kinematics import inertia_matrix, inertia_tensor
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals
 
@@ -36,16 +36,9 @@ class RigidBody(Wrench):
 
     def matrix(self) -> sm.Matrix:
         """Inertia matrix M_RB about the body origin, shape (6, 6)."""
-        arm = skew(sm.Matrix([self.mx_g, self.my_g, self.mz_g]))
-        inertia = sm.Matrix(
-            [
-                [self.I_x, -self.I_xy, -self.I_xz],
-                [-self.I_xy, self.I_y, -self.I_yz],
-                [-self.I_xz, -self.I_yz, self.I_z],
-            ]
-        )
-        upper = sm.Matrix.hstack(self.m * sm.eye(3), -arm)
-        return sm.Matrix.vstack(upper, sm.Matrix.hstack(arm, inertia))
+        moments = sm.Matrix([self.mx_g, self.my_g, self.mz_g])
+        inertia = inertia_tensor((self.I_x, self.I_y, self.I_z), products=(self.I_xy, self.I_xz, self.I_yz))
+        return inertia_matrix(self.m, moments, inertia)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return -self.matrix() * s.nu_dot

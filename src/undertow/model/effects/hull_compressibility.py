@@ -1,0 +1,32 @@
+"""Buoyancy that changes with depth."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.kinematics import rotation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class HullCompressibility(Wrench):
+    """Buoyancy that falls with depth as the hull is compressed (or rises: stiff hull, denser water below).
+
+    It is there because a vehicle trimmed at one depth is light above and heavy below. The change per metre
+    acts through the body origin; the excess at the surface says where weight and buoyancy are equal, at the
+    depth -B_surface / B_depth, and alone it is no compressibility but `net_buoyancy`.
+    """
+
+    id = "hull_compressibility"
+    family = "statics"
+    reference = "Fossen (2021), chapter 4 (buoyancy rho g V), V linear in the pressure by Hooke's law"
+    signature = "the vertical command that holds depth changes steadily with the depth"
+
+    B_depth = Parameter("N/m", "change of the buoyancy per metre of depth, negative where the hull gives way")
+    B_surface = Parameter("N", "buoyancy minus weight at the surface, beyond what the model has")
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        excess = self.B_surface + self.B_depth * s.eta[2]
+        upward = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, -excess])
+        return sm.Matrix([*upward, 0, 0, 0])
