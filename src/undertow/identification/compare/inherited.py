@@ -69,7 +69,7 @@ class Inherited:
             return own
         stretches = _stretches(windows)
         first = np.array([rows[0] for rows in stretches])
-        rest = self._at_rest(u[first, 0], p)
+        rest = self._at_rest(u[first, 0], windows.t[first, 0], p)
         scale = self._scale(
             [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
         )
@@ -80,9 +80,9 @@ class Inherited:
         return own
 
     # --- along the log ------------------------------------------------------------------------
-    def _at_rest(self, u: Array, p: Array) -> Array:
+    def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
         """Memory without a past, actuators as if the first command had been held for long, by stretch."""
-        actuator = [np.asarray(self._rest(one, p)).ravel() for one in u]
+        actuator = [np.asarray(self._rest(*one, p)).ravel() for one in zip(u, t, strict=True)]
         return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), np.array(actuator)])
 
     @staticmethod
@@ -109,7 +109,7 @@ class Inherited:
     @cached_property
     def _rest(self) -> ca.Function:
         f = self._functions
-        return ca.Function("rest", [f.u, f.p], [ca.densify(f.chain_rest)])
+        return ca.Function("rest", [f.u, f.t, f.p], [ca.densify(f.chain_rest)])
 
     @cached_property
     def _advance(self) -> ca.Function:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
 
 from .mapping import call, map_over
 
@@ -47,10 +48,16 @@ class Chain:
         The model.
     free : tuple of int
         Places in p of the free parameters.
+
+    Raises
+    ------
+    UndertowError
+        If a step of the chain feels the motion: the chain follows the commands, before any motion is known.
     """
 
     def __init__(self, functions: Functions, free: tuple[int, ...]) -> None:
         self.functions, self.free = functions, free
+        _refuse_motion(functions)
 
     def along(self, t: Array, u: Array, p: Array) -> Driven:
         """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
@@ -58,17 +65,18 @@ class Chain:
         if size == 0:
             return _nothing(count, len(self.free))
         if not self.functions.actuator_states.shape[0]:
-            return self._delayed(t, self._static(u, p), p)
+            return self._delayed(t, self._static(t, u, p), p)
         step = np.append(np.diff(t), 0.0)
-        (start,) = call(self._rest, [u[0], p])
-        _, flat = call(_accumulated(self._advance, count), [start, u, step, np.tile(p, (count, 1))])
+        (start,) = call(self._rest, [u[0], p, t[:1]])
+        _, flat = call(_accumulated(self._advance, count), [start, u, t, step, np.tile(p, (count, 1))])
         table = flat.reshape(count, -1)
         return self._delayed(t, _spread(table, size, self._felt, len(self.free)), p)
 
-    def _static(self, u: Array, p: Array) -> Driven:
-        """A chain without states: its output, sample by sample."""
+    def _static(self, t: Array, u: Array, p: Array) -> Driven:
+        """A chain without states: its output in the middle of every interval."""
         function, count = self._output, len(u)
-        value, slope = call(map_over(function, count), [u, np.tile(p, (count, 1))])
+        middle = t + np.append(np.diff(t), 0.0) / 2
+        value, slope = call(map_over(function, count), [u, np.tile(p, (count, 1)), middle])
         size = self.functions.actuation.shape[0]
         table = np.concatenate([value.reshape(count, size), slope.reshape(count, -1)], axis=1)
         return _spread(table, size, self._felt, len(self.free))
@@ -77,14 +85,14 @@ class Chain:
     def _output(self) -> ca.Function:
         f = self.functions
         slope = ca.densify(ca.jacobian(f.chain_output, self._free))
-        return ca.Function("output", [f.u, f.p], [ca.densify(f.chain_output), slope])
+        return ca.Function("output", [f.u, f.p, f.t], [ca.densify(f.chain_output), slope])
 
     @cached_property
     def _rest(self) -> ca.Function:
         """States at rest with their derivatives, stacked."""
         f = self.functions
         slope = ca.horzcat(ca.jacobian(f.chain_rest, self._free), ca.SX.eye(f.chain_rest.shape[0]))
-        return ca.Function("rest", [f.u, f.p], [ca.vertcat(f.chain_rest, ca.vec(ca.densify(slope)))])
+        return ca.Function("rest", [f.u, f.p, f.t], [ca.vertcat(f.chain_rest, ca.vec(ca.densify(slope)))])
 
     @cached_property
     def _felt(self) -> list[int]:
@@ -101,15 +109,21 @@ class Chain:
         """One sampling interval: states and slopes on, mean output and its slope out."""
         f = self.functions
         z, dt = f.actuator_states, ca.SX.sym("dt")
-        rates = ca.Function("rates", [z, f.u, f.p], [f.chain_rates])
-        output = ca.Function("output", [z, f.u, f.p], [f.chain_output])
-        end, mean = _integrated(lambda s: rates(s, f.u, f.p), lambda s: output(s, f.u, f.p), z, dt)
+        rates, output = (
+            ca.Function("step", [z, f.u, f.p, f.t], [v]) for v in (f.chain_rates, f.chain_output)
+        )
+        end, mean = _integrated(
+            lambda state, share: rates(state, f.u, f.p, f.t + share * dt),
+            lambda state, share: output(state, f.u, f.p, f.t + share * dt),
+            z,
+            dt,
+        )
         slope = ca.SX.sym("slope", z.shape[0], self._free.shape[0] + z.shape[0])
         new_slope, mean_slope = (_moved(v, z, slope, self._free) for v in (end, mean))
         carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
         emitted = ca.vertcat(mean, ca.vec(ca.densify(mean_slope)))
         state = ca.vertcat(z, ca.vec(slope))
-        return ca.Function("advance", [state, f.u, dt, f.p], [carried, emitted])
+        return ca.Function("advance", [state, f.u, f.t, dt, f.p], [carried, emitted])
 
     @cached_property
     def _dead_time(self) -> ca.Function:
@@ -188,7 +202,8 @@ class Memory:
         if size == 0:
             return _nothing(count, len(self.free))
         steps = np.diff(t)
-        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1], steps, np.tile(p, (count - 1, 1))]
+        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1], t[:-1], steps]
+        columns.append(np.tile(p, (count - 1, 1)))
         start = np.concatenate([np.zeros(size * (1 + len(self._felt))), np.eye(size).ravel()])
         states, _ = call(_accumulated(self._advance, count - 1), [start, *columns])
         table = np.vstack([start, states.reshape(count - 1, -1)])
@@ -209,19 +224,28 @@ class Memory:
         f = self.functions
         z, dt, after = f.memory, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
         free = _chosen(f, [self.free[k] for k in self._felt])
-        rate = ca.Function("rate", [z, self._measured, f.actuation, f.u, f.p], [self._rates])
+        rate = ca.Function("rate", [z, self._measured, f.actuation, f.u, f.p, f.t], [self._rates])
 
         def at(state: ca.SX, share: float) -> ca.SX:
             here = self._measured + share * (after - self._measured)
-            return rate(state, here, f.actuation, f.u, f.p)
+            return rate(state, here, f.actuation, f.u, f.p, f.t + share * dt)
 
         end = _integrated_along(at, z, dt)
         slope = ca.SX.sym("slope", z.shape[0], free.shape[0] + z.shape[0])
         new_slope = _moved(end, z, slope, free)
         state = ca.vertcat(z, ca.vec(slope))
         carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
-        inputs = [state, self._measured, after, f.actuation, f.u, dt, f.p]
+        inputs = [state, self._measured, after, f.actuation, f.u, f.t, dt, f.p]
         return ca.Function("advance", inputs, [carried, ca.SX(0)])
+
+
+def _refuse_motion(functions: Functions) -> None:
+    f = functions
+    if ca.depends_on(ca.vertcat(f.chain_output, f.chain_rates), ca.vertcat(f.eta, f.nu)):
+        raise UndertowError(
+            f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can follow: state "
+            "what the motion takes from the thrust as a Wrench in s.actuation"
+        )
 
 
 def _nothing(count: int, n_free: int) -> Driven:
@@ -254,12 +278,12 @@ def _spread(table: Array, size: int, felt: list[int], n_free: int) -> Driven:
 
 def _integrated(rate, output, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:  # type: ignore[no-untyped-def]
     """Runge-Kutta over one interval, and Simpson's mean of an output along it."""
-    h = dt / _SUBSTEPS
-    mean = output(z)
+    h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
+    mean = output(z, 0.0)
     for step in range(_SUBSTEPS):
-        z = _runge_kutta(lambda s, _: rate(s), z, h, 0.0, 0.0)
+        z = _runge_kutta(rate, z, h, step * share, share)
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
-        mean = mean + weight * output(z)
+        mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
 
 
