@@ -121,16 +121,17 @@ class Pointwise:
 
     @cached_property
     def true_motion(self) -> ca.SX:
-        """Pose and velocity from what the sensors report; the report is affine in them."""
+        """Pose and velocity from what the sensors report: the attitude first, since all else may turn with it."""
         f = self.functions
-        motion = ca.vertcat(f.eta, f.nu)
-        slope = ca.jacobian(f.reported, motion)
-        if slope.is_eye():
-            return self.measured - ca.substitute(f.reported, motion, ca.SX.zeros(motion.shape))
-        zero = ca.SX.zeros(motion.shape)
-        flat = ca.substitute(ca.densify(slope), motion, zero)
-        offset = ca.substitute(f.reported, motion, zero)
-        return ca.solve(flat, self.measured - offset)
+        motion, places = ca.vertcat(f.eta, f.nu), range(2 * self.size)
+        turned = [i for i, dof in enumerate(f.vehicle.dof_indices) if dof > 2]
+        moved = [i for i in places if i not in turned]
+        attitude = _solved(f.reported[turned], motion[turned], self.measured[turned])
+        report = ca.substitute(f.reported[moved], motion[turned], attitude)
+        true = ca.SX.zeros(motion.shape)
+        true[turned] = attitude
+        true[moved] = _solved(report, motion[moved], self.measured[moved])
+        return true
 
     @cached_property
     def _inputs(self) -> list[ca.SX]:
@@ -157,3 +158,11 @@ class Pointwise:
         """Whether the force of the commands depends on the motion."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.depends_on(ca.vertcat(self._by_commands, ca.vec(self.functions.mass_matrix)), motion))
+
+
+def _solved(report: ca.SX, motion: ca.SX, measured: ca.SX) -> ca.SX:
+    """The motion that makes a report, affine in it, equal what was measured."""
+    zero = ca.SX.zeros(motion.shape)
+    slope = ca.jacobian(report, motion)
+    rest = measured - ca.substitute(report, motion, zero)
+    return rest if slope.is_eye() else ca.solve(ca.substitute(ca.densify(slope), motion, zero), rest)
