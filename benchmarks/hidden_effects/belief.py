@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from .vehicles import GUESS_SPREAD, MOTIONS, Vehicle
+from .drawing import MOTIONS, Vehicle
+from .vehicles import GUESS_SPREAD
 from .world import World, derivative, quadratic_name
 
 Table = dict[str, Any]
@@ -61,9 +62,8 @@ def _without(effects: dict[str, Table], left_out: set[str]) -> dict[str, Table]:
 
 def rigid_body_table(vehicle: Vehicle) -> Table:
     """Mass (kg), centre of gravity (m), moments of inertia (kg m^2, about the origin) that matter to it."""
-    tilts = 3 in vehicle.dofs or 4 in vehicle.dofs
     table = {"m": vehicle.mass, "x_g": float(vehicle.r_g[0]), "y_g": float(vehicle.r_g[1])}
-    if tilts:
+    if vehicle.tilts:
         table["z_g"] = float(vehicle.r_g[2])
     return table | {
         f"I_{'xyz'[i - 3]}": float(vehicle.inertia[i - 3]) for i in (3, 4, 5) if i in vehicle.dofs

@@ -10,11 +10,12 @@ import numpy as np
 
 from . import actuation, hull, outsiders, sensors, statics, water  # noqa: F401  (they fill the registry)
 from .belief import hydrodynamic_values, prior_vehicle
+from .drawing import Vehicle
 from .manoeuvres import MANOEUVRES
 from .plant import RATE
 from .registry import EFFECTS, Draw, Values
 from .simulation import RUNS, Conduct, simulate, stream
-from .vehicles import NOMINAL, Vehicle, real_vehicle
+from .vehicles import NOMINAL, real_vehicle
 from .world import World, plain_world
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from .belief import estimated
+from .drawing import COLUMNS, MOTIONS
 from .files import toml_text
-from .vehicles import COLUMNS, MOTIONS
 from .world import skew
 
 

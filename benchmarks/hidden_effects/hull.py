@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from .registry import Draw, Values, hidden
+from .registry import COUPLED, TURNING, Draw, Values, hidden
 from .world import Moment, World, derivative, quadratic_name, rigid_mass
-
-# Pairs (force row, velocity column) that a hull with port-starboard symmetry can couple.
-_COUPLED = {
-    "mini-auv": [(1, 5)],
-    "usv": [(1, 5)],
-    "rov": [(1, 5), (0, 4), (1, 3), (2, 4)],
-}
 
 
 def _coupled_pairs(world: World, draw: Draw) -> list[tuple[int, int]]:
     """A random part of the couplings that the vehicle can have."""
-    options = _COUPLED[world.vehicle.name]
+    options = world.vehicle.couplings
     return [options[i] for i in draw.some(range(len(options)))]
 
 
-@hidden("added_mass_coupling")
+@hidden("added_mass_coupling", COUPLED)
 def added_mass_coupling(world: World, draw: Draw) -> Values:
     """M_A[i, j] = M_A[j, i] = f sqrt(M_A[i, i] M_A[j, j]), e.g. Y_rdot = -M_A[1, 5]; Coriolis included."""
     values = {}
     for i, j in _coupled_pairs(world, draw):
-        share = draw.signed(0.25, 0.7)
+        share = draw.signed(0.25, 0.7, 0.8)
         world.added_mass[i, j] = world.added_mass[j, i] = share * np.sqrt(
             world.added_mass[i, i] * world.added_mass[j, j]
         )
@@ -34,7 +27,7 @@ def added_mass_coupling(world: World, draw: Draw) -> Values:
     return values
 
 
-@hidden("added_mass_coriolis")
+@hidden("added_mass_coriolis", TURNING)
 def added_mass_coriolis(world: World, draw: Draw) -> Values:
     """C_A(nu_r) nu_r (with the Munk moment) acts on the hull; the prior model lacks it. Nothing is drawn."""
     world.added_coriolis = draw.strength
@@ -52,7 +45,7 @@ def entrained_water(world: World, draw: Draw) -> Values:
     return {"m_w": mass, "x_w": x_w, "I_z_w": float(inertia[2])}
 
 
-@hidden("linear_damping_coupling")
+@hidden("linear_damping_coupling", COUPLED)
 def linear_damping_coupling(world: World, draw: Draw) -> Values:
     """tau_i = D_ij nu_r_j, tau_j = D_ji nu_r_i (N_v, Y_r, ...), |D_ij| <= 0.7 sqrt(D_ii D_jj)."""
     values, pace = {}, world.vehicle.pace
@@ -60,7 +53,7 @@ def linear_damping_coupling(world: World, draw: Draw) -> Values:
         bound = np.sqrt(world.vehicle.drag_at_pace(i) / pace[i] * world.vehicle.drag_at_pace(j) / pace[j])
         bound = min(bound, np.sqrt(world.linear[i, i] * world.linear[j, j]))
         for row, column in ((i, j), (j, i)):
-            world.linear[row, column] = draw.signed(0.2, 0.7) * bound
+            world.linear[row, column] = draw.signed(0.2, 0.7, 0.8) * bound
             values[derivative(row, column)] = float(world.linear[row, column])
     return values
 
@@ -95,7 +88,7 @@ def cubic_damping(world: World, draw: Draw) -> Values:
     return values
 
 
-@hidden("lift")
+@hidden("lift", TURNING)
 def lift(world: World, draw: Draw) -> Values:
     """Y = (Y_uv v + Y_ur r) u, N = (N_uv v + N_ur r) u, nu_r; with pitch also Z_uw, Z_uq, M_uw, M_uq."""
     values, pace = {}, world.vehicle.pace
@@ -114,8 +107,10 @@ def lift(world: World, draw: Draw) -> Values:
 @hidden("drag_asymmetry")
 def drag_asymmetry(world: World, draw: Draw) -> Values:
     """Drag (linear + quadratic) is (1 + a_i) times as large for nu_r_i < 0, in surge, sway or heave."""
-    row = 0 if draw.shape(0, 1) < 0.7 else draw.pick([i for i in (0, 1, 2) if i in world.dofs])
-    excess = draw.size(0.15, 1.2) if draw.shape(0, 1) < 0.7 else -draw.size(0.1, 0.5)
+    row = world.vehicle.main
+    if draw.shape(0, 1) >= 0.7:
+        row = draw.pick([i for i in (0, 1, 2) if i in world.dofs])
+    excess = draw.size(0.15, 1.2) if draw.shape(0, 1) < 0.7 else -draw.size(0.1, 0.5, 0.7)
     linear, quadratic = excess * world.linear[row, row], excess * world.quadratic[row, row]
 
     def wrench(now: Moment) -> np.ndarray:
@@ -140,13 +135,13 @@ def dry_friction(world: World, draw: Draw) -> Values:
     return values
 
 
-@hidden("crossflow_drag")
+@hidden("crossflow_drag", TURNING)
 def crossflow_drag(world: World, draw: Draw) -> Values:
     """Y = -c int |v + x r| (v + x r) dx, N = -c int x |v + x r| (v + x r) dx over x_0 -+ L/2.
 
     c = rho T C_d / 2 in N s^2/m^3; velocities relative to the water.
     """
-    length, centre = {"mini-auv": 0.6, "rov": 0.5, "usv": 1.25}[world.vehicle.name], draw.shape(-0.15, 0.15)
+    length, centre = world.vehicle.length, draw.shape(-0.15, 0.15)
     pace, row = world.vehicle.pace, 1
     per_metre = draw.size(0.1, 2.0) * world.vehicle.drag_at_pace(row) / (length * pace[row] ** 2)
     nodes, weights = np.polynomial.legendre.leggauss(10)

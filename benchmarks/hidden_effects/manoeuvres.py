@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .drawing import Vehicle
 from .plant import RATE
-from .vehicles import Vehicle
 
 Demand = np.ndarray  # (n, 6), each in -1..1
 
@@ -68,7 +68,8 @@ def to_commands(vehicle: Vehicle, demand: np.ndarray) -> np.ndarray:
 class Hold:
     """PD heading and depth hold on the measured state; the demands of yaw and heave become set-points.
 
-    Heading follows psi_0 + 2 rad x demand, depth z_0 + 2 m x demand; the other demands stay open-loop.
+    Heading follows psi_0 + 2 rad x demand, depth z_0 + 2 m x demand; the other demands stay open-loop. A
+    vehicle that has neither heading nor depth holds its speed instead: 1.5 times the typical one x demand.
     """
 
     vehicle: Vehicle
@@ -82,4 +83,6 @@ class Hold:
         demand[:, 5] = np.clip(1.5 * np.sin(error / 2) - 0.6 * reading[11] / self.vehicle.pace[5], -1, 1)
         low = self.vehicle.depth + 2.0 * demand[:, 2] - reading[2]
         demand[:, 2] = np.clip(0.8 * low - 0.5 * reading[8] / self.vehicle.pace[2], -1, 1)
+        if not {2, 5} & set(self.vehicle.dofs):
+            demand[:, 0] = np.clip(2.0 * (1.5 * demand[:, 0] - reading[6] / self.vehicle.pace[0]), -1, 1)
         return to_commands(self.vehicle, demand).T

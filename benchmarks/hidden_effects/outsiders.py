@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .registry import SUBMERGED, Draw, Values, hidden
+from .registry import SURGING, TURNING, Draw, Values, hidden, with_motions
 from .world import Memory, Moment, World, derivative, quadratic_name, to_body
 
 
@@ -28,7 +28,7 @@ def growing_drag(world: World, draw: Draw) -> Values:
     return {"rate": rate}
 
 
-@hidden("turning_drag", kind="alien")
+@hidden("turning_drag", TURNING, kind="alien")
 def turning_drag(world: World, draw: Draw) -> Values:
     """X = -k |r| u_r: surge drag that depends on the yaw rate."""
     pace = world.vehicle.pace
@@ -37,7 +37,7 @@ def turning_drag(world: World, draw: Draw) -> Values:
     return {"k": k}
 
 
-@hidden("periodic_side_force", kind="alien")
+@hidden("periodic_side_force", with_motions(1), kind="alien")
 def periodic_side_force(world: World, draw: Draw) -> Values:
     """Y = A sin(2 pi t / P) in body axes, as from a swinging arm."""
     force, period = _row_force(world, 1, 0.2, 2.0, draw), draw.shape(3.0, 12.0)
@@ -45,7 +45,7 @@ def periodic_side_force(world: World, draw: Draw) -> Values:
     return {"A": force, "P": period}
 
 
-@hidden("sheared_current", SUBMERGED, kind="alien")
+@hidden("sheared_current", with_motions(0, 2), kind="alien")
 def sheared_current(world: World, draw: Draw) -> Values:
     """The water moves north with g (z - z_0): a current that depends on depth."""
     gradient, start = draw.signed(0.1, 0.8) * world.vehicle.pace[0], world.vehicle.depth
@@ -56,7 +56,7 @@ def sheared_current(world: World, draw: Draw) -> Values:
     return {"gradient": gradient}
 
 
-@hidden("heading_force", kind="alien")
+@hidden("heading_force", TURNING, kind="alien")
 def heading_force(world: World, draw: Draw) -> Values:
     """Y = A sin(2 (psi - psi_0)): a side force that depends on the heading, twice per turn."""
     force, angle = _row_force(world, 1, 0.2, 2.0, draw), draw.shape(0.0, np.pi)
@@ -64,7 +64,7 @@ def heading_force(world: World, draw: Draw) -> Values:
     return {"A": force, "psi_0": angle}
 
 
-@hidden("gusts", kind="alien")
+@hidden("gusts", SURGING, kind="alien")
 def gusts(world: World, draw: Draw) -> Values:
     """A random force to the north: 12 sines between 0.01 and 0.3 Hz, other phases in every run."""
     rms = _row_force(world, 0, 0.15, 1.5, draw)
@@ -81,7 +81,7 @@ def gusts(world: World, draw: Draw) -> Values:
     return {"rms": rms}
 
 
-@hidden("thruster_interference", kind="alien")
+@hidden("thruster_interference", TURNING, kind="alien")
 def thruster_interference(world: World, draw: Draw) -> Values:
     """X = -k |f_1 f_2| / c_peak: the first two thrusters blow on the hull together."""
     k, peak = (
@@ -92,7 +92,7 @@ def thruster_interference(world: World, draw: Draw) -> Values:
     return {"k": k}
 
 
-@hidden("dropped_weight", SUBMERGED, kind="alien")
+@hidden("dropped_weight", with_motions(2), kind="alien")
 def dropped_weight(world: World, draw: Draw) -> Values:
     """From t_0 on the vehicle is lighter by dW: force -dW down."""
     weight, when = draw.signed(0.06, 0.5) * world.vehicle.reach[2], draw.shape(20.0, 60.0)
@@ -107,7 +107,7 @@ def dropped_weight(world: World, draw: Draw) -> Values:
     return {"dW": weight, "t_0": when}
 
 
-@hidden("vortex_shedding", kind="alien")
+@hidden("vortex_shedding", TURNING, kind="alien")
 def vortex_shedding(world: World, draw: Draw) -> Values:
     """Y = A u_r^2 sin p, N = 0.1 m Y, dp/dt = 2 pi |u_r| / l: a side force that beats with the speed."""
     gain = _row_force(world, 1, 0.4, 4.0, draw) / world.vehicle.pace[0] ** 2

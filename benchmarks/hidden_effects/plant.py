@@ -90,7 +90,9 @@ class Plant:
             own, rest = rest[: memory.size], rest[memory.size :]
             force = force + memory.wrench(moment, own)
             states.append(memory.rate(moment, own))
-        return np.concatenate([over_ground, euler_rates(turn, nu[3:]), self.inverse @ force, *states])
+        pose_rate = np.concatenate([over_ground, euler_rates(turn, nu[3:])])
+        pose_rate[self.locked] = 0.0  # a ship that rolls as it turns would pitch a little otherwise
+        return np.concatenate([pose_rate, self.inverse @ force, *states])
 
     def _relative(
         self, t: float, eta: np.ndarray, nu: np.ndarray, turn: np.ndarray, over_ground: np.ndarray

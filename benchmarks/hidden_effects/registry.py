@@ -8,10 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .drawing import Vehicle
+from .vehicles import NOMINAL
 from .world import World
 
-ALL = ("mini-auv", "rov", "usv")
-SUBMERGED = ("mini-auv", "rov")
+
+def those(able: Callable[[Vehicle], bool]) -> tuple[str, ...]:
+    """Names of the vehicles for which something holds."""
+    return tuple(name for name, vehicle in NOMINAL.items() if able(vehicle))
+
+
+def with_motions(*needed: int) -> tuple[str, ...]:
+    """Names of the vehicles that have all these degrees of freedom (0 surge ... 5 yaw)."""
+    return those(lambda vehicle: set(needed) <= set(vehicle.dofs))
+
+
+ALL = tuple(NOMINAL)
+SUBMERGED = with_motions(2)
+SURGING = with_motions(0)
+TURNING = with_motions(0, 1, 5)
+COUPLED = those(lambda vehicle: bool(vehicle.couplings))
+TILTING = those(lambda vehicle: vehicle.tilts)
 
 
 @dataclass(frozen=True)
@@ -21,13 +38,14 @@ class Draw:
     rng: np.random.Generator
     strength: float
 
-    def size(self, low: float, high: float) -> float:
-        """Strength times a log-uniform value: weak, medium and strong cases are equally likely."""
-        return self.strength * float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+    def size(self, low: float, high: float, most: float = np.inf) -> float:
+        """Strength times a log-uniform value, at most `most`: weak, medium and strong are equally likely."""
+        drawn = float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+        return min(self.strength * drawn, max(most, drawn))
 
-    def signed(self, low: float, high: float) -> float:
+    def signed(self, low: float, high: float, most: float = np.inf) -> float:
         """A size of either sign."""
-        value = self.size(low, high)
+        value = self.size(low, high, most)
         return value if self.rng.random() < 0.5 else -value
 
     def shape(self, low: float, high: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .actuation import _in_steps
-from .registry import Draw, Values, hidden
+from .registry import Draw, Values, hidden, those, with_motions
 from .world import World, velocity_at
 
 
@@ -14,11 +14,11 @@ def _own_speeds(world: World) -> list[int]:
     return [i for i in (0, 1, 2) if i in world.dofs]
 
 
-@hidden("velocity_lever_arm")
+@hidden("velocity_lever_arm", those(lambda vehicle: max(vehicle.dofs) > 2))
 def velocity_lever_arm(world: World, draw: Draw) -> Values:
     """The velocity sensor sits at r_s: it reads v + omega x r_s."""
     arm = np.array([draw.signed(0.03, 0.4), draw.signed(0.02, 0.2), draw.signed(0.02, 0.2)])
-    if 3 not in world.dofs and 4 not in world.dofs:
+    if not world.vehicle.tilts:
         arm[2] = 0.0  # without roll and pitch a height difference shows nowhere
     rows = _own_speeds(world)
 
@@ -31,10 +31,10 @@ def velocity_lever_arm(world: World, draw: Draw) -> Values:
     return dict(zip(("x_s", "y_s", "z_s"), map(float, arm), strict=True))
 
 
-@hidden("velocity_misalignment")
+@hidden("velocity_misalignment", with_motions(0, 1))
 def velocity_misalignment(world: World, draw: Draw) -> Values:
     """The velocity sensor is turned by alpha about z: it reads (c u + s v, -s u + c v, w)."""
-    alpha = draw.signed(0.03, 0.35)
+    alpha = draw.signed(0.03, 0.35, 0.6)
     c, s = np.cos(alpha), np.sin(alpha)
 
     def read(reading: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def sensor_bias(world: World, draw: Draw) -> Values:
 @hidden("sensor_scale")
 def sensor_scale(world: World, draw: Draw) -> Values:
     """u, v, w are read (1 + s) times too large, e.g. for a wrong speed of sound."""
-    error = draw.signed(0.03, 0.35)
+    error = draw.signed(0.03, 0.35, 0.5)
     factor = np.ones((12, 1))
     factor[[6 + i for i in _own_speeds(world)]] += error
     world.sensors.append(lambda reading: reading * factor)
@@ -70,5 +70,5 @@ def sensor_scale(world: World, draw: Draw) -> Values:
 @hidden("sensor_delay")
 def sensor_delay(world: World, draw: Draw) -> Values:
     """u, v, w are those of `delay` seconds ago (a whole number of 1/80 s); pose and gyro are not late."""
-    world.velocity_delay = _in_steps(draw.size(0.08, 1.0))
+    world.velocity_delay = _in_steps(draw.size(0.08, 1.0, 1.5))
     return {"delay": world.velocity_delay}

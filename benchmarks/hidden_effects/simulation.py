@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .drawing import Vehicle
 from .manoeuvres import MANOEUVRES, Hold, to_commands
 from .plant import RATE, STEP, SUBSTEPS, Plant
-from .vehicles import Vehicle
 from .world import World
 
 CHANNELS = ("x", "y", "z", "phi", "theta", "psi", "u", "v", "w", "p", "q", "r")
@@ -107,9 +107,10 @@ def _open_loop(vehicle: Vehicle, demand: np.ndarray) -> Feed:
 
 
 def _start(vehicle: Vehicle, rng: np.random.Generator) -> np.ndarray:
-    """(12,) start: at the origin and the starting depth, any heading, nearly at rest."""
+    """(12,) start: at the origin and the starting depth, any heading that it can have, nearly at rest."""
     state, own = np.zeros(12), list(vehicle.dofs)
-    state[2], state[5] = vehicle.depth, rng.uniform(-np.pi, np.pi)
+    heading = rng.uniform(-np.pi, np.pi)
+    state[2], state[5] = vehicle.depth, heading if 5 in own else 0.0
     state[6:][own] = (0.1 * vehicle.pace * rng.uniform(-1, 1, 6))[own]
     return state
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .registry import SUBMERGED, Draw, Values, hidden
+from .registry import SUBMERGED, TILTING, Draw, Values, hidden
 from .world import Moment, World, skew
 
 
@@ -16,7 +16,7 @@ def net_buoyancy(world: World, draw: Draw) -> Values:
     return {"B_net": b_net}
 
 
-@hidden("restoring", ("rov",))
+@hidden("restoring", TILTING)
 def restoring(world: World, draw: Draw) -> Values:
     """Moment (W r_G - B r_B) x k with W = B, z_G > z_B; the prior model has no righting moment at all."""
     weight, lever = world.vehicle.weight, draw.size(0.03, 0.1)
@@ -26,10 +26,12 @@ def restoring(world: World, draw: Draw) -> Values:
     return {"W": weight, "B": weight, "z_g": float(world.vehicle.r_g[2]), "z_b": float(r_b[2])}
 
 
-@hidden("trim_offset", ("rov",))
+@hidden("trim_offset", TILTING)
 def trim_offset(world: World, draw: Draw) -> Values:
     """The centre of buoyancy lies at r_B + (dx_B, dy_B, dz_B): moment -B dr x k."""
     shift = np.array([draw.signed(0.001, 0.02), draw.signed(0.001, 0.02), draw.signed(0.001, 0.01)])
+    # Sized for the righting lever of the rov: others come to rest at like angles.
+    shift *= min((world.vehicle.r_g - world.vehicle.r_b)[2] / 0.06, 1.0)
     world.gravity_wrench[3:] -= world.vehicle.weight * skew(shift)
     return dict(zip(("dx_B", "dy_B", "dz_B"), map(float, shift), strict=True))
 

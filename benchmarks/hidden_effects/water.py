@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .registry import SUBMERGED, Draw, Values, hidden
-from .vehicles import GRAVITY
+from .drawing import GRAVITY
+from .registry import ALL, SUBMERGED, SURGING, Draw, Values, hidden
 from .world import Memory, Moment, World, force_at, to_body, to_ned, velocity_at
 
-# Where the tether is made fast, body axes, m.
-_TETHER_POINT = {"mini-auv": np.array([-0.25, 0.0, 0.0]), "rov": np.array([-0.15, 0.0, -0.1])}
 
-
-@hidden("ocean_current")
+@hidden("ocean_current", SURGING)
 def ocean_current(world: World, draw: Draw) -> Values:
     """The water moves with V = (V_N, V_E, 0): nu_r = nu - R^T V, nu_r_dot = nu_dot + omega x R^T V."""
     speed, towards = draw.size(0.1, 0.9) * world.vehicle.pace[0], draw.shape(-np.pi, np.pi)
@@ -31,7 +28,7 @@ def waves(world: World, draw: Draw) -> Values:
     period, towards = draw.shape(4.0, 7.0), draw.shape(-np.pi, np.pi)
     omega = 2 * np.pi / period
     k = omega**2 / GRAVITY
-    orbital = draw.size(0.08, 0.8) * world.vehicle.pace[0]
+    orbital = draw.size(0.08, 0.8) * world.vehicle.pace[world.vehicle.main]
     amplitude = orbital / omega * np.exp(k * world.vehicle.depth)
     along = np.array([[np.cos(towards)], [np.sin(towards)], [0.0]])
     down = np.array([[0.0], [0.0], [1.0]])
@@ -60,9 +57,9 @@ def waves(world: World, draw: Draw) -> Values:
     return {"amplitude": amplitude, "period": period, "direction": towards}
 
 
-@hidden("boundary_proximity")
+@hidden("boundary_proximity", tuple(v for v in ALL if v != "box"))
 def boundary_proximity(world: World, draw: Draw) -> Values:
-    """Damping times 1 + a exp(-h / L), h = distance to the bottom z = z_w (usv: to the wall y = y_w)."""
+    """Damping times 1 + a exp(-h / L), h = distance to the bottom z = z_w (ships: to the wall y = y_w)."""
     excess, length = draw.size(0.3, 4.0), draw.shape(0.5, 1.5)
     axis = 2 if 2 in world.dofs else 1
     place = world.vehicle.depth + draw.shape(0.5, 2.0)
@@ -78,8 +75,9 @@ def boundary_proximity(world: World, draw: Draw) -> Values:
 @hidden("tether_drag", SUBMERGED)
 def tether_drag(world: World, draw: Draw) -> Values:
     """Force -c l |v_a| v_a at body point r_a, v_a = its velocity in the water, l = distance to (0, 0, 0)."""
-    point, pace, depth = _TETHER_POINT[world.vehicle.name], world.vehicle.pace, world.vehicle.depth
-    per_metre = draw.size(0.05, 1.5) * world.vehicle.drag_at_pace(0) / (depth * pace[0] ** 2)
+    point, depth, main = world.vehicle.tether, world.vehicle.depth, world.vehicle.main
+    per_metre = draw.size(0.05, 1.5) * world.vehicle.drag_at_pace(main)
+    per_metre /= depth * world.vehicle.pace[main] ** 2
 
     def wrench(now: Moment) -> np.ndarray:
         speed = velocity_at(point, now.nu_r)
@@ -93,7 +91,7 @@ def tether_drag(world: World, draw: Draw) -> Values:
 @hidden("tether_tension", SUBMERGED)
 def tether_tension(world: World, draw: Draw) -> Values:
     """Force k max(0, d - L_0) at body point r_a towards a winch at (0, 0, z_0 - 2 m) of NED; d = distance."""
-    point, stiffness = _TETHER_POINT[world.vehicle.name], draw.size(0.02, 0.3) * world.vehicle.reach[0]
+    point, stiffness = world.vehicle.tether, draw.size(0.02, 0.3) * world.vehicle.reach[world.vehicle.main]
     slack = draw.shape(2.1, 3.0)
     winch = np.array([[0.0], [0.0], [world.vehicle.depth - 2.0]])
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .vehicles import COLUMNS, ROWS, Vehicle
+from .drawing import COLUMNS, ROWS, Vehicle
 
 
 @dataclass(slots=True)
