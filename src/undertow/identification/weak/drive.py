@@ -230,7 +230,7 @@ class Memory:
             here = self._measured + share * (after - self._measured)
             return rate(state, here, f.actuation, f.u, f.p, f.t + share * dt)
 
-        end = _integrated_along(at, z, dt)
+        end, _ = _integrated(at, lambda state, share: ca.SX(0, 1), z, dt)
         slope = ca.SX.sym("slope", z.shape[0], free.shape[0] + z.shape[0])
         new_slope = _moved(end, z, slope, free)
         state = ca.vertcat(z, ca.vec(slope))
@@ -243,8 +243,8 @@ def _refuse_motion(functions: Functions) -> None:
     f = functions
     if ca.depends_on(ca.vertcat(f.chain_output, f.chain_rates), ca.vertcat(f.eta, f.nu)):
         raise UndertowError(
-            f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can follow: state "
-            "what the motion takes from the thrust as a Wrench in s.actuation"
+            f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can follow: "
+            "state what the motion takes from the thrust as a Wrench in s.actuation"
         )
 
 
@@ -285,13 +285,6 @@ def _integrated(rate, output, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:  # ty
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
-
-
-def _integrated_along(rate, z: ca.SX, dt: ca.SX) -> ca.SX:  # type: ignore[no-untyped-def]
-    h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
-    for step in range(_SUBSTEPS):
-        z = _runge_kutta(rate, z, h, step * share, share)
-    return z
 
 
 def _runge_kutta(rate, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:  # type: ignore[no-untyped-def]

@@ -121,7 +121,7 @@ class Pointwise:
 
     @cached_property
     def true_motion(self) -> ca.SX:
-        """Pose and velocity from what the sensors report: the attitude first, since all else may turn with it."""
+        """Pose and velocity from what sensors report: the attitude first, since all else may turn with it."""
         f = self.functions
         motion, places = ca.vertcat(f.eta, f.nu), range(2 * self.size)
         turned = [i for i, dof in enumerate(f.vehicle.dof_indices) if dof > 2]
