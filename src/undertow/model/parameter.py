@@ -67,6 +67,11 @@ class Parameter:
         """The scalar parameters that this declaration stands for on a vehicle with these thrusters."""
         return (self,)
 
+    @property
+    def unsaid(self) -> float:
+        """Value where nothing gives one: the default, else that at which the effect is absent, else zero."""
+        return next((v for v in (self.default, self.neutral) if v is not None), 0.0)
+
 
 @dataclass(frozen=True)
 class PerThruster(Parameter):

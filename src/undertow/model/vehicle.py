@@ -176,7 +176,7 @@ class Vehicle:
         return {p.name: p for e in self.all_effects for p in e.parameters}
 
     def value_of(self, name: str) -> Value:
-        """Value of a parameter; thrust per command comes from the thruster, defaults from the effect."""
+        """Value of a parameter; thrust per command comes from the thruster, what is unsaid from the effect."""
         if name in self.values:
             return self.values[name]
         for thruster in self.thrusters:
@@ -184,8 +184,7 @@ class Vehicle:
                 return thruster.thrust_per_command
         if name in self.environment:
             return Value(self.environment[name])
-        parameter = self.declared_parameters[name]
-        return Value(parameter.default if parameter.default is not None else 0.0)
+        return Value(self.declared_parameters[name].unsaid)
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
