@@ -94,8 +94,8 @@ class Composition:
         s = self.signals
         back = rotation(sm.Matrix(s.eta[3:])).T
         flows = [e for e in self.effects if isinstance(e, Flow)]
-        water = back * sum((f.velocity(s) for f in flows), sm.zeros(3, 1))
-        rate = back * sum((f.acceleration(s) for f in flows), sm.zeros(3, 1))
+        water = back * sum((f.spelled_out(f.velocity(s), s) for f in flows), sm.zeros(3, 1))
+        rate = back * sum((f.spelled_out(f.acceleration(s), s) for f in flows), sm.zeros(3, 1))
         omega = sm.Matrix(s.nu[3:])
         velocity = sm.Matrix(s.nu[:3]) - water
         acceleration = sm.Matrix(s.nu_dot[:3]) + skew(omega) * water - rate

@@ -14,7 +14,7 @@ from sympy.printing.str import StrPrinter
 
 from .catalogue import Catalogue, catalogue
 from .dimensions import short_unit
-from .effect import Effect, Wrench
+from .effect import Effect
 from .parameter import Parameter, PerThruster, declared
 from .statement import Part, Statement, statement_of
 from .symbols import FORCE, VELOCITY
@@ -155,8 +155,7 @@ def _note(p: Parameter) -> ParameterNote:
 # --- equations -----------------------------------------------------------------------------------
 def _equations(statement: Statement) -> Iterator[Equation]:
     """Rows in which the effect does something, then what is abbreviated in them."""
-    effect = statement.effect
-    short = effect.abbreviations(statement.signals) if isinstance(effect, Wrench) else {}
+    short = statement.effect.abbreviations(statement.signals)
     names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols, *short)}
     for row, right in (*_written(statement), *((str(x), e) for x, e in short.items())):
         left = latex_row(row)

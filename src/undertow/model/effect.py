@@ -86,6 +86,16 @@ class Effect(abc.ABC):
         """Symbols of the effect's own states, shape (n, 1)."""
         return column(self.states)
 
+    def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
+        """Symbols that stand for longer expressions in a wrench or a flow; later ones may use earlier ones."""
+        return {}
+
+    def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
+        """What a method of a wrench or a flow returned, without abbreviations."""
+        for name, meaning in reversed(self.abbreviations(s).items()):
+            stated = stated.xreplace({name: meaning})
+        return stated
+
     @property
     def constants(self) -> dict[sm.Symbol, str]:
         """Symbols, with units, that stand for numbers of the hardware on a `specimen`."""
@@ -130,16 +140,6 @@ class Wrench(Effect):
     def rates(self, s: Signals) -> sm.Matrix:
         """Time derivative of the effect's own states, shape (n, 1)."""
         return sm.zeros(len(self.states), 1)
-
-    def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
-        """Symbols that stand for longer expressions in `wrench` and `rates`; later ones may use earlier ones."""
-        return {}
-
-    def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
-        """What `wrench` or `rates` returned, without abbreviations."""
-        for name, meaning in reversed(self.abbreviations(s).items()):
-            stated = stated.xreplace({name: meaning})
-        return stated
 
 
 class Flow(Effect):

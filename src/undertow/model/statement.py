@@ -171,14 +171,19 @@ def _rates(effect: Effect, matrix: sm.Matrix, usable: frozenset[sm.Symbol]) -> P
 def _wrench(effect: Wrench, s: Signals) -> tuple[Part, ...]:
     usable = frozenset(signal_units(s))
     wrench = Part("wrench", effect.wrench(s), FORCE, FORCE_UNITS, sm.zeros(6, 1), usable)
-    parts = wrench, _rates(effect, effect.rates(s), usable)
+    return _spelled_out(effect, s, wrench, _rates(effect, effect.rates(s), usable))
+
+
+def _spelled_out(effect: Effect, s: Signals, *parts: Part) -> tuple[Part, ...]:
     return tuple(replace(p, matrix=effect.spelled_out(p.matrix, s), written=p.matrix) for p in parts)
 
 
 def _flow(effect: Flow, s: Signals) -> tuple[Part, ...]:
     place = _usable(s.eta, s.t, s.rho, s.g)
     rows = tuple(f"water {way}" for way in _NED), tuple(f"d(water {way})/dt" for way in _NED)
-    return (
+    return _spelled_out(
+        effect,
+        s,
         Part("velocity", effect.velocity(s), rows[0], ("m/s",) * 3, sm.zeros(3, 1), place),
         Part(
             "acceleration",
