@@ -1,0 +1,33 @@
+"""Torque of the propellers."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.effects.thrusters import Thrusters
+from undertow.model.parameter import Parameter, PerThruster
+from undertow.model.symbols import Signals
+
+
+class ReactionTorque(Wrench):
+    """Every propeller turns the vehicle about its own axis, against its rotation, in step with its thrust.
+
+    It is there because the water resists the blades: torque over thrust is a length, some per cent of the
+    propeller's diameter. hand_<thruster> = -1 says that a propeller turns the other way than the rest.
+    """
+
+    id = "reaction_torque"
+    family = "actuation"
+    reference = "mini-AUV paper (2021), section 2 (moment d f_i of each thruster along its axis)"
+    signature = "thrust along an axis comes with a rotation about that axis"
+    requires = ("thrusters",)
+
+    d_reaction = Parameter("m", "moment about the thruster's axis per thrust", (-1, 1))
+    hand = PerThruster("1", "sense of rotation, 1 or -1", (-1, 1), linear=False, default=1.0, neutral=None)
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        thrust = s.actuation.multiply_elementwise(Thrusters(self.thrusters).thrust)
+        axes = self.allocation[:3, :]
+        moment = self.d_reaction * axes * thrust.multiply_elementwise(self.hand)
+        return sm.Matrix([0, 0, 0, *moment])

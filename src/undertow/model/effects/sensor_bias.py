@@ -1,0 +1,30 @@
+"""Constant errors of the velocity sensor and the gyro."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Measurement
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class SensorBias(Measurement):
+    """Velocities and turning rates are reported too large by a constant each.
+
+    It is there because gyros and electromagnetic logs have a zero of their own, which forces explain else.
+    """
+
+    id = "sensor_bias"
+    reference = "constant bias of rate and velocity sensors; Fossen (2021), chapter 14 (inertial measurement)"
+    signature = "a velocity is reported at rest, and positions drift away from it"
+
+    b_u = Parameter("m/s", "error of the surge velocity", (-5, 5), linear=False, starts=(0.0,))
+    b_v = Parameter("m/s", "error of the sway velocity", (-5, 5), linear=False, starts=(0.0,))
+    b_w = Parameter("m/s", "error of the heave velocity", (-5, 5), linear=False, starts=(0.0,))
+    b_p = Parameter("rad/s", "error of the roll rate", (-1, 1), linear=False, starts=(0.0,))
+    b_q = Parameter("rad/s", "error of the pitch rate", (-1, 1), linear=False, starts=(0.0,))
+    b_r = Parameter("rad/s", "error of the yaw rate", (-1, 1), linear=False, starts=(0.0,))
+
+    def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
+        return eta, nu + sm.Matrix([self.b_u, self.b_v, self.b_w, self.b_p, self.b_q, self.b_r])

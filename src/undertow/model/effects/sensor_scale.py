@@ -1,0 +1,34 @@
+"""Wrong scale of the velocity sensor and the gyro."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Measurement
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class SensorScale(Measurement):
+    """The velocity sensor (and the gyro) reads a constant factor too much, one factor for each instrument.
+
+    It is there because a Doppler log set for another speed of sound reads u, v and w wrong by one factor,
+    which drag and thrust would have to share among them.
+    """
+
+    id = "sensor_scale"
+    reference = (
+        "scale factor error; a Doppler log's speed is proportional to the speed of sound assumed in it"
+    )
+    signature = "distances by summed velocity and by position differ by the same share at all speeds"
+
+    scale_velocity = Parameter(
+        "1", "u, v and w as read over true, minus one", (-0.9, 4), linear=False, starts=(0.0,)
+    )
+    scale_rate = Parameter(
+        "1", "p, q and r as read over true, minus one", (-0.9, 4), linear=False, starts=(0.0,)
+    )
+
+    def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
+        error = sm.diag(*[self.scale_velocity] * 3, *[self.scale_rate] * 3)
+        return eta, nu + error * nu

@@ -1,0 +1,28 @@
+"""Weaker thrust in reverse."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Actuation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class ThrusterAsymmetry(Actuation):
+    """Reverse thrust is weaker than forward thrust at the same command, the same for all thrusters.
+
+    It is there because blades are shaped for one sense of rotation, and the hull stands in the reversed jet.
+    """
+
+    id = "thruster_asymmetry"
+    reference = (
+        "four-quadrant propeller characteristics (thrust astern below thrust ahead); Fossen (2021), chapter 9"
+    )
+    signature = "the vehicle gathers speed more slowly under negative commands than under positive ones"
+    stage = 20
+
+    reverse_loss = Parameter("1", "share of the thrust that is missing at negative commands", (-1, 1))
+
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return upstream.applyfunc(lambda c: c - self.reverse_loss * (c - sm.Abs(c)) / 2)

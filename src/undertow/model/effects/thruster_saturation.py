@@ -1,0 +1,35 @@
+"""A limit of the thrust."""
+
+from __future__ import annotations
+
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Actuation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class ThrusterSaturation(Actuation):
+    """Commands beyond a limit give no more thrust than the limit itself, the same for all thrusters.
+
+    It is there because motors have a largest current and speed, while a log holds what was asked for.
+    """
+
+    id = "thruster_saturation"
+    reference = "saturation, output sgn(c) min(|c|, L); Khalil (2002), Nonlinear Systems, section 1.2"
+    signature = "large commands give no more than middling ones"
+    stage = 30
+
+    saturation_limit = Parameter(
+        "command",
+        "largest magnitude of a command that has an effect",
+        (0, inf),
+        linear=False,
+        starts=(0.3, 0.5, 0.75, 1.0),
+        neutral=inf,
+    )
+
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return upstream.applyfunc(lambda c: sm.Max(-self.saturation_limit, sm.Min(c, self.saturation_limit)))

@@ -1,0 +1,35 @@
+"""A speed log that measures through the water."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Flow, Measurement
+from undertow.model.kinematics import rotation
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+
+
+class WaterSpeedLog(Flow, Measurement):
+    """The velocity is reported through the water, which moves steadily over ground, and not over ground.
+
+    Beside the list of the design because electromagnetic logs, pitot tubes and Doppler logs without sight of
+    the bottom do so: forces then seem to know of no current, and only positions drift.
+    """
+
+    id = "water_speed_log"
+    family = "measurement"
+    reference = "relative velocity v_r = v - R' v_c; Fossen (2021), chapter 10 (ocean currents)"
+    signature = (
+        "positions drift away from the reported velocity in one direction over ground, whatever the heading"
+    )
+
+    V_N_log = Parameter("m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,))
+    V_E_log = Parameter("m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,))
+
+    def velocity(self, s: Signals) -> sm.Matrix:
+        return sm.Matrix([self.V_N_log, self.V_E_log, 0])
+
+    def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
+        drift = rotation(sm.Matrix(s.eta[3:])).T * self.velocity(s)
+        return eta, nu - sm.Matrix([*drift, 0, 0, 0])
