@@ -108,3 +108,29 @@ def test_the_attitude_is_the_same_rotation_seen_from_other_axes(phi, theta, psi)
     expected = ned_of_enu @ _rotation(phi, theta, psi) @ np.diag([1, -1, -1])
     actual = _rotation(*(float(turned[name]) for name in ("phi", "theta", "psi")))
     np.testing.assert_allclose(actual, expected, atol=1e-12)
+
+
+def _attitude_and_velocity(rng):
+    angles = dict(zip(("phi", "theta", "psi"), rng.uniform(-1, 1, (3, 5)), strict=True))
+    return angles, rng.normal(size=(3, 5))
+
+
+@pytest.mark.parametrize("axes", ["NED", "ENU"])
+def test_velocities_along_the_earth_become_body_velocities(axes):
+    angles, body = _attitude_and_velocity(np.random.default_rng(1))
+    ned = np.array([_rotation(*(a[i] for a in angles.values())) @ body[:, i] for i in range(5)]).T
+    given = ned if axes == "NED" else np.array([ned[1], ned[0], -ned[2]])
+    turned = frames.velocity_to_body({**angles, **dict(zip("uvw", given, strict=True))}, axes)
+    np.testing.assert_allclose([turned[n] for n in "uvw"], body, atol=1e-12)
+    level = {name: angles[name] for name in ("psi",)} | dict(zip("uv", given, strict=False))
+    assert "w" not in frames.velocity_to_body(level, axes)
+
+
+def test_the_velocity_of_the_water_is_added_along_the_earth():
+    angles, body = _attitude_and_velocity(np.random.default_rng(2))
+    found = frames.over_ground({**angles, **dict(zip("uvw", body, strict=True))}, (0.3, -0.2, 0.1))
+    for i in range(5):
+        moved = _rotation(*(a[i] for a in angles.values())) @ [
+            found[n][i] - body[k, i] for k, n in enumerate("uvw")
+        ]
+        np.testing.assert_allclose(moved, [0.3, -0.2, 0.1], atol=1e-12)

@@ -283,3 +283,45 @@ def test_any_bytes_give_a_run_or_one_clear_line(tmp_path_factory, content):
     except UndertowError as error:
         message = str(error)
     assert "\n" not in message
+
+
+def test_rows_out_of_order_are_refused_or_dropped(log):
+    text = "t,u,r,f1\n0,1,0,1\n0.1,2,0,1\n0.1,3,0,1\n0.05,4,0,1\n0.2,5,0,1\n"
+    refused(log, text, "goes back from 0.1 to 0.05 s", "row 4")
+    run = log(text, {"time": {"disorder": "drop"}})
+    np.testing.assert_array_equal(run.t, [0, 0.1, 0.2])
+    np.testing.assert_array_equal(run.channels["u"], [1, 2, 5])
+    assert run.dropped == 2
+    assert any("2 rows left out" in note and "first t = 0.1 s, row 3" in note for note in run.notes)
+    refused(log, "t,u\n0,1\n,2\n1,3\n", "missing", mapping={"time": {"disorder": "drop"}})
+
+
+def test_angles_are_kept_as_they_jump_in_the_log(log):
+    run = log("t,psi,u\n0,3.1,1\n1,-3.1,1\n2,-3.0,2\n")
+    np.testing.assert_allclose(run.channels["psi"], [3.1, -3.1 + 2 * math.pi, -3.0 + 2 * math.pi])
+    np.testing.assert_array_equal(run.wrapped["psi"], [3.1, -3.1, -3.0])
+    np.testing.assert_array_equal(run.slice(1, 2).wrapped["psi"], [-3.1, -3.0])
+    assert not log("t,psi\n0,0.1\n1,0.2\n").wrapped
+
+
+def test_velocities_along_the_earth_and_through_the_water(log):
+    text = "t,psi,u,v,r\n0,1.5707963267948966,0,2,0\n1,1.5707963267948966,0,2,0\n"
+    run = log(text, {"frames": {"velocity": "NED"}})
+    np.testing.assert_allclose(run.channels["u"], 2, atol=1e-12)  # heading east, moving east
+    np.testing.assert_allclose(run.channels["v"], 0, atol=1e-12)
+    assert "u, v, w turned to body axes from NED" in run.notes
+    drifting = log(text, {"water": {"velocity": [0.0, 0.5, 0.0]}})
+    np.testing.assert_allclose(drifting.channels["u"], 0.5, atol=1e-12)
+    np.testing.assert_allclose(drifting.channels["v"], 2, atol=1e-12)
+    refused(
+        log,
+        "t,u,v\n0,1,2\n1,2,3\n",
+        "channel, which velocities in NED need",
+        "'psi'",
+        mapping={"frames": {"velocity": "NED"}},
+    )
+
+
+def test_a_run_knows_how_it_was_read(log):
+    mapping = {"columns": {"heading": {"channel": "psi", "unit": "deg"}}}
+    assert log("t,heading\n0,1\n1,2\n", mapping).mapping == Mapping.model_validate(mapping)

@@ -77,3 +77,8 @@ def test_rpm_become_newton_with_their_sign(tmp_path):
     run = read_log(path, Mapping.model_validate({"columns": columns}), ["stern"])
     np.testing.assert_allclose(run.channels["stern"], [-300.0, 0.0, 75.0])
     assert any("stern = 0.0003 n |n|" in note for note in run.notes)
+
+
+def test_without_a_flag_a_value_that_changes_is_new(slow_log):
+    flagged, itself = (read_log(slow_log[0], mapping(fresh=f)) for f in ("new", "dvl"))
+    np.testing.assert_array_equal(itself.channels["u"], flagged.channels["u"])

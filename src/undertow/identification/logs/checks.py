@@ -68,6 +68,22 @@ def check_time(t: Array, column: str, where: str) -> None:
         )
 
 
+def in_order(t: Array) -> NDArray[np.bool_]:
+    """Tell which times are later than all before them; a missing one counts as in order."""
+    latest = np.fmax.accumulate(t)
+    return np.concatenate([[True], (t[1:] > latest[:-1]) | np.isnan(t[1:])]) if len(t) else t == t
+
+
+def disorder(t: Array, later: NDArray[np.bool_]) -> list[str]:
+    """One note on rows that are not in order, none where all are."""
+    at = np.flatnonzero(~later)
+    if not len(at):
+        return []
+    return [
+        f"{len(at)} rows left out, not later than a row before: first t = {t[at[0]]:.9g} s, row {at[0] + 1}"
+    ]
+
+
 def check_channel(name: str, t: Array, data: Array, where: str) -> None:
     """Refuse a channel with an infinite value or without any value.
 

@@ -59,7 +59,8 @@ class Column(_Strict):
     optional : bool
         Whether a log may lack this column.
     fresh : str or None
-        Column that is not zero in rows where this one has a new sample, for a sensor slower than the log.
+        Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
+        column itself where no other tells: then a value that differs from the row before is new.
     """
 
     channel: str = Field(min_length=1)
@@ -73,11 +74,24 @@ class Column(_Strict):
 
 
 class Time(_Strict):
-    """The time column: name, unit (``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``) and an offset in s to add."""
+    """The time column.
+
+    Attributes
+    ----------
+    column : str
+        Its name.
+    unit : str
+        ``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``.
+    offset : float
+        Added to all times, s.
+    disorder : "refuse" or "drop"
+        What to do with rows whose time is not later than that of every row before.
+    """
 
     column: str = "t"
     unit: str = "s"
     offset: float = 0.0
+    disorder: Literal["refuse", "drop"] = "refuse"
 
 
 class Frames(_Strict):
@@ -92,11 +106,20 @@ class Frames(_Strict):
     attitude : "NED" or "ENU" or None
         Whether phi, theta, psi turn FRD axes in NED (heading from north, clockwise) or FLU axes in ENU
         (heading from east, anticlockwise); None: as the other two, which then must belong together.
+    velocity : "body", "NED" or "ENU"
+        Axes of u, v, w alone: body axes (those of `body`), or north, east, down or east, north, up.
     """
 
     position: Literal["NED", "ENU"] = "NED"
     body: Literal["FRD", "FLU"] = "FRD"
     attitude: Literal["NED", "ENU"] | None = None
+    velocity: Literal["body", "NED", "ENU"] = "body"
+
+
+class Water(_Strict):
+    """The water, where u, v, w are measured through it: its `velocity` (NED, m/s) is added to them."""
+
+    velocity: tuple[float, float, float]
 
 
 def _named(value: Any) -> Any:
@@ -113,6 +136,8 @@ class Mapping(_Strict):
         Column name to `Column` (or just to the channel name).
     time, frames : Time, Frames
         Time base and axes.
+    water : Water or None
+        Velocity of the water, where the log has velocities through the water; None: they are over ground.
     delimiter, decimal, comment : str
         How the text is written; `comment` is a prefix of lines to skip.
     missing : tuple of str or float
@@ -128,6 +153,7 @@ class Mapping(_Strict):
     columns: dict[str, Annotated[Column, BeforeValidator(_named)]] = {}
     time: Time = Time()
     frames: Frames = Frames()
+    water: Water | None = None
     delimiter: str = Field(default=",", min_length=1, max_length=1, pattern=r"[\x01-\x7f]")
     decimal: Literal[".", ","] = "."
     comment: str | None = Field(default=None, min_length=1, max_length=5)
@@ -189,7 +215,12 @@ def _first_fault(error: ValidationError) -> str:
 
 
 def _keys_beside(place: list[str]) -> list[str]:
-    sections: dict[str, type[BaseModel]] = {"time": Time, "frames": Frames, "columns": Column}
+    sections: dict[str, type[BaseModel]] = {
+        "time": Time,
+        "frames": Frames,
+        "water": Water,
+        "columns": Column,
+    }
     model = Mapping if len(place) == 1 else sections[place[0]]
     return [field.alias or name for name, field in model.model_fields.items()]
 

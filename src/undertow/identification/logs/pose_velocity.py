@@ -9,6 +9,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.checks import Array
+from undertow.identification.logs.frames import to_body
 from undertow.identification.logs.run import POSE, UNITS, VELOCITY, Run
 from undertow.identification.logs.tracks import LOST, Track, track
 
@@ -115,14 +116,10 @@ def _body_rates(run: Run, tracks: dict[str, Track]) -> tuple[Array, Array]:
 
 def _to_body(phi: Array, theta: Array, psi: Array) -> tuple[Array, Array]:
     """Return R^T (NED to body) and T^-1 (Euler to body rates), (3, 3, n) each (Fossen 2021, section 2.2)."""
-    (cf, sf), (ct, st), (cp, sp) = ((np.cos(angle), np.sin(angle)) for angle in (phi, theta, psi))
+    (cf, sf), (ct, st) = ((np.cos(angle), np.sin(angle)) for angle in (phi, theta))
     one, zero = np.ones_like(phi), np.zeros_like(phi)
-    rotation = [
-        [ct * cp, ct * sp, -st],
-        [sf * st * cp - cf * sp, sf * st * sp + cf * cp, sf * ct],
-        [cf * st * cp + sf * sp, cf * st * sp - sf * cp, cf * ct],
-    ]
-    return np.array(rotation), np.array([[one, zero, -st], [zero, cf, ct * sf], [zero, -sf, ct * cf]])
+    euler = np.array([[one, zero, -st], [zero, cf, ct * sf], [zero, -sf, ct * cf]])
+    return to_body(phi, theta, psi), euler
 
 
 def _summary(tracks: dict[str, Track], sigma: dict[str, float]) -> str:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.identification.logs import checks, frames
 from undertow.identification.logs.mapping import Column, CommandPolicy, Mapping
-from undertow.identification.logs.run import FORCES, UNITS, Run
-from undertow.identification.logs.slow import new_only, on_the_clock
+from undertow.identification.logs.run import FORCES, UNITS, VELOCITY, Run
+from undertow.identification.logs.slow import changed, new_only, on_the_clock
 from undertow.identification.logs.table import file_bytes, is_dates, numbers, read_table, seconds
 from undertow.model.units import scale_offset, si_unit
 
@@ -67,8 +67,8 @@ def read_log(
     data = file_bytes(path)
     table = read_table(data, mapping, where)
     commands = list(dict.fromkeys(channels))
-    sources = _sources(table.columns, mapping, commands, where)
-    t, notes = _time(table, mapping, where)
+    sources, rows = _sources(table.columns, mapping, commands, where), table.height
+    table, t, notes = _time(table, mapping, where)
     run = Run(
         name=path.name.split(".")[0],
         t=t,
@@ -78,10 +78,13 @@ def read_log(
                 for name, column in sources.items()
             },
             mapping,
+            where,
         ),
         source=str(path),
         sha256=hashlib.sha256(data).hexdigest(),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+        mapping=mapping,
+        dropped=rows - table.height,
     ).slice(*window)
     run = _unwrapped(run, list(sources.values()))
     slow = [column.channel for column in sources.values() if column.fresh is not None]
@@ -129,7 +132,8 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
     )
 
 
-def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[Array, list[str]]:
+def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[pl.DataFrame, Array, list[str]]:
+    """Return the rows that are used, their times and notes."""
     spec, notes = mapping.time, []
     if spec.unit == "iso" or is_dates(table, spec.column):
         t, first = seconds(table, spec.column, where)
@@ -141,8 +145,12 @@ def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[Array, lis
         start = raw[0] if len(raw) and abs(scale * raw[0]) > _EPOCH else 0.0
         t = scale * (raw - start) + offset
         notes += [f"time counts from the first sample, {start:.17g} {spec.unit} in the file"] if start else []
+    if spec.disorder == "drop":
+        later = checks.in_order(t)
+        notes += checks.disorder(t, later)
+        table, t = table.filter(later), t[later]
     checks.check_time(t, spec.column, where)
-    return t + spec.offset, notes
+    return table, t + spec.offset, notes
 
 
 def _values(table: pl.DataFrame, name: str, column: Column, mapping: Mapping, where: str) -> Array:
@@ -151,7 +159,9 @@ def _values(table: pl.DataFrame, name: str, column: Column, mapping: Mapping, wh
     if column.power != 1.0:
         cells = np.sign(cells) * np.abs(cells) ** column.power
     if column.fresh is not None:
-        cells = new_only(cells, numbers(table, column.fresh, mapping, where))
+        itself = column.fresh == name
+        flag = changed(cells) if itself else numbers(table, column.fresh, mapping, where)
+        cells = new_only(cells, flag)
     return scale * cells + offset
 
 
@@ -166,14 +176,20 @@ def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
     return scale * column.scale, scale * column.offset + offset
 
 
-def _turned(channels: frames.Channels, mapping: Mapping) -> frames.Channels:
+def _turned(channels: frames.Channels, mapping: Mapping, where: str) -> frames.Channels:
     """Bring channels from the frames of the log to NED and forward-starboard-down."""
-    spec = mapping.frames
+    spec, given = mapping.frames, channels
     if spec.position == "ENU":
         channels = frames.swap_position(channels)
     if spec.body == "FLU":
         channels = frames.swap_body(channels)
-    return frames.swap_attitude(channels) if _attitude(mapping) == "ENU" else channels
+    if _attitude(mapping) == "ENU":
+        channels = frames.swap_attitude(channels)
+    if spec.velocity != "body":
+        _must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
+        linear = {name: data for name, data in given.items() if name in VELOCITY[:3]}
+        channels = frames.velocity_to_body({**channels, **linear}, spec.velocity)
+    return channels if mapping.water is None else frames.over_ground(channels, mapping.water.velocity)
 
 
 def _attitude(mapping: Mapping) -> str:
@@ -192,7 +208,9 @@ def _unwrapped(run: Run, columns: Iterable[Column]) -> Run:
     angles = [
         name for name in run.channels if asked.get(name) or (name == "psi" and asked.get(name) is not False)
     ]
-    return replace(run, channels={**run.channels, **{name: _unwrap(run.channels[name]) for name in angles}})
+    whole = {name: _unwrap(run.channels[name]) for name in angles}
+    jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
+    return replace(run, channels={**run.channels, **whole}, wrapped=jumping)
 
 
 def _unwrap(angle: Array) -> Array:
@@ -217,6 +235,11 @@ def _conversions(sources: dict[str, Column], mapping: Mapping, where: str) -> li
             f"turned to NED/FRD from position {spec.position}, attitude {_attitude(mapping)}, body "
             f"{spec.body}"
         )
+    if spec.velocity != "body":
+        notes.append(f"u, v, w turned to body axes from {spec.velocity}")
+    if mapping.water is not None:
+        told = ", ".join(f"{speed:g}" for speed in mapping.water.velocity)
+        notes.append(f"velocity of the water, {told} m/s north, east, down, added to u, v, w")
     return notes
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import builtins
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+
+if TYPE_CHECKING:
+    from undertow.identification.logs.mapping import Mapping as LogMapping
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 VELOCITY = ("u", "v", "w", "p", "q", "r")
@@ -45,6 +49,12 @@ class Run:
         Known standard deviations of the noise of channels, in the unit of the channel.
     derived : frozenset of str
         Names of channels computed from others (velocities from pose).
+    mapping : Mapping, optional
+        How the columns of the file were read; None where the run is from no file.
+    wrapped : dict of (n,) arrays
+        Angles that jump by turns in the log, as they are there; in `channels` they are unwrapped.
+    dropped : int
+        Rows of the file that were left out because their time was not later than that of a row before.
     """
 
     name: str
@@ -55,10 +65,15 @@ class Run:
     notes: tuple[str, ...] = ()
     sigma: Mapping[str, float] = field(default_factory=dict)
     derived: frozenset[str] = frozenset()
+    mapping: LogMapping | None = None
+    wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    dropped: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", _frozen(self.t))
-        object.__setattr__(self, "channels", {name: _frozen(data) for name, data in self.channels.items()})
+        for field_name in ("channels", "wrapped"):
+            tables = {name: _frozen(data) for name, data in getattr(self, field_name).items()}
+            object.__setattr__(self, field_name, tables)
         for name, data in self.channels.items():
             if data.shape != self.t.shape:
                 raise UndertowError(
@@ -113,9 +128,10 @@ class Run:
                 f"run {self.name!r} has no sample in the time window {low:g} to {high:g} s: "
                 f"it lasts from {self.t[0]:g} to {self.t[-1]:g} s"
             )
-        return replace(
-            self, t=self.t[keep], channels={name: data[keep] for name, data in self.channels.items()}
+        channels, wrapped = (
+            {name: data[keep] for name, data in table.items()} for table in (self.channels, self.wrapped)
         )
+        return replace(self, t=self.t[keep], channels=channels, wrapped=wrapped)
 
     def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
         """Return index slices without a time step longer than five median steps.

@@ -23,6 +23,11 @@ _ORDER = 3  # a difference of this order leaves little of a smooth motion
 _NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
+def changed(values: Array) -> Array:
+    """Return 1 where a value differs from that of the row before, and in the first row, 0 elsewhere."""
+    return np.concatenate([[1.0], values[1:] != values[:-1]])
+
+
 def new_only(values: Array, flag: Array) -> Array:
     """Return the values where the flag is set, NaN where it is zero or missing."""
     return np.where(np.isfinite(flag) & (flag != 0), values, np.nan)
