@@ -89,7 +89,7 @@ def _chained(bench: Bench, vehicle: Vehicle, chain: tuple[str, ...]) -> WeakFit:
     """Priors stay those of the vehicle: a fit of the incomplete model is no prior knowledge."""
     for effect in chain:
         candidate = Candidate(catalogue()[effect], vehicle)
-        start = scout(candidate, bench)[1]
+        start = scout(candidate, bench).values
         # All parameters of the effect are kept, also those that a diagnosis would drop as uncertain.
         fit = bench.fit(candidate.vehicle, candidate.free(), start)
         bench = Bench(bench.train, bench.test, bench.train_whitening, bench.test_whitening, fit)

@@ -139,16 +139,16 @@ def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) 
         If the model has all of the effect already, or lacks one that it needs.
     """
     candidate = _candidate(effect, ground.bench.base.model.functions.vehicle)
-    start = scout(candidate, ground.bench)[1]
-    if not _visible(candidate, ground.bench, start):
+    scouted = scout(candidate, ground.bench)
+    if not _visible(candidate, scouted.start):
         raise UndertowError(
             f"effect '{effect.id}' has no influence on '{ground.bench.base.vehicle.name}' in these logs: "
             "its parameters cannot be found"
         )
-    first = _tried(candidate, ground.bench, start, keep_all)
+    first = _tried(candidate, ground.bench, scouted.values, keep_all)
     if candidate.removable and not first.kept:
         # No parameter is clearly other than zero. The kept-aside data have the last word, so all go in.
-        keep_all, first = True, _whole(candidate, ground.bench, start)
+        keep_all, first = True, _whole(candidate, ground.bench, scouted.values)
     # What is judged is weighed by the noise model of the better fit, for both models alike.
     sharp = ground.bench.sharpened(first.fit)
     return _told(ground, sharp, _tried(candidate, sharp, first.fit.values, keep_all))
@@ -174,13 +174,12 @@ def visible_effects(ground: Ground, known: Catalogue) -> list[type[Effect]]:
     """Effects that could be added to the model and that these logs could show."""
     bench = ground.bench
     possible = candidates(bench.base.model.functions.vehicle, known)
-    return [c.effect for c in possible if _visible(c, bench, scout(c, bench)[1])]
+    return [c.effect for c in possible if _visible(c, scout(c, bench).start)]
 
 
-def _visible(candidate: Candidate, bench: Bench, start: dict[str, float]) -> bool:
+def _visible(candidate: Candidate, start: WeakFit) -> bool:
     """Whether its parameters change anything: a delay of commands that a vehicle lacks never could."""
-    once = bench.fit(candidate.vehicle, candidate.free(), start, most=1)
-    influence = dict(zip(once.model.free, np.diag(once.gram), strict=True))
+    influence = dict(zip(start.model.free, np.diag(start.gram), strict=True))
     return not candidate.parameters or any(influence[p.name] > 0.0 for p in candidate.parameters)
 
 

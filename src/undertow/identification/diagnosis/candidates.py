@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
+from undertow.codegen.functions import Functions
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
 from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Value, Vehicle
 
 from ..weak.fit import free_parameters
+from ..weak.residual import WeakModel
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,21 @@ class Candidate:
         """What a fit of the model with the effect may change."""
         return (*free_parameters(self.base), *(p.name for p in self.parameters))
 
+    @cached_property
+    def _functions(self) -> Functions:
+        return Functions(self.vehicle)
+
+    @cached_property
+    def _models(self) -> dict[tuple[str, ...], WeakModel]:
+        return {}
+
+    def model(self, free: tuple[str, ...] | None = None) -> WeakModel:
+        """The model with the effect for a choice of free parameters, by default all of them; made once."""
+        names = self.free() if free is None else free
+        if names not in self._models:
+            self._models[names] = WeakModel(self._functions, names)
+        return self._models[names]
+
     def starts(self, command_scale: float) -> list[dict[str, float]]:
         """Starting points of the search, one for each combination of the shape parameters' starts."""
         shaped = [p for p in self.parameters if p.starts]
@@ -88,5 +105,5 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
 def candidates(vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle."""
     possible = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
-    found = [Candidate(cls, vehicle) for cls in possible]
+    found = [Candidate(cls, vehicle) for cls in possible if cls.suits(vehicle.degrees_of_freedom)]
     return [c for c in found if not c.adds_nothing]

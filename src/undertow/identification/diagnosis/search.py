@@ -6,7 +6,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
 
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
@@ -14,8 +17,10 @@ from undertow.model.vehicle import Vehicle
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit, free_parameters
 from .candidates import Candidate, candidates
+from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import Comparison, compare_scores, explained
-from .trial import Bench, Trial, noise_ratio, only_noise, open_bench, rejected, scout, try_candidate
+from .linear import linear
+from .trial import Bench, Score, Trial, noise_ratio, only_noise, open_bench, rejected, scout, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
@@ -24,20 +29,42 @@ FALSE_ALARM_RATE = 0.01
 # An effect that takes away less than this share of the noise's own mean square is hidden in the noise.
 SMALLEST_FALL = 0.05
 MAX_EFFECTS = 3
-_FULL_FITS = 8
+_FULL_FITS = 10
 _FINALISTS = 6
+# Share of the sum of squares that a step must promise before the leading candidates are known.
+_FIRST_LOOK = 1e-2
+# Times the error of the best candidate from which another is no rival of it.
+_OUT_OF_REACH = 3.0
 # Candidates that one step cannot make better than this (chi-square) are not worth a full fit.
 _WORTH_A_FIT = 20.0
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A candidate with the evidence for it."""
+    """A candidate with the evidence for it.
+
+    Attributes
+    ----------
+    trial : Trial
+        The candidate after its fit.
+    evidence : Comparison
+        Fall of the kept-aside error, block by block.
+    explained : float
+        Share of what exceeds the noise that it takes away.
+    p_value : float
+        Chance that the best of all candidates lowers the error as much when nothing is missing.
+    significant : bool
+        Whether it is held to be there.
+    inclusion : float
+        How often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
+    """
 
     trial: Trial
     evidence: Comparison
     explained: float
+    p_value: float
     significant: bool
+    inclusion: float = float("nan")
 
     @property
     def id(self) -> str:
@@ -134,28 +161,41 @@ def _round(bench: Bench, known: Catalogue, report: Report) -> Round:
     possible = candidates(bench.base.model.functions.vehicle, known)
     _log.info("error so far %.3f; %d effects to try", bench.base_score.error, len(possible))
     scouted = _scouted(possible, bench, report)
-    worth = [(c, start) for c, cost, start in scouted if bench.base.cost - cost > _WORTH_A_FIT][:_FULL_FITS]
+    by_chance = best_by_chance([s.linear for s in scouted])
+    worth = [s for s in scouted if bench.base.cost - s.cost > _WORTH_A_FIT][:_FULL_FITS]
     trials = []
-    for i, (candidate, start) in enumerate(worth):
-        report(0.5 + 0.3 * i / len(worth), f"fitting {candidate.id}")
-        trials.append(try_candidate(candidate, bench, start))
+    for i, s in enumerate(worth):
+        report(0.5 + 0.3 * i / len(worth), f"fitting {s.candidate.id}")
+        trials.append(try_candidate(s.candidate, bench, s.values, _FIRST_LOOK))
+    chances = {t.id: p_value(_fall(bench.base_score, t.score), by_chance) for t in trials}
     finalists = sorted(
         (t for t in trials if t.kept or not t.candidate.removable), key=lambda t: t.score.error
     )
     bench, finalists = _final(bench, finalists[:_FINALISTS], report)
     tried = {t.id for t in finalists}
     others = [rejected(c, bench) for c in possible if c.id not in tried]
-    return _judged(bench, finalists + others, len(possible))
+    return _judged(bench, finalists, others, chances)
 
 
-def _scouted(
-    possible: Sequence[Candidate], bench: Bench, report: Report
-) -> list[tuple[Candidate, float, dict[str, float]]]:
+def _fall(before: Score, after: Score) -> float:
+    return float(np.mean(before.r**2) - np.mean(after.r**2))
+
+
+class _Scouted(NamedTuple):
+    candidate: Candidate
+    cost: float
+    values: dict[str, float]
+    linear: Linear
+
+
+def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[_Scouted]:
+    """What every candidate promises, the most promising first."""
     found = []
     for i, candidate in enumerate(possible):
         report(0.5 * i / len(possible), f"trying {candidate.id}")
-        found.append((candidate, *scout(candidate, bench)))
-    return sorted(found, key=lambda entry: entry[1])
+        cost, values, start = scout(candidate, bench)
+        found.append(_Scouted(candidate, cost, values, linear(start, bench)))
+    return sorted(found, key=lambda entry: entry.cost)
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:
@@ -166,24 +206,40 @@ def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench,
     again = []
     for i, trial in enumerate(finalists):
         report(0.8 + 0.2 * i / len(finalists), f"judging {trial.id}")
-        again.append(try_candidate(trial.candidate, sharp, trial.fit.values))
+        again.append(_again(trial, sharp, finalists[0]))
     return sharp, sorted(again, key=lambda t: t.score.error)
 
 
-def _judged(bench: Bench, trials: list[Trial], count: int) -> Round:
-    findings = [_finding(t, bench, count) for t in sorted(trials, key=lambda t: t.score.error)]
+def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
+    """A trial under the finer noise model; what is far behind is not fitted once more."""
+    if trial is not best and trial.score.error > _OUT_OF_REACH * best.score.error:
+        return replace(trial, score=sharp.judge(trial.fit))
+    return try_candidate(trial.candidate, sharp, trial.fit.values)
+
+
+def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
+    linears = [linear(t.fit, bench) for t in finalists]
+    often = [*inclusion(linears).tolist(), *[float("nan")] * len(others)]
+    findings = [
+        _finding(t, bench, chances.get(t.id, 1.0), share)
+        for t, share in zip([*finalists, *others], often, strict=True)
+    ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     rivals = [f.id for f in findings[1:] if f.significant and _equally_good(findings[0], f, bench)]
     for f in findings[:5]:
-        _log.info("%s: normalised error %.3f, p = %.2g", f.id, f.trial.score.error, f.evidence.p_value)
+        _log.info(
+            "%s: normalised error %.3f, p = %.2g, best in %.0f %% of resamples",
+            f.id, f.trial.score.error, f.p_value, 100 * f.inclusion,
+        )  # fmt: skip
     return Round(bench, findings, rivals)
 
 
-def _finding(trial: Trial, bench: Bench, count: int) -> Finding:
+def _finding(trial: Trial, bench: Bench, p: float, inclusion: float) -> Finding:
     evidence = compare_scores(bench.base_score, trial.score, bench.test)
-    strong = evidence.p_value < FALSE_ALARM_RATE / count and evidence.mean > SMALLEST_FALL
+    strong = p < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
     share = explained(bench.base_score, trial.score, bench.noise_level)
-    return Finding(trial, evidence, share, strong and trial.score.error < bench.base_score.error)
+    better = trial.score.error < bench.base_score.error
+    return Finding(trial, evidence, share, p, strong and better, inclusion)
 
 
 def _equally_good(best: Finding, other: Finding, bench: Bench) -> bool:

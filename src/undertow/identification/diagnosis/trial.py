@@ -4,9 +4,10 @@ kept-aside data.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,16 @@ from undertow.model.vehicle import Vehicle
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, promise, settled
 from ..weak.noise import Whitening
-from ..weak.residual import whitened
+from ..weak.residual import WeakModel, whitened
 from .candidates import Candidate
 
 Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
 _NOISE_EXPLAINS = 2.0
+# Share of the sum of squares that a step must promise while candidates are compared with each other.
+_ROUGH = 1e-4
+_SHARPENING = 3
 
 
 @dataclass(frozen=True)
@@ -94,23 +98,21 @@ class Bench:
 
     def fit(
         self,
-        vehicle: Vehicle,
-        free: Sequence[str],
-        start: dict[str, float] | None = None,
+        model: Vehicle | WeakModel,
+        free: Sequence[str] | None = None,
+        start: Mapping[str, float] | None = None,
         *,
-        most: int = 15,
-        noise: tuple[list[Whitening], Array] | None = None,
+        enough: float = 0.0,
     ) -> WeakFit:
-        """Fit a model to the training data, by default under the noise model of the base."""
-        whitening, disturbance = noise or (self.train_whitening, self.base.disturbance)
+        """Fit a model to the training data under the noise model of the base."""
         return fit_weak(
-            vehicle,
+            model,
             self.train,
             free,
             start=start,
-            whitening=whitening,
-            disturbance=disturbance,
-            max_iterations=most,
+            whitening=self.train_whitening,
+            disturbance=self.base.disturbance,
+            enough=enough,
         )
 
     @cached_property
@@ -123,12 +125,15 @@ class Bench:
 
     def sharpened(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        fit = settled(fit)
+        fit = settled(fit, most=_SHARPENING)
         test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
-        base = self.base
-        vehicle, free = base.model.functions.vehicle, base.model.free
         refitted = fit_weak(
-            vehicle, self.train, free, start=base.values, whitening=fit.whitening, disturbance=fit.disturbance
+            self.base.model,
+            self.train,
+            start=self.base.values,
+            whitening=fit.whitening,
+            disturbance=fit.disturbance,
+            enough=_ROUGH,
         )
         return Bench(self.train, self.test, fit.whitening, test, refitted)
 
@@ -160,25 +165,57 @@ def only_noise(ratio: Array) -> bool:
     return bool(np.nanmax(ratio) < _NOISE_EXPLAINS)
 
 
-def scout(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float]]:
-    """What one Gauss-Newton step from the best start promises: sum of squares, and where it leads."""
+class Scouted(NamedTuple):
+    """What one Gauss-Newton step from the best start of a candidate promises.
+
+    Attributes
+    ----------
+    cost : float
+        Sum of squares after the step.
+    values : dict
+        Free parameters after the step.
+    start : WeakFit
+        The model at the start, not fitted.
+    """
+
+    cost: float
+    values: dict[str, float]
+    start: WeakFit
+
+
+def scout(candidate: Candidate, bench: Bench) -> Scouted:
+    """Take one Gauss-Newton step from every start of a candidate; the one that promises most."""
     starts = candidate.starts(bench.command_scale)
     noise = (bench.train_whitening, bench.base.disturbance)
-    begin = bench.base.values
-    steps = [promise(candidate.vehicle, bench.train, candidate.free(), begin | s, *noise) for s in starts]
-    return min(steps, key=lambda step: step[0])
+    begin, model = bench.base.values, candidate.model()
+    steps = (Scouted(*promise(model, bench.train, begin | s, *noise)) for s in starts)
+    return min(steps, key=lambda step: step.cost)
 
 
-def try_candidate(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
-    """Fit a candidate, drop the parameters that do not matter, and judge it."""
-    fit = bench.fit(candidate.vehicle, candidate.free(), start)
+def try_candidate(
+    candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float = _ROUGH
+) -> Trial:
+    """Fit a candidate, drop the parameters that do not matter, and judge it.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        What is tried.
+    bench : Bench
+        Data, noise model and the model without it.
+    start : mapping
+        Values to start from.
+    enough : float
+        Share of the sum of squares that a step has to promise for another to follow.
+    """
+    fit = bench.fit(candidate.model(), start=start, enough=enough)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
     if fit.cost < 0.5 * len(fit.at.r):
         fit = settled(fit, most=1)
     kept = _parameters_that_matter(fit, candidate.removable)
     if len(kept) < len(candidate.removable):
-        fit = _refit(candidate, fit, kept)
+        fit = _refit(candidate, fit, kept, enough)
     return Trial(candidate, fit, kept, bench.judge(fit))
 
 
@@ -187,13 +224,18 @@ def rejected(candidate: Candidate, bench: Bench) -> Trial:
     return Trial(candidate, bench.base, (), bench.base_score)
 
 
-def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...]) -> WeakFit:
+def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: float) -> WeakFit:
     dropped = set(candidate.removable) - set(kept)
     # What is left out goes back to zero, which is where the candidate's vehicle has it.
     start = {n: v for n, v in fit.values.items() if n not in dropped}
-    free = [n for n in fit.model.free if n not in dropped]
+    free = tuple(n for n in fit.model.free if n not in dropped)
     return fit_weak(
-        candidate.vehicle, fit.data, free, start=start, whitening=fit.whitening, disturbance=fit.disturbance
+        candidate.model(free),
+        fit.data,
+        start=start,
+        whitening=fit.whitening,
+        disturbance=fit.disturbance,
+        enough=enough,
     )
 
 

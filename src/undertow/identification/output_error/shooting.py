@@ -216,7 +216,7 @@ class Shooting:
         most = int(parts.max(initial=0)) + 1
         summed = np.zeros((len(t), most, left.shape[3]))
         np.add.at(summed, (np.arange(len(t))[:, None], parts), products)
-        return summed.reshape(-1, left.shape[3])
+        return summed.reshape(len(t) * most, left.shape[3])
 
 
 def _without(by_start: Array, table: Array) -> tuple[Array, Array]:

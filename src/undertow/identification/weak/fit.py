@@ -22,7 +22,7 @@ from .step import bounded_step, bounds_of, inverse_of, prior_of
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
 # A step that promises less than this in chi-square cannot change any judgement.
-_ENOUGH = 0.05
+_ENOUGH = 0.01
 _NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.2
 _MATCHING_STEPS = 4
@@ -139,7 +139,7 @@ def free_parameters(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def fit_weak(
-    vehicle: Vehicle,
+    vehicle: Vehicle | WeakModel,
     data: WeakData,
     free: Sequence[str] | None = None,
     *,
@@ -147,13 +147,14 @@ def fit_weak(
     whitening: list[Whitening] | None = None,
     disturbance: Array | None = None,
     max_iterations: int = _MAX_ITERATIONS,
+    enough: float = 0.0,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle.
 
     Parameters
     ----------
-    vehicle : Vehicle
-        Model with starting values.
+    vehicle : Vehicle or WeakModel
+        Model with starting values; a WeakModel brings its own choice of free parameters.
     data : WeakData
         Prepared logs.
     free : sequence of str, optional
@@ -162,14 +163,20 @@ def fit_weak(
         Starting values that differ from the vehicle's.
     whitening, disturbance : optional
         Noise model to use; worked out from the residual of the fit itself where not given.
+    enough : float
+        Share of the sum of squares that a step has to promise for another to follow.
     """
-    model = WeakModel(Functions(vehicle), free_parameters(vehicle) if free is None else free)
-    p = _started(vehicle, start or {})
+    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free)
+    p = _started(model.functions.vehicle, start or {})
     if whitening is not None and disturbance is not None:
-        return _solved(model, p, data, whitening, disturbance, max_iterations)
+        return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
     disturbance = _first_guess(model, data, p)
     loud = disturbed(model.whitening(data, p), disturbance, data)
     return settled(_solved(model, p, data, loud, disturbance, max_iterations))
+
+
+def _model_of(vehicle: Vehicle, free: Sequence[str] | None) -> WeakModel:
+    return WeakModel(Functions(vehicle), free_parameters(vehicle) if free is None else free)
 
 
 def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
@@ -222,22 +229,19 @@ def _fits_noise(at: Linearised, data: WeakData) -> bool:
 
 
 def promise(
-    vehicle: Vehicle,
+    model: WeakModel,
     data: WeakData,
-    free: Sequence[str],
     start: Mapping[str, float],
     whitening: list[Whitening],
     disturbance: Array,
-) -> tuple[float, dict[str, float]]:
-    """Sum of squares that one Gauss-Newton step promises, and the free parameters after it."""
-    fit = _solved(
-        WeakModel(Functions(vehicle), free), _started(vehicle, start), data, whitening, disturbance, 0
-    )
-    places = list(fit.model.places)
-    bounds = bounds_of(fit.model)
-    step = bounded_step(fit.at, fit.p[places], bounds, prior_of(fit.model))
+) -> tuple[float, dict[str, float], WeakFit]:
+    """Sum of squares that one Gauss-Newton step promises, the parameters after it, and the model before."""
+    fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, 0)
+    places = list(model.places)
+    bounds = bounds_of(model)
+    step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
     after = np.clip(fit.p[places] + step, *bounds)
-    return _squares(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
+    return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True)), fit
 
 
 def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
@@ -251,6 +255,7 @@ def _solved(
     whitening: list[Whitening],
     disturbance: Array,
     max_iterations: int,
+    enough: float = 0.0,
 ) -> WeakFit:
     bounds = bounds_of(model)
     prior = prior_of(model)
@@ -259,12 +264,13 @@ def _solved(
     p[places] = np.clip(p[places], *bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
-    for iteration in range(1, max_iterations + 1):  # noqa: B007 (the count is part of the result)
+    for _ in range(max_iterations):
         step = bounded_step(at, p[places], bounds, prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
-        p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
-        if promised < _ENOUGH:
+        if promised < max(_ENOUGH, enough * _squares(at.r)):
             break
+        p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
+        iteration += 1
     return WeakFit(model, p, data, whitening, at, disturbance, iteration)
 
 

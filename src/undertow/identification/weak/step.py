@@ -30,7 +30,8 @@ def bounds_of(model: WeakModel) -> tuple[Array, Array]:
 def prior_of(model: WeakModel) -> tuple[Array, Array]:
     """Where stated priors are and how much they weigh."""
     values = [model.functions.vehicle.value_of(n) for n in model.free]
-    centre = np.array([v.value for v in values])
+    # A value without a stated error is no prior, and may be infinite (a limit that is not there).
+    centre = np.array([0.0 if v.sigma is None else v.value for v in values])
     weight = np.array([0.0 if v.sigma is None else 1.0 / (_PRIOR_WIDTH * v.sigma) for v in values])
     return centre, weight
 

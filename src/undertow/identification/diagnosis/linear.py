@@ -1,0 +1,26 @@
+"""A candidate linearised at a point, as far as chance and resampling need it."""
+
+from __future__ import annotations
+
+from ..weak.fit import WeakFit
+from ..weak.residual import whitened
+from ..weak.step import prior_of
+from .blocks import Blocks
+from .chance import Linear
+from .trial import Bench
+
+
+def linear(at: WeakFit, bench: Bench) -> Linear:
+    """Linearise a model with a candidate where a fit of it stands, beside the model without it."""
+    base = bench.base
+    own = len(at.model.free) - len(base.model.free)
+    train = at.at
+    if at.whitening is not bench.train_whitening:
+        train = whitened(at.model.linearise(bench.train, at.p), bench.train_whitening)
+    test = whitened(at.model.linearise(bench.test, at.p), bench.test_whitening)
+    return Linear(
+        Blocks.of(train.J, train.r - base.at.r, base.at.r, bench.train.block),
+        Blocks.of(test.J, test.r - bench.base_score.r, bench.base_score.r, bench.test.block),
+        own,
+        prior_of(at.model)[1],
+    )
