@@ -325,3 +325,11 @@ def test_velocities_along_the_earth_and_through_the_water(log):
 def test_a_run_knows_how_it_was_read(log):
     mapping = {"columns": {"heading": {"channel": "psi", "unit": "deg"}}}
     assert log("t,heading\n0,1\n1,2\n", mapping).mapping == Mapping.model_validate(mapping)
+
+
+def test_a_log_may_be_thinned_out(log):
+    rows = "t,phi\n" + "\n".join(f"{k / 100},{k}" for k in range(23))
+    run = log(rows, {"time": {"every": 5}})
+    np.testing.assert_allclose(run.t, [0.0, 0.05, 0.10, 0.15, 0.20])
+    np.testing.assert_array_equal(run.channels["phi"], [0, 5, 10, 15, 20])
+    assert "one row in 5 used" in run.notes

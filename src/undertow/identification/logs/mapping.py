@@ -86,12 +86,15 @@ class Time(_Strict):
         Added to all times, s.
     disorder : "refuse" or "drop"
         What to do with rows whose time is not later than that of every row before.
+    every : int
+        Only every so many-th row is used: for pose logged much faster than the vehicle moves.
     """
 
     column: str = "t"
     unit: str = "s"
     offset: float = 0.0
     disorder: Literal["refuse", "drop"] = "refuse"
+    every: int = Field(default=1, ge=1)
 
 
 class Frames(_Strict):

@@ -65,7 +65,7 @@ def read_log(
     path, mapping = Path(path), mapping or Mapping()
     where = f"log {path}"
     data = file_bytes(path)
-    table = read_table(data, mapping, where)
+    table = read_table(data, mapping, where).gather_every(mapping.time.every)
     commands = list(dict.fromkeys(channels))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     table, t, notes = _time(table, mapping, where)
@@ -149,6 +149,7 @@ def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[pl.DataFra
         later = checks.in_order(t)
         notes += checks.disorder(t, later)
         table, t = table.filter(later), t[later]
+    notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
     checks.check_time(t, spec.column, where)
     return table, t + spec.offset, notes
 
