@@ -99,8 +99,9 @@ class Functions:
         """Wrench of every effect by id in the vehicle's degrees of freedom, from `actuation` and `nu_dot`."""
         rows = list(self.vehicle.dof_indices)
         effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
-        signals = self.vehicle.composition.signals
-        return {e.id: self.convert.matrix(e.wrench(signals).extract(rows, [0])) for e in effects}
+        s = self.vehicle.composition.signals
+        stated = {e.id: e.spelled_out(e.wrench(s), s) for e in effects}
+        return {i: self.convert.matrix(w.extract(rows, [0])) for i, w in stated.items()}
 
     @cached_property
     def residual(self) -> ca.SX:
@@ -136,11 +137,12 @@ class Functions:
     @cached_property
     def memory_rates(self) -> ca.SX:
         """Time derivative of the states that wrenches own."""
-        signals = self.vehicle.composition.signals
+        s = self.vehicle.composition.signals
         rates = {
             x: rate
-            for e in self.vehicle.effect_kind(Wrench)
-            for x, rate in zip(e.state_symbols, e.rates(signals), strict=True)  # type: ignore[attr-defined]
+            for e in self.vehicle.all_effects
+            if isinstance(e, Wrench)
+            for x, rate in zip(e.state_symbols, e.spelled_out(e.rates(s), s), strict=True)
         }
         return self.convert.matrix(sm.Matrix([rates[x] for x in self._memory] or sm.zeros(0, 1)))
 
