@@ -156,6 +156,7 @@ def _on_one_pattern(functions: TestFunctions) -> list[csr_array]:
     parts = [functions.value, functions.rate, functions.held]
     one = csr_array(sum(abs(w) for w in parts))
     one.sort_indices()
+    one.data[:] = 1.0  # some weights are so small that a share of them would be lost as zero
     found = []
     for w in parts:
         padded = csr_array((1e-300 * one) + w)
