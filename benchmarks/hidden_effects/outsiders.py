@@ -142,3 +142,13 @@ def wrong_drag(world: World, draw: Draw) -> Values:
 def wrong_added_mass(world: World, draw: Draw) -> Values:
     """Nothing is hidden, but the prior value of one added mass is 2 or 1/2 times the guess."""
     return _misjudge(world, draw, [derivative(i, i, mark="dot") for i in world.dofs])
+
+
+@hidden("wrong_all", kind="prior")
+def wrong_all(world: World, draw: Draw) -> Values:
+    """Nothing is hidden, but every prior value of damping and added mass is 2 or 1/2 times the guess."""
+    names = [derivative(i, i, mark="dot") for i in world.dofs] + [derivative(i, i) for i in world.dofs]
+    names += [quadratic_name(i) for i in world.dofs if world.vehicle.quadratic[i]]
+    values = {name: float(2.0 ** (draw.strength * draw.rng.choice([-1.0, 1.0]))) for name in names}
+    world.misjudged |= values
+    return values

@@ -1,0 +1,147 @@
+"""Command line: python -m benchmarks.trust --help"""
+
+from __future__ import annotations
+
+import os
+
+# Before NumPy is loaded: cases run side by side, each on one core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from undertow.errors import UndertowError
+from undertow.files import write_whole
+
+from .cases import BASE_SEED, ROUNDS, Planned, part, plan
+from .measure import Record, measured
+from .report import page
+from .run import LIMIT, records, run, worker
+
+PROGRAM = "python -m benchmarks.trust"
+EXAMPLES = """\
+examples:
+  # twenty minutes on two cores; the same command goes on where it was cut off
+  python -m benchmarks.trust run --out trust.jsonl --minutes 20 --jobs 2
+  python -m benchmarks.trust report trust.jsonl --out docs/trust.md
+  # one case with all that is known of it, its files kept
+  python -m benchmarks.trust one usv:lift:x1:n1:open:plain:17 --keep cases/lift
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; 0 when all went well, 1 when a case failed to run, 2 for a bad request."""
+    options = _parser().parse_args(arguments)
+    try:
+        return {"run": _run, "one": _one, "list": _list, "report": _report}[options.command](options)
+    except (ValueError, OSError, UndertowError) as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="Measure how often the diagnosis is right, on an independent simulator.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    doing = commands.add_parser("run", help="diagnose the cases of the plan, one line of JSON for each")
+    doing.add_argument("--out", type=Path, required=True, metavar="FILE.jsonl", help="appended to")
+    doing.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
+    doing.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
+    doing.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    doing.add_argument("--no-peers", action="store_true", help="leave the other methods out")
+    listing = commands.add_parser("list", help="the cases of the plan")
+    for command in (doing, listing):
+        _add_plan(command)
+    one = commands.add_parser("one", help="diagnose one case and print everything")
+    one.add_argument("case", help="id of the case")
+    one.add_argument("--keep", type=Path, metavar="DIR", help="folder for its files")
+    one.add_argument("--no-peers", action="store_true", help="leave the other methods out")
+    telling = commands.add_parser("report", help="the tables of a run")
+    telling.add_argument("source", type=Path, nargs="+", metavar="FILE.jsonl")
+    telling.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    return parser
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--plan", choices=list(ROUNDS), default="full", help="default: %(default)s")
+    add("--rounds", type=int, metavar="N", help="rounds, where not those of the plan")
+    add("--seed", type=int, default=BASE_SEED, help="base seed (default %(default)s)")
+    add("--part", default="1/1", metavar="I/N", help="every n-th case, from the i-th")
+    add("--kind", action="append", help="only these kinds: complete, single, pair, outsider")
+    add("--vehicle", action="append", help="only these vehicles")
+
+
+def _planned(options: argparse.Namespace) -> list[Planned]:
+    cases = plan(options.rounds or ROUNDS[options.plan], options.seed)
+    wanted = [
+        c
+        for c in cases
+        if (not options.kind or c.kind in options.kind)
+        and (not options.vehicle or c.vehicle in options.vehicle)
+    ]
+    return part(wanted, options.part)
+
+
+def _run(options: argparse.Namespace) -> int:
+    failed = run(
+        _planned(options),
+        options.out,
+        worker(not options.no_peers),
+        jobs=options.jobs,
+        minutes=options.minutes,
+        limit=options.limit,
+        tell=_tell,
+    )
+    return int(failed > 0)
+
+
+def _tell(record: Record, left: int) -> None:
+    if "failure" in record:
+        words = f"FAILED: {record['failure']}"
+    else:
+        said, ratio = record["answer"], record.get("ratio")
+        worth = "" if ratio is None else f", ratio {ratio:.3g}"
+        words = f"{said['verdict']} {' + '.join(said['named'])} ({record['seconds']:.0f} s{worth})"
+    print(f"{left:4d} left  {record['id']}  {words}", file=sys.stderr, flush=True)
+
+
+def _one(options: argparse.Namespace) -> int:
+    record, outcome = measured(Planned.read(options.case), peers=not options.no_peers, keep=options.keep)
+    found = outcome.diagnosis
+    print(json.dumps(record, indent=1))
+    for entry in found.ranking[:10]:
+        values = ", ".join(f"{p.name} = {p.value:.4g}" for p in entry.parameters)
+        print(f"{entry.effect:24s} {entry.error_before:.4g} -> {entry.error_after:.4g}  {values}")
+    for left in found.remaining:
+        print(f"{left.degree_of_freedom}: {left.note}")
+    return 0
+
+
+def _list(options: argparse.Namespace) -> int:
+    for case in _planned(options):
+        print(f"{case.kind:9s} {case.id}")
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    missing = [p for p in options.source if not p.is_file()]
+    if missing:
+        raise ValueError(f"{missing[0]} is not there: give the file that run wrote")
+    text = page({r["id"]: r for p in options.source for r in records(p)}.values())
+    if options.out is None:
+        print(text)
+    else:
+        write_whole(options.out, text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,208 @@
+"""The plan: which cases are diagnosed, in which order, from one base seed."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from benchmarks.hidden_effects import EFFECTS
+from benchmarks.hidden_effects.vehicles import NOMINAL
+
+T = TypeVar("T")
+
+#: A number that was not used while the program was developed.
+BASE_SEED = 2026
+#: Rounds of each plan; every round has every effect, every kind of complete model and every outsider once.
+ROUNDS = {"quick": 1, "full": 12}
+SIZES = (0.4, 1.0, 2.5)
+NOISES = (1.0, 1.0, 0.3, 3.0)
+FEEDBACK = (False, False, False, True)
+VARIANTS = ("plain", "60s", "pose-only", "mass-5")
+#: Complete models: label -> hidden (a wrong guess), noise, closed loop, variant.
+COMPLETE: dict[str, tuple[tuple[str, ...], float, bool, str]] = {
+    "as drawn": ((), 1.0, False, "plain"),
+    "0.3 x noise": ((), 0.3, False, "plain"),
+    "2 x noise": ((), 2.0, False, "plain"),
+    "3 x noise": ((), 3.0, False, "plain"),
+    "60-s logs": ((), 1.0, False, "60s"),
+    "closed loop": ((), 1.0, True, "plain"),
+    "pose only": ((), 1.0, False, "pose-only"),
+    "mass known to 5 %": ((), 1.0, False, "mass-5"),
+    "one drag 2 x off": (("wrong_drag",), 1.0, False, "plain"),
+    "one added mass 2 x off": (("wrong_added_mass",), 1.0, False, "plain"),
+    "all guesses 2 x off": (("wrong_all",), 1.0, False, "plain"),
+}
+NULLS_PER_ROUND = 2
+PAIRS_PER_ROUND = 8
+_ALIKE = ({"net_buoyancy", "constant_force"},)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One case to be diagnosed.
+
+    Attributes
+    ----------
+    vehicle : str
+        Name of the vehicle.
+    hidden : tuple of str
+        Names from `EFFECTS`; none, or only a wrong guess, for a complete model.
+    strength, noise : float
+        Factors on the drawn sizes and on the noise.
+    closed_loop : bool
+        Whether heading and depth are held by feedback.
+    variant : str
+        One of `VARIANTS`.
+    seed : int
+        Seed of the simulator.
+    """
+
+    vehicle: str
+    hidden: tuple[str, ...]
+    strength: float
+    noise: float
+    closed_loop: bool
+    variant: str
+    seed: int
+
+    @property
+    def id(self) -> str:
+        """All that makes the case, as one word."""
+        return f"{self._recipe}:{self.seed}"
+
+    @property
+    def _recipe(self) -> str:
+        loop = "closed" if self.closed_loop else "open"
+        hidden = "+".join(self.hidden) or "nothing"
+        return f"{self.vehicle}:{hidden}:x{self.strength:g}:n{self.noise:g}:{loop}:{self.variant}"
+
+    @property
+    def kind(self) -> str:
+        """`complete`, `single`, `pair` or `outsider`, as the simulator sees it."""
+        kinds = [EFFECTS[name].kind for name in self.hidden if EFFECTS[name].kind != "prior"]
+        if "alien" in kinds:
+            return "outsider"
+        return ("complete", "single", "pair")[len(kinds)]
+
+    @property
+    def label(self) -> str:
+        """What is special about a complete model."""
+        own = (self.hidden, self.noise, self.closed_loop, self.variant)
+        return next((label for label, made in COMPLETE.items() if made == own), "other")
+
+    @classmethod
+    def read(cls, word: str) -> Planned:
+        """The case of an id.
+
+        Raises
+        ------
+        ValueError
+            If the word is no id of a case.
+        """
+        try:
+            vehicle, hidden, strength, noise, loop, variant, seed = word.split(":")
+            names = () if hidden == "nothing" else tuple(hidden.split("+"))
+            case = cls(
+                vehicle, names, float(strength[1:]), float(noise[1:]), loop == "closed", variant, int(seed)
+            )
+            if case.id != word or case.variant not in VARIANTS or not set(names) <= set(EFFECTS):
+                raise ValueError(word)
+        except ValueError:
+            raise ValueError(
+                f"{word!r} is no case: ids look like usv:lift:x1:n1:open:plain:17 (see list)"
+            ) from None
+        return case
+
+
+def plan(rounds: int, base: int = BASE_SEED) -> list[Planned]:
+    """The cases in the order in which they are run: every beginning of it is a balanced sample.
+
+    Parameters
+    ----------
+    rounds : int
+        How often every effect, complete model and outsider comes.
+    base : int
+        Another number gives other vehicles, noise, sizes and pairs.
+    """
+    return [case for r in range(rounds) for case in _round(r, base)]
+
+
+def part(cases: Sequence[T], which: str) -> list[T]:
+    """Every n-th case, `which` = "i/n" with i from 1.
+
+    Raises
+    ------
+    ValueError
+        If `which` is not of that form.
+    """
+    first, _, count = which.partition("/")
+    if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
+        raise ValueError(f"--part {which!r}: give i/n with 1 <= i <= n, such as 2/4")
+    return list(cases[int(first) - 1 :: int(count)])
+
+
+def _round(r: int, base: int) -> list[Planned]:
+    singles = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "library"]
+    outsiders = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "alien"]
+    complete = [_complete(label, NULLS_PER_ROUND * r + i, base)
+                for label in COMPLETE for i in range(NULLS_PER_ROUND)]  # fmt: skip
+    pairs = [_pair(PAIRS_PER_ROUND * r + i, base) for i in range(PAIRS_PER_ROUND)]
+    return _mixed([singles, outsiders, complete, pairs], _random(base, "order", r))
+
+
+def _one(name: str, r: int, base: int) -> Planned:
+    vehicle = _turn(EFFECTS[name].vehicles, r, base, f"{name} vehicle")
+    size = _turn(SIZES, r, base, f"{name} size")
+    return _seeded((vehicle, (name,), size, *_conduct(name, r, base), "plain"), r, base)
+
+
+def _conduct(what: str, r: int, base: int) -> tuple[float, bool]:
+    return _turn(NOISES, r, base, f"{what} noise"), _turn(FEEDBACK, r, base, f"{what} feedback")
+
+
+def _complete(label: str, number: int, base: int) -> Planned:
+    hidden, noise, closed_loop, variant = COMPLETE[label]
+    vehicle = _turn(tuple(NOMINAL), number, base, label)
+    return _seeded((vehicle, hidden, 1.0, noise, closed_loop, variant), number, base)
+
+
+def _pair(number: int, base: int) -> Planned:
+    vehicle = _turn(tuple(NOMINAL), number, base, "pair vehicle")
+    names = [n for n, e in EFFECTS.items() if e.kind == "library" and vehicle in e.vehicles]
+    rng = _random(base, "pair", number)
+    while True:
+        first, second = (names[int(i)] for i in rng.permutation(len(names))[:2])
+        ids = {EFFECTS[first].catalogue or first, EFFECTS[second].catalogue or second}
+        if len(ids) == 2 and ids not in _ALIKE:
+            break
+    noise, closed_loop = _conduct("pair", number, base)
+    return _seeded((vehicle, (first, second), 1.0, noise, closed_loop, "plain"), number, base)
+
+
+def _seeded(recipe: tuple[str, tuple[str, ...], float, float, bool, str], number: int, base: int) -> Planned:
+    """The case with a seed of its own, which does not depend on what else is in the plan."""
+    draft = Planned(*recipe, seed=0)
+    return Planned(*recipe, seed=zlib.crc32(f"{base} {number} {draft.id}".encode()) % 10**8)
+
+
+def _turn(options: Sequence[T], number: int, base: int, purpose: str) -> T:
+    """One option after the other in random order, each once before any comes again."""
+    lap, place = divmod(number, len(options))
+    return options[int(_random(base, purpose, lap).permutation(len(options))[place])]
+
+
+def _random(base: int, purpose: str, number: int) -> np.random.Generator:
+    return np.random.default_rng([base, zlib.crc32(purpose.encode()), number])
+
+
+def _mixed(kinds: Iterable[list[Planned]], rng: np.random.Generator) -> list[Planned]:
+    """All cases, every kind shuffled and spread evenly over the whole."""
+    placed = []
+    for cases in kinds:
+        order, shift = rng.permutation(len(cases)), rng.random()
+        placed += [((i + shift) / len(cases), cases[int(k)]) for i, k in enumerate(order)]
+    return [case for _, case in sorted(placed, key=lambda entry: entry[0])]

@@ -1,0 +1,132 @@
+"""What was aimed at, beside what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .cases import COMPLETE
+from .tally import VISIBLE, Scored, Share, of_kind, share
+
+WHOLE_CATALOGUE_SECONDS = 30.0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """One number with its aim.
+
+    Attributes
+    ----------
+    name : str
+        What is measured.
+    aim : str
+        The goal in words.
+    measured : str
+        The number with its interval.
+    met : bool or None
+        Whether it reaches the goal; None without cases.
+    """
+
+    name: str
+    aim: str
+    measured: str
+    met: bool | None
+
+    @property
+    def row(self) -> list[str]:
+        """Cells of the table."""
+        said = "no cases" if self.met is None else "met" if self.met else "**not met**"
+        return [self.name, self.measured, self.aim, said]
+
+
+def goals(cases: Sequence[Scored]) -> list[Goal]:
+    """All goals, held against the measured numbers."""
+    return [*_found(cases), *_silent(cases), *_others(cases), *_costs(cases), _time(cases)]
+
+
+def _found(cases: Sequence[Scored]) -> list[Goal]:
+    aims: tuple[tuple[str, str, float, Callable[[Scored], bool]], ...] = (
+        ("strong", "truth ranked first", 1.0, lambda c: c.first),
+        ("medium", "truth ranked first", 0.97, lambda c: c.first),
+        ("weak", "truth ranked first", 0.80, lambda c: c.first),
+        ("weak", "truth in the reported set", 0.97, lambda c: c.reported),
+        ("strong", "truth named and nothing else", 0.97, lambda c: c.only),
+        ("medium", "truth named and nothing else", 0.92, lambda c: c.only),
+    )
+    return [
+        _at_least(f"{grade}: {name}", share(of_kind(cases, "single", grade), right), least)
+        for grade, name, least, right in aims
+    ]
+
+
+def _silent(cases: Sequence[Scored]) -> list[Goal]:
+    complete = of_kind(cases, "complete")
+    found = [_at_most("complete models: false alarms", share(complete, lambda c: c.answer.claims), 0.01)]
+    for label in COMPLETE:
+        own = [c for c in complete if c.record["label"] == label]
+        found.append(_at_most(f"– {label}", share(own, lambda c: c.answer.claims), 0.01))
+    return found
+
+
+def _others(cases: Sequence[Scored]) -> list[Goal]:
+    outsiders, pairs = of_kind(cases, "outsider", *VISIBLE), of_kind(cases, "pair", *VISIBLE)
+    return [
+        _at_least("outsiders: unexplained", share(outsiders, _unexplained), 0.95),
+        _at_most("outsiders: a catalogue effect claimed", share(outsiders, lambda c: c.answer.claims), 0.0),
+        _at_least("pairs: both found", share(pairs, lambda c: c.reported), 0.85),
+    ]
+
+
+def _unexplained(case: Scored) -> bool:
+    return case.answer.verdict == "unexplained"
+
+
+def _costs(cases: Sequence[Scored]) -> list[Goal]:
+    costs = np.array([c.cost for c in of_kind(cases, "single", *VISIBLE)])
+    costs = costs[np.isfinite(costs)]
+    middle, high = np.quantile(costs, [0.5, 0.95]) if len(costs) else (np.nan, np.nan)
+    words = "error after adding over that of the told refit"
+    return [
+        Goal(f"{words}, median", "≤ 1.05", _number(middle, len(costs)), _met(middle <= 1.05, len(costs))),
+        Goal(f"{words}, 95th percentile", "≤ 1.3", _number(high, len(costs)), _met(high <= 1.3, len(costs))),
+    ]
+
+
+def _time(cases: Sequence[Scored]) -> Goal:
+    seconds = [c.record["seconds"] for c in cases if len(c.record["motions"]) == 6]
+    middle = float(np.median(seconds)) if seconds else float("nan")
+    name = "median seconds of a diagnosis with six degrees of freedom"
+    return Goal(
+        name, "≤ 30", _number(middle, len(seconds)), _met(middle <= WHOLE_CATALOGUE_SECONDS, len(seconds))
+    )
+
+
+def seconds_by_motions(cases: Iterable[Scored]) -> list[list[str]]:
+    """Rows: degrees of freedom, cases, median and largest seconds."""
+    groups: dict[int, list[float]] = {}
+    for case in cases:
+        groups.setdefault(len(case.record["motions"]), []).append(case.record["seconds"])
+    return [
+        [str(count), str(len(own)), f"{np.median(own):.1f}", f"{max(own):.0f}"]
+        for count, own in sorted(groups.items())
+    ]
+
+
+def _at_least(name: str, found: Share, least: float) -> Goal:
+    aim = "100 %" if least == 1.0 else f"≥ {100 * least:g} %"
+    return Goal(name, aim, str(found), _met(found.value >= least, found.n))
+
+
+def _at_most(name: str, found: Share, most: float) -> Goal:
+    aim = "none" if most == 0.0 else f"≤ {100 * most:g} %"
+    return Goal(name, aim, str(found), _met(found.value <= most, found.n))
+
+
+def _met(true: bool, count: int) -> bool | None:
+    return bool(true) if count else None
+
+
+def _number(value: float, count: int) -> str:
+    return f"{value:.3f} of {count} cases" if count else "no cases"

@@ -1,0 +1,124 @@
+"""One case from its simulation to the numbers that are kept of it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from benchmarks.hidden_effects import Case
+from undertow.identification.diagnosis.diagnose import Outcome, diagnose
+from undertow.identification.diagnosis.result import Diagnosis
+from undertow.identification.logs import Run
+from undertow.model.vehicle import Vehicle
+
+from .cases import Planned
+from .grade import Told, addable, excess, grade_of, opened, told
+from .material import simulated, without, written_and_read
+from .peers import PEERS
+from .verdicts import Answer
+
+Record = dict[str, Any]
+Data = tuple[Vehicle, list[Run], list[Run]]
+
+
+def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> tuple[Record, Outcome]:
+    """Simulate, diagnose and grade one case.
+
+    Parameters
+    ----------
+    case : Planned
+        The case.
+    peers : bool
+        Whether the other methods get the same data.
+    keep : Path, optional
+        Folder for the files of the case; a temporary one by default.
+
+    Returns
+    -------
+    (dict, Outcome)
+        What is written as one line of JSON, and the whole diagnosis.
+    """
+    made = simulated(case)
+    data = _data(made, keep)
+    began, worked = time.perf_counter(), time.process_time()
+    outcome = diagnose(*data)
+    spent = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked}
+    record = described(case, made, data[0]) | _said(outcome.diagnosis) | spent
+    record |= _graded(case, made, record, data, outcome)
+    if peers:
+        record["peers"] = {name: method(*data) for name, method in PEERS.items()}
+    return record, outcome
+
+
+def described(case: Planned, made: Case, vehicle: Vehicle) -> Record:
+    """What the case is, and what is true in it."""
+    truth = made.truth["effects"]
+    hidden = {k: v for name in case.hidden for k, v in made.truth["values"][name].items()}
+    return {
+        "id": case.id,
+        "kind": case.kind,
+        "label": case.label,
+        "vehicle": case.vehicle,
+        "motions": list(vehicle.degrees_of_freedom),
+        "truth": truth,
+        "known": all(addable(vehicle, effect) for effect in truth),
+        "values": hidden,
+        "strength": made.truth["strength"],
+        "noise": case.noise,
+        "closed_loop": case.closed_loop,
+        "variant": case.variant,
+    }
+
+
+def _data(made: Case, keep: Path | None) -> Data:
+    if keep is not None:
+        return written_and_read(made, keep)
+    with TemporaryDirectory() as folder:
+        return written_and_read(made, Path(folder))
+
+
+def _said(found: Diagnosis) -> Record:
+    sets = [list(group.effects) for group in found.indistinguishable]
+    order = [entry.effect for entry in found.ranking]
+    return {
+        "answer": Answer(found.verdict, list(found.effects), sets, order).as_dict(),
+        "headline": found.headline,
+        "warnings": list(found.warnings),
+        "steps": [[*step.added, round(step.error, 4)] for step in found.steps],
+    }
+
+
+def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: Outcome) -> Record:
+    """Ratio and grade, and the errors they come from, in units of one noise model.
+
+    What no catalogue knows has no told refit: it is held against the same vehicle with nothing hidden.
+    """
+    began = time.perf_counter()
+    if case.kind == "complete":
+        return {}
+    if record["known"]:
+        truth = told(*data, record["truth"], record["values"])
+        found = _against_told(truth, outcome)
+    else:
+        found = _against_nothing_hidden(case, data)
+    ratio = found["ratio"]
+    return found | {"grade": grade_of(ratio), "grading_seconds": time.perf_counter() - began}
+
+
+def _against_told(truth: Told, outcome: Outcome) -> Record:
+    return {
+        "ratio": truth.ratio,
+        "before": truth.before,
+        "after": truth.error_of(outcome.fit),
+        "told": truth.error,
+        "lacking": truth.lacking,
+        "told_values": truth.fit.values,
+    }
+
+
+def _against_nothing_hidden(case: Planned, data: Data) -> Record:
+    twin = _data(simulated(without(case)), None)
+    before, floor = excess(opened(*data)), excess(opened(*twin))
+    return {"ratio": before / floor, "before": before, "told": floor}

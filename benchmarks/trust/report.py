@@ -1,0 +1,135 @@
+"""The page of tables, made from the records."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+
+from benchmarks.results.text import table
+
+from .cases import COMPLETE
+from .failures import HEAD, failures, row
+from .goals import goals, seconds_by_motions
+from .grade import HIDDEN
+from .measure import Record
+from .tally import OURS, VISIBLE, Scored, methods, of_kind, scored, share
+from .words import DEFINITIONS, FAILURES, INTRODUCTION, NO_PEERS, PEERS
+
+_SINGLE: tuple[tuple[str, Callable[[Scored], bool]], ...] = (
+    ("truth ranked first", lambda c: c.first),
+    ("in the top three", lambda c: c.in_three),
+    ("in the reported set", lambda c: c.reported),
+    ("named and nothing else", lambda c: c.only),
+)
+
+
+def page(records: Iterable[Record]) -> str:
+    """The whole page, Markdown."""
+    kept = list(records)
+    cases = scored(kept)
+    parts = [
+        INTRODUCTION,
+        _counts(kept, cases),
+        "## Goals\n",
+        table(("", "measured (95 % interval)", "goal", ""), [g.row for g in goals(cases)]),
+        "## One hidden effect, by how much it shows\n",
+        _by_grade(kept),
+        "## Complete models\n",
+        _complete(kept),
+        "## Outsiders and pairs\n",
+        _outsiders(cases),
+        "## Every effect\n",
+        _by_effect(cases),
+        "## Seconds\n",
+        table(("degrees of freedom", "cases", "median s", "longest s"), seconds_by_motions(cases), left=0),
+        "## Failures\n",
+        FAILURES,
+        table(HEAD, [row(c) for c in failures(cases)], left=4) if failures(cases) else "None.\n",
+        _not_run(kept),
+        DEFINITIONS,
+    ]
+    return "\n".join(parts)
+
+
+def _counts(records: Sequence[Record], cases: Sequence[Scored]) -> str:
+    kinds = Counter(c.kind for c in cases)
+    commits = ", ".join(sorted({str(r.get("commit", "unknown")) for r in records}))
+    told = ", ".join(f"{kinds[kind]} {words}" for kind, words in _KINDS.items())
+    lost = len(records) - len(cases)
+    return f"{len(records)} cases: {told}; {lost} did not run. Commits: {commits}.\n"
+
+
+_KINDS = {
+    "single": "with one effect hidden",
+    "pair": "with two",
+    "complete": "complete models",
+    "outsider": "with an effect that no catalogue lists",
+}
+
+
+def _by_grade(records: Sequence[Record]) -> str:
+    names = methods(records)
+    rows = []
+    for grade in (*VISIBLE, HIDDEN):
+        for words, right in _SINGLE:
+            rows.append([grade, words, *(str(share(_single(records, n, grade), right)) for n in names)])
+    rows.append([HIDDEN, "something else named", *(_wrong(records, n) for n in names)])
+    return table(("grade", "", *names), rows, left=2) + "\n" + (PEERS if len(names) > 1 else NO_PEERS)
+
+
+def _single(records: Sequence[Record], who: str, grade: str) -> list[Scored]:
+    return of_kind(scored(records, who), "single", grade)
+
+
+def _wrong(records: Sequence[Record], who: str) -> str:
+    return str(share(_single(records, who, HIDDEN), lambda c: c.false_claim))
+
+
+def _complete(records: Sequence[Record]) -> str:
+    names = methods(records)
+    by_method = {name: of_kind(scored(records, name), "complete") for name in names}
+    rows = []
+    for label in (*COMPLETE, "all"):
+        own = {n: [c for c in of if label in ("all", c.record["label"])] for n, of in by_method.items()}
+        adequate = share(own[OURS], lambda c: c.answer.verdict == "adequate")
+        alarms = [str(share(of, lambda c: c.answer.claims)) for of in own.values()]
+        rows.append([label, str(adequate), *alarms])
+    return table(("complete model", "adequate", *(f"false alarms, {n}" for n in names)), rows)
+
+
+def _outsiders(cases: Sequence[Scored]) -> str:
+    rows = []
+    for grade in (*VISIBLE, HIDDEN):
+        outsiders, pairs = of_kind(cases, "outsider", grade), of_kind(cases, "pair", grade)
+        verdicts = Counter(c.answer.verdict for c in outsiders)
+        said = ", ".join(f"{n} {verdict}" for verdict, n in verdicts.most_common()) or "–"
+        claims = str(share(outsiders, lambda c: c.answer.claims))
+        both = str(share(pairs, lambda c: c.reported))
+        exact = str(share(pairs, lambda c: c.only))
+        rows.append([grade, said, claims, both, exact])
+    head = ("grade", "outsiders: verdicts", "outsiders: an effect claimed", "pairs: both found",
+            "pairs: both and nothing else")  # fmt: skip
+    return table(head, rows, left=2)
+
+
+def _by_effect(cases: Sequence[Scored]) -> str:
+    singles = of_kind(cases, "single")
+    effects = sorted({c.record["truth"][0] for c in singles})
+    rows = []
+    for effect in effects:
+        own = [c for c in singles if c.record["truth"][0] == effect]
+        seen = [c for c in own if c.grade in VISIBLE]
+        counts = [sum(right(c) for c in seen) for _, right in _SINGLE]
+        mistaken = Counter(e for c in own if c.false_claim for e in c.answer.named)
+        others = ", ".join(f"{e} ({n})" for e, n in mistaken.most_common(3)) or "–"
+        rows.append([effect, str(len(own)), str(len(seen)), *map(str, counts), others])
+    head = ("effect", "cases", "visible", *(words for words, _ in _SINGLE), "named instead")
+    return table(head, rows)
+
+
+def _not_run(records: Sequence[Record]) -> str:
+    lost = [r for r in records if "failure" in r]
+    if not lost:
+        return ""
+    rows = [[f"`{r['id']}`", r["failure"]] for r in lost]
+    return "Cases that did not run:\n\n" + table(("case", "error"), rows, left=2)

@@ -1,0 +1,185 @@
+"""Running cases side by side, each in a process of its own, one line of JSON for each."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import subprocess
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from .cases import Planned
+from .measure import Record, measured
+
+ROOT = Path(__file__).parents[2]
+#: Seconds after which a case is given up and recorded as failed.
+LIMIT = 1800.0
+Work = Callable[[Planned], Record]
+Tell = Callable[[Record, int], None]
+
+
+@dataclass(frozen=True)
+class _Running:
+    case: Planned
+    process: BaseProcess
+    answer: Connection
+    began: float
+
+
+def run(
+    cases: Sequence[Planned],
+    out: Path,
+    work: Work,
+    *,
+    jobs: int = 1,
+    minutes: float | None = None,
+    limit: float = LIMIT,
+    tell: Tell = lambda record, left: None,
+) -> int:
+    """Measure cases that are not yet in a file, and append each as one line when it is done.
+
+    Parameters
+    ----------
+    cases : sequence of Planned
+        In the order in which they are begun.
+    out : Path
+        JSON lines; what stands there is kept, and its cases are not run again.
+    work : callable
+        Makes the record of a case.
+    jobs : int
+        Cases at a time.
+    minutes : float, optional
+        After so long no case is begun.
+    limit : float
+        Seconds that a case may take.
+    tell : callable
+        Told each record, and how many cases are left.
+
+    Returns
+    -------
+    int
+        How many cases failed to run at all.
+    """
+    todo = [case for case in cases if case.id not in {r["id"] for r in records(out)}]
+    end = time.monotonic() + 60 * minutes if minutes is not None else float("inf")
+    failed, left = 0, len(todo)
+    commit = version()
+    for record in _results(todo, work, jobs, end, limit):
+        left -= 1
+        append(out, record | {"commit": commit})
+        failed += "failure" in record
+        tell(record, left)
+    return failed
+
+
+def records(path: Path) -> list[Record]:
+    """The records of a file, of each case the last; a line cut off by a crash is passed over."""
+    if not path.exists():
+        return []
+    found = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            record = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        found[record["id"]] = record
+    return list(found.values())
+
+
+def append(path: Path, record: Record) -> None:
+    """Write one line, on a line of its own even if the last one was cut off."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(("" if whole else "\n") + json.dumps(record) + "\n")
+
+
+def version() -> str:
+    """Commit of the working tree, with + where the package differs from it."""
+    try:
+        commit = _git("rev-parse", "--short", "HEAD")
+        return commit + ("+" if _git("status", "--porcelain", "--", "src", "benchmarks") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _git(*words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def worker(peers: bool) -> Work:
+    """What is done with a case: everything, with or without the other methods."""
+
+    def work(case: Planned) -> Record:
+        return measured(case, peers=peers)[0]
+
+    return work
+
+
+# --- processes --------------------------------------------------------------------------------
+def _results(todo: Sequence[Planned], work: Work, jobs: int, end: float, limit: float) -> Iterator[Record]:
+    waiting, running = list(todo), list[_Running]()
+    while running or (waiting and time.monotonic() < end):
+        while waiting and len(running) < jobs and time.monotonic() < end:
+            running.append(_begun(waiting.pop(0), work))
+        wait([r.answer for r in running], timeout=1.0)
+        for one in [r for r in running if _over(r, limit)]:
+            running.remove(one)
+            yield _record(one, limit)
+
+
+def _begun(case: Planned, work: Work) -> _Running:
+    # Forked: the imports are there already, and a case that crashes takes nothing with it.
+    context = multiprocessing.get_context("fork")
+    answer, speak = context.Pipe(duplex=False)
+    process = context.Process(target=_do, args=(work, case, speak), daemon=True)
+    process.start()
+    speak.close()
+    return _Running(case, process, answer, time.monotonic())
+
+
+def _do(work: Work, case: Planned, speak: Connection) -> None:
+    try:
+        record = work(case)
+    except Exception as error:
+        record = failure(case, f"{type(error).__name__}: {error}", traceback.format_exc())
+    speak.send(record)
+
+
+def _over(one: _Running, limit: float) -> bool:
+    return one.answer.poll() or not one.process.is_alive() or time.monotonic() - one.began > limit
+
+
+def _record(one: _Running, limit: float) -> Record:
+    """The answer of a process; of one that died or takes too long, that it did."""
+    if one.answer.poll():
+        try:
+            record = one.answer.recv()
+            one.process.join()
+        except EOFError:
+            one.process.join()
+            record = failure(one.case, f"the process ended with code {one.process.exitcode}")
+        return record
+    alive = one.process.is_alive()
+    one.process.terminate()
+    one.process.join()
+    words = f"took more than {limit:g} s" if alive else f"the process ended with code {one.process.exitcode}"
+    return failure(one.case, words)
+
+
+def failure(case: Planned, words: str, details: str = "") -> Record:
+    """The record of a case that could not be measured."""
+    return {
+        "id": case.id,
+        "kind": case.kind,
+        "label": case.label,
+        "vehicle": case.vehicle,
+        "failure": words,
+        "details": details[-4000:],
+    }

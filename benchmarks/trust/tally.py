@@ -1,0 +1,143 @@
+"""Counting: records with what they are worth, shares with their confidence intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .grade import GRADES
+from .measure import Record
+from .verdicts import Answer, accepted
+
+OURS = "undertow"
+#: Grades in which the truth is to be found.
+VISIBLE = tuple(name for name, _ in GRADES)
+_Z = 1.959964  # 97.5 % quantile of the normal distribution
+
+
+@dataclass(frozen=True)
+class Share:
+    """k of n, with Wilson's 95 % confidence interval."""
+
+    k: int
+    n: int
+
+    @property
+    def value(self) -> float:
+        """k / n; NaN of nothing."""
+        return self.k / self.n if self.n else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's score interval: keeps its level for shares near 0 and 1 and few cases."""
+        if not self.n:
+            return (0.0, 1.0)
+        p, n, square = self.value, self.n, _Z**2
+        middle = (p + square / (2 * n)) / (1 + square / n)
+        half = _Z / (1 + square / n) * np.sqrt(p * (1 - p) / n + square / (4 * n * n))
+        return (max(0.0, float(middle - half)), min(1.0, float(middle + half)))
+
+    def __str__(self) -> str:
+        if not self.n:
+            return "no cases"
+        low, high = (f"{100 * bound:.3g}" for bound in self.interval)
+        return f"{self.k} of {self.n}: {100 * self.value:.3g} % ({low} to {high})"
+
+
+def share(cases: Iterable[Scored], right: Callable[[Scored], bool]) -> Share:
+    """How many of the cases are right."""
+    told = [right(case) for case in cases]
+    return Share(sum(told), len(told))
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A record with the answer of one method.
+
+    Attributes
+    ----------
+    record : dict
+        One line of the file.
+    answer : Answer
+        What the method said.
+    """
+
+    record: Record
+    answer: Answer
+
+    @property
+    def kind(self) -> str:
+        """`complete`, `single`, `pair` or `outsider`; what no catalogue lists is an outsider."""
+        kind = str(self.record["kind"])
+        return kind if kind == "complete" or self.record["known"] else "outsider"
+
+    @property
+    def grade(self) -> str:
+        """How much the truth helps."""
+        return str(self.record.get("grade", ""))
+
+    @cached_property
+    def accepted(self) -> list[set[str]]:
+        """For each true effect, the ids that stand for the same equations."""
+        r = self.record
+        return [accepted(effect, r["motions"], r["values"]) for effect in r["truth"]]
+
+    @property
+    def place(self) -> int:
+        """Place of the truth in the ranking; large where it has none."""
+        return self.answer.place(set().union(*self.accepted)) or 999
+
+    @property
+    def first(self) -> bool:
+        """Truth ranked first."""
+        return self.place == 1
+
+    @property
+    def in_three(self) -> bool:
+        """Truth among the first three."""
+        return self.place <= 3
+
+    @property
+    def reported(self) -> bool:
+        """Every true effect is named, alone or in a set."""
+        return all(one & self.answer.reported for one in self.accepted)
+
+    @property
+    def only(self) -> bool:
+        """The truth is named and nothing else."""
+        return self.reported and self.answer.only(set().union(*self.accepted))
+
+    @property
+    def false_claim(self) -> bool:
+        """An effect is said to be missing, and none of what is reported is true."""
+        return self.answer.claims and not any(one & self.answer.reported for one in self.accepted)
+
+    @property
+    def cost(self) -> float:
+        """Error after adding what is named, over that of the told refit; NaN where there is no such."""
+        r = self.record
+        return float(r["after"] / r["told"]) if "after" in r else float("nan")
+
+
+def scored(records: Iterable[Record], who: str = OURS) -> list[Scored]:
+    """The records that have an answer of a method."""
+    found = []
+    for record in records:
+        said = record.get("answer") if who == OURS else record.get("peers", {}).get(who)
+        if "failure" not in record and said and "verdict" in said:
+            known = {k: said[k] for k in ("verdict", "named", "sets", "ranking")}
+            found.append(Scored(record, Answer(**known)))
+    return found
+
+
+def methods(records: Iterable[Record]) -> list[str]:
+    """undertow and the other methods that were run."""
+    return list(dict.fromkeys([OURS, *(name for r in records for name in r.get("peers", {}))]))
+
+
+def of_kind(cases: Iterable[Scored], kind: str, *grades: str) -> list[Scored]:
+    """Cases of a kind, of these grades if any are given."""
+    return [c for c in cases if c.kind == kind and (not grades or c.grade in grades)]

@@ -1,0 +1,75 @@
+"""What counts as right."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+NAMING = ("missing_effect", "indistinguishable", "not_identifiable")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a diagnosis said.
+
+    Attributes
+    ----------
+    verdict : str
+        Its verdict.
+    named : list of str
+        Effects that it says are missing.
+    sets : list of list of str
+        Effects that it says cannot be told apart.
+    ranking : list of str
+        Its candidates, best first.
+    """
+
+    verdict: str
+    named: list[str] = field(default_factory=list)
+    sets: list[list[str]] = field(default_factory=list)
+    ranking: list[str] = field(default_factory=list)
+
+    @property
+    def reported(self) -> set[str]:
+        """All effects it names, alone or in a set."""
+        return {*self.named, *(effect for group in self.sets for effect in group)}
+
+    @property
+    def claims(self) -> bool:
+        """Whether it says of any effect that it is missing."""
+        return bool(self.named)
+
+    def only(self, accepted: Collection[str]) -> bool:
+        """Whether it names what is accepted and nothing else, be it as a set of equivalent effects."""
+        return self.verdict in NAMING and bool(self.named) and self.reported <= set(accepted)
+
+    def place(self, accepted: Collection[str]) -> int | None:
+        """Place in the ranking of the first accepted effect, from 1."""
+        return next((i for i, effect in enumerate(self.ranking, 1) if effect in accepted), None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = ()) -> set[str]:
+    """An effect and those that are, for this vehicle, the very same equations.
+
+    Without roll and pitch the body's z axis is that of NED: net buoyancy is a constant heave force.
+
+    Parameters
+    ----------
+    effect : str
+        Id of what is hidden.
+    motions : sequence of str
+        Degrees of freedom of the vehicle.
+    parameters : collection of str
+        Names of the values that were hidden.
+    """
+    upright = "heave" in motions and not {"roll", "pitch"} & set(motions)
+    if upright and effect == "net_buoyancy":
+        return {effect, "constant_force"}
+    if upright and effect == "constant_force" and set(parameters) == {"Z_0"}:
+        return {effect, "net_buoyancy"}
+    return {effect}
