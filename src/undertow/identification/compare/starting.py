@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from ..weak.polynomial import around, local_polynomial
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Half-widths in samples of the fits that are tried, from narrow to wide.
@@ -99,37 +101,17 @@ def local_value(
     for width in widths:
         if len(t) < 2 * width + 1:
             break
-        fitted, misfit = _polynomial(t, y, at, width, degree)
-        good = misfit <= sigma**2 * chdtri(2 * width - degree, _REFUSED)
-        value = np.where(good, fitted, value)
+        fitted, _, misfit = local_polynomial(t, y[:, None], at, width, degree)
+        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, _REFUSED)
+        value = np.where(good, fitted[:, 0], value)
     return value
-
-
-def _around(at: Index, width: int, count: int) -> Index:
-    """Indices of the 2 width + 1 samples around each instant, moved inwards at the ends of the signal."""
-    first = np.clip(at - width, 0, count - 2 * width - 1)
-    return np.asarray(first[:, None] + np.arange(2 * width + 1))
-
-
-def _polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> tuple[Array, Array]:
-    """Value at each instant of the polynomial through the samples around it, and its squared misfit."""
-    near = _around(at, width, len(t))
-    span = t[near[:, -1]] - t[near[:, 0]]
-    place = (t[near] - t[at][:, None]) / span[:, None]
-    design = place[:, :, None] ** np.arange(degree + 1)
-    gram = np.swapaxes(design, 1, 2) @ design
-    # Around the sample itself, so that a large offset (a position) costs no digits.
-    samples = y[near] - y[at][:, None]
-    coefficients = np.linalg.solve(gram, np.swapaxes(design, 1, 2) @ samples[:, :, None])
-    misfit = samples - (design @ coefficients)[:, :, 0]
-    return y[at] + coefficients[:, 0, 0], np.sum(misfit**2, axis=1)
 
 
 def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
     """The samples themselves; one that stands far off all of its neighbours is replaced by their median."""
     if len(y) < 2 * _WIDTHS[0] + 1:
         return np.asarray(y[at])
-    near = _around(at, _WIDTHS[0], len(y))
+    near = around(at, _WIDTHS[0], len(y))
     neighbours = np.where(near == at[:, None], np.nan, y[near])
     low, high = np.nanmin(neighbours, axis=1), np.nanmax(neighbours, axis=1)
     margin = _LONE * (high - low + 2 * sigma)

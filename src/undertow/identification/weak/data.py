@@ -14,6 +14,7 @@ from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
 from .noise import white_noise
+from .polynomial import smooth_rate
 from .testfunctions import TestFunctions, knot_spacing, test_functions
 
 Array = NDArray[np.float64]
@@ -58,6 +59,11 @@ class Segment:
     def samples(self) -> slice:
         """Where the segment stands in its run."""
         return slice(self.first, self.first + len(self.t))
+
+    @cached_property
+    def rate(self) -> Array:
+        """Derivative of `measured`, shape (N, 2n), per s; smoothed as far as the noise allows."""
+        return smooth_rate(self.t, self.measured)
 
 
 @dataclass(frozen=True)

@@ -269,8 +269,11 @@ def _solved(
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break
+        before = p
         p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
         iteration += 1
+        if p is before:  # no share of the step helps, and the next one would be the same
+            break
     return WeakFit(model, p, data, whitening, at, disturbance, iteration)
 
 

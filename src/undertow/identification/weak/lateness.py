@@ -71,18 +71,20 @@ class Lateness:
         functions = _known(s, seconds)
         if not functions:
             return of(s)
-        at = of(_moved(s, seconds))
+        moved = _moved(s, seconds)
+        at = of(moved)
         J = at.J.copy()
         step = _STEP * float(np.median(np.diff(s.t)))
-        for k, rate in self._rates(p):
-            later, earlier = (of(_moved(s, seconds + sign * step * rate)).r for sign in (1, -1))
-            J[:, k] += (later - earlier) / (2 * step)
+        for k, slope in self._slopes(p):
+            # Of the signal alone: differentiated noise would promise a precision that is not there.
+            change = step * slope * _at_delays(s.t, s.rate, seconds)
+            J[:, k] += (of(replace(moved, measured=moved.measured + change)).r - at.r) / step
         known = functions * (len(at.r) // s.functions.count)
         inside = np.arange(len(at.r)) < known
         r, J, start = at.r * inside, J * inside[:, None], at.start * inside[:, None]
         return replace(at, r=r, J=J, start=start, known=known)
 
-    def _rates(self, p: Array) -> list[tuple[int, Array]]:
+    def _slopes(self, p: Array) -> list[tuple[int, Array]]:
         """Which free parameters are delays, with the derivative of every channel's delay."""
         slope = np.asarray(self._dead_time(p)[1])
         return [(k, slope[:, k]) for k in range(slope.shape[1]) if np.any(slope[:, k])]
@@ -107,11 +109,16 @@ def _known(s: Segment, seconds: Array) -> int:
 
 
 def _moved(s: Segment, seconds: Array) -> Segment:
-    measured = s.measured.copy()
+    return replace(s, measured=_at_delays(s.t, s.measured, seconds))
+
+
+def _at_delays(t: Array, signals: Array, seconds: Array) -> Array:
+    """Each signal at the times t plus its own delay."""
+    found = signals.copy()
     for delay in np.unique(seconds[seconds != 0]):
         columns = np.flatnonzero(seconds == delay)
-        measured[:, columns] = interpolated(s.t, s.measured[:, columns], s.t + delay)
-    return replace(s, measured=measured)
+        found[:, columns] = interpolated(t, signals[:, columns], t + delay)
+    return found
 
 
 def interpolated(t: Array, y: Array, when: Array) -> Array:
