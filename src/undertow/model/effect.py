@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import copy
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import sympy as sm
@@ -31,7 +32,7 @@ class Effect(abc.ABC):
     requires : tuple of str
         Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
     shares : tuple of str
-        Ids of effects whose parameters it shares as well where the vehicle has them, and takes as zero where not.
+        Ids of effects whose parameters it shares where the vehicle has them, and takes as zero where not.
     built_in : bool
         True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
     allocation : Matrix, shape (6, n_thrusters)
@@ -87,7 +88,7 @@ class Effect(abc.ABC):
         return column(self.states)
 
     def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
-        """Symbols that stand for longer expressions in a wrench or a flow; later ones may use earlier ones."""
+        """Symbols that stand for longer expressions in a wrench or a flow; later may use earlier ones."""
         return {}
 
     def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
@@ -100,6 +101,22 @@ class Effect(abc.ABC):
     def constants(self) -> dict[sm.Symbol, str]:
         """Symbols, with units, that stand for numbers of the hardware on a `specimen`."""
         return {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
+
+    @classmethod
+    def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+        """Where to begin a search in logs whose pose coordinates lie between these values.
+
+        Parameters
+        ----------
+        seen : mapping
+            Least and greatest value of each pose coordinate that the vehicle has, m and rad.
+
+        Returns
+        -------
+        list of dict
+            Values of shape parameters by name; empty where the parameters' own `starts` serve in any place.
+        """
+        return []
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:

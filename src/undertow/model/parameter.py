@@ -42,6 +42,8 @@ class Parameter:
         constant, a smoothing width).
     on_left_side : bool
         True for a derivative that tables print as a positive magnitude (added mass and damping).
+    alone : bool
+        False for a parameter that is no sign of the effect without the others (a constant part).
     """
 
     unit: str
@@ -54,6 +56,7 @@ class Parameter:
     motion: int | None = None
     neutral: float | None = 0.0
     on_left_side: bool = False
+    alone: bool = True
     name: str = field(default="", kw_only=True)
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -157,11 +160,57 @@ def _axis(i: int) -> str:
     return f"{DOFS[i]} {'force' if i < 3 else 'moment'}"
 
 
-def declared(owner: type) -> Iterable[Parameter | DerivativeMatrix]:
+_WAYS = {"ned": ("north", "east", "down"), "body": ("forward", "to starboard", "down")}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Coordinates of a point that a search has to find; reads as a column of symbols, shape (3, 1), m.
+
+    Parameters
+    ----------
+    name : str
+        What stands behind x_, y_ and z_ in the names of the coordinates.
+    about : str
+        Meaning of the point.
+    axes : str
+        "ned" or "body".
+    farthest : float
+        Largest magnitude of a coordinate, m.
+    """
+
+    name: str
+    about: str
+    axes: str
+    farthest: float
+
+    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+        return self if effect is None else sm.Matrix([symbol(f"{axis}_{self.name}") for axis in "xyz"])
+
+    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+        """One parameter for each coordinate; none of them can switch an effect off."""
+        return tuple(
+            Parameter(
+                "m",
+                f"{self.about}, {way}",
+                (-self.farthest, self.farthest),
+                linear=False,
+                starts=(0.0,),
+                neutral=None,
+                name=f"{axis}_{self.name}",
+            )
+            for axis, way in zip("xyz", _WAYS[self.axes], strict=True)
+        )
+
+
+Declaration = Parameter | DerivativeMatrix | Place
+
+
+def declared(owner: type) -> Iterable[Declaration]:
     """Parameter declarations of an effect class, base classes first, in the order written."""
-    found: dict[str, Parameter | DerivativeMatrix] = {}
+    found: dict[str, Declaration] = {}
     for cls in reversed(owner.__mro__):
-        found.update({k: v for k, v in vars(cls).items() if isinstance(v, Parameter | DerivativeMatrix)})
+        found.update({k: v for k, v in vars(cls).items() if isinstance(v, Declaration)})
     return found.values()
 
 

@@ -24,7 +24,7 @@ class HullCompressibility(Wrench):
     signature = "the vertical command that holds depth changes steadily with the depth"
 
     B_depth = Parameter("N/m", "change of the buoyancy per metre of depth, negative where the hull gives way")
-    B_surface = Parameter("N", "buoyancy minus weight at the surface, beyond what the model has")
+    B_surface = Parameter("N", "buoyancy minus weight at the surface, beyond what the model has", alone=False)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         excess = self.B_surface + self.B_depth * s.eta[2]

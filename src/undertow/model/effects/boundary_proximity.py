@@ -1,0 +1,87 @@
+"""Drag that rises near the bottom, a wall or the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.effects.cubic_damping import CubicDamping
+from undertow.model.effects.linear_damping import LinearDamping
+from undertow.model.effects.quadratic_damping import QuadraticDamping
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals, symbol
+
+_GAP = symbol("gap")
+# Decay lengths in the range of the vehicle where a search begins.
+_FADES_OVER_RANGE = 3.0
+
+
+class BoundaryProximity(Wrench):
+    """All damping of the hull raised near a bottom, a wall or the surface, fading with the distance.
+
+    It is there because drag identified in open water is too small beside a quay, over the sea bed or in a
+    narrow tank. The boundary is a plane: it lies in the direction (fade_N, fade_E, fade_D), the rise fades to
+    1/e over 1 / |fade| metres, and the NED origin is fade_0 such lengths away from it. A bottom at depth z_b
+    is fade_D = 1/L, fade_0 = z_b/L; the surface fade_D = -1/L, fade_0 = 0; a wall at y = y_w to the east
+    fade_E = 1/L, fade_0 = y_w/L. A vehicle that never comes close tells only rise * exp(-fade_0).
+    """
+
+    id = "boundary_proximity"
+    family = "water"
+    reference = (
+        "Happel and Brenner (1983), Low Reynolds Number Hydrodynamics, chapter 7 (walls raise drag); "
+        "fading by an exponential"
+    )
+    signature = "all motions are damped more in one part of the basin, the more so the closer to its border"
+    shares = ("linear_damping", "quadratic_damping", "cubic_damping")
+    dissipative = True
+
+    boundary_rise = Parameter("1", "share by which the damping is raised at the boundary", (0, inf))
+    fade_N = Parameter(
+        "1/m",
+        "fading of the rise away from it, north part",
+        (-50, 50),
+        linear=False,
+        starts=(0, 1),
+        neutral=None,
+    )
+    fade_E = Parameter("1/m", "east part", (-50, 50), linear=False, starts=(0, 1), neutral=None)
+    fade_D = Parameter("1/m", "downward part", (-50, 50), linear=False, starts=(0, 1), neutral=None)
+    fade_0 = Parameter(
+        "1",
+        "decay lengths from the NED origin to it",
+        (-1e4, 1e4),
+        linear=False,
+        starts=(1, 10),
+        neutral=None,
+    )
+
+    @classmethod
+    def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+        points = []
+        for part, axis in zip("NED", "xyz", strict=True):
+            low, high = seen.get(axis, (0.0, 0.0))
+            # On either side: a boundary well beyond where the vehicle was, and one that it came up to.
+            for side, edge, reach in ((1, high, high - low), (-1, -low, high - low)):
+                for beyond in (1.0, -0.4) if reach > 0 else ():
+                    fade = _FADES_OVER_RANGE / reach
+                    point = {"fade_N": 0.0, "fade_E": 0.0, "fade_D": 0.0, f"fade_{part}": side * fade}
+                    points.append(point | {"fade_0": fade * (edge + beyond * reach)})
+        return points
+
+    @classmethod
+    def suits(cls, dofs: tuple[str, ...]) -> bool:
+        return bool({"surge", "sway", "heave"} & set(dofs))
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        laws = (law(self.thrusters) for law in (LinearDamping, QuadraticDamping, CubicDamping))
+        return self.boundary_rise * sm.exp(-_GAP) * sum((law.wrench(s) for law in laws), sm.zeros(6, 1))
+
+    def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
+        fade = sm.Matrix([self.fade_N, self.fade_E, self.fade_D])
+        ahead = self.fade_0 - fade.dot(sm.Matrix(s.eta[:3]))
+        # Measured positions may lie a little beyond the boundary: the rise stays what it is there.
+        return {_GAP: (ahead + sm.Abs(ahead)) / 2}

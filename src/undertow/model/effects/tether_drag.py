@@ -1,0 +1,60 @@
+"""Drag of a tether."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import Parameter, Place
+from undertow.model.symbols import Signals, column, symbol
+
+_DRAG, _SPEED = column(["drag_x", "drag_y", "drag_z"]), column(["tail_u", "tail_v", "tail_w"])
+_LENGTH = symbol("length")
+
+
+class TetherDrag(Wrench):
+    """Drag of the tether that the vehicle pulls through the water, the more of it the farther it has gone.
+
+    It is there because the cable of a small ROV drags more than its hull, and grows with the distance from
+    the winch, so that no hull coefficient can stand for it. It acts where the tether is attached, against the
+    velocity of that place through the water; what counts is the share of its length that follows the vehicle.
+    """
+
+    id = "tether_drag"
+    family = "tether"
+    reference = "Hoerner (1965), Fluid-Dynamic Drag (cylinders and cables across the flow)"
+    signature = "the drag grows with the distance from the winch, and speeds fall on the way out"
+    dissipative = True
+
+    c_tether = Parameter("N/m/(m/s)^2", "drag per metre of tether and speed squared", (0, math.inf))
+    winch = Place("winch", "where the tether comes from", "ned", 1.1e4)
+    tail = Place("tail", "attachment on the vehicle", "body", 200)
+    length_least = Parameter(
+        "m", "tether that is out at the winch", (1e-9, 1e3), linear=False, default=1e-6, neutral=None
+    )
+    speed_least = Parameter(
+        "m/s", "speed below which the drag fades", (1e-9, 1.0), linear=False, default=1e-6, neutral=None
+    )
+
+    @classmethod
+    def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+        ranges = [seen.get(axis, (0.0, 0.0)) for axis in "xyz"]
+        x, y, z = (sum(ends) / 2 for ends in ranges)
+        # Above the vehicle, since in the plane of the motion the height of a winch could not show.
+        above = z - math.dist(*zip(*ranges, strict=True)) / 4
+        tail = dict.fromkeys(("x_tail", "y_tail", "z_tail"), 0.0)
+        return [{"x_winch": x, "y_winch": y, "z_winch": above} | tail]
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return sm.Matrix([*_DRAG, *self.tail.cross(_DRAG)])
+
+    def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
+        away = sm.Matrix(s.eta[:3]) - self.winch
+        velocity = sm.Matrix(s.nu_r[:3]) + sm.Matrix(s.nu_r[3:]).cross(self.tail)
+        # Neither root has a derivative at zero, hence the small length and the small speed under them.
+        length = sm.sqrt(away.dot(away) + self.length_least**2)
+        drag = -self.c_tether * _LENGTH * sm.sqrt(_SPEED.dot(_SPEED) + self.speed_least**2) * _SPEED
+        return dict(zip([*_SPEED, _LENGTH, *_DRAG], [*velocity, length, *drag], strict=True))
