@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -65,6 +65,10 @@ class Candidate:
         linear = tuple(p.name for p in self.parameters if p.linear)
         return linear or tuple(p.name for p in self.parameters)
 
+    def shown_by(self, kept: Collection[str]) -> bool:
+        """Whether these parameters of the effect, all others being zero, are still the effect."""
+        return any(p.alone for p in self.parameters if p.name in kept)
+
     def free(self) -> tuple[str, ...]:
         """What a fit of the model with the effect may change."""
         return (*free_parameters(self.base), *(p.name for p in self.parameters))
@@ -84,9 +88,16 @@ class Candidate:
             self._models[names] = WeakModel(self._functions, names)
         return self._models[names]
 
-    def starts(self, command_scale: float) -> list[dict[str, float]]:
-        """Starting points of the search, one for each combination of the shape parameters' starts."""
+    def starts(
+        self, command_scale: float, seen: Mapping[str, tuple[float, float]] | None = None
+    ) -> list[dict[str, float]]:
+        """Starting points of the search: one for each combination of the shape parameters' starts, unless the
+        effect knows better ones for where the vehicle has been seen.
+        """
         shaped = [p for p in self.parameters if p.starts]
+        if seen and (near := self.effect.starts_near(seen)):
+            wanted = {p.name for p in shaped}
+            return [{n: v for n, v in point.items() if n in wanted} for point in near]
         grids = [[_start(p, s, command_scale) for s in p.starts] for p in shaped]
         return [
             dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)

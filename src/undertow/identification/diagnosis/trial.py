@@ -143,6 +143,14 @@ class Bench:
         pieces = [np.abs(s.u) for s in self.train.segments if s.u.size]
         return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
 
+    @cached_property
+    def seen(self) -> dict[str, tuple[float, float]]:
+        """Least and greatest value of each pose coordinate in the data to fit to."""
+        names = self.base.model.functions.vehicle.pose_names
+        poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
+        low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
+        return dict(zip(names, zip(low, high, strict=True), strict=True))
+
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
@@ -185,7 +193,7 @@ class Scouted(NamedTuple):
 
 def scout(candidate: Candidate, bench: Bench) -> Scouted:
     """Take one Gauss-Newton step from every start of a candidate; the one that promises most."""
-    starts = candidate.starts(bench.command_scale)
+    starts = candidate.starts(bench.command_scale, bench.seen)
     noise = (bench.train_whitening, bench.base.disturbance)
     begin, model = bench.base.values, candidate.model()
     steps = (Scouted(*promise(model, bench.train, begin | s, *noise)) for s in starts)
@@ -214,6 +222,8 @@ def try_candidate(
     if fit.cost < 0.5 * len(fit.at.r):
         fit = settled(fit, most=1)
     kept = _parameters_that_matter(fit, candidate.removable)
+    if kept and not candidate.shown_by(kept):
+        return rejected(candidate, bench)
     if len(kept) < len(candidate.removable):
         fit = _refit(candidate, fit, kept, enough)
     return Trial(candidate, fit, kept, bench.judge(fit))
