@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from .drawing import Vehicle
-from .registry import Draw, Values, hidden, those
-from .world import World
+from .registry import TURNING, Draw, Values, hidden, those
+from .world import Moment, World
 
 
 def _in_steps(delay: float) -> float:
@@ -121,3 +121,22 @@ def reaction_torque(world: World, draw: Draw) -> Values:
     axes = world.allocation[:3] / np.linalg.norm(world.allocation[:3], axis=0)
     world.allocation[3:] += lever * axes
     return {"d": lever}
+
+
+@hidden("propeller_walk", TURNING)
+def propeller_walk(world: World, draw: Draw) -> Values:
+    """Y = a F + b min(F, 0), N = c F + d min(F, 0), F = thrust along the hull (single screw going astern)."""
+    pushing, length = world.allocation[0].copy(), world.vehicle.length
+    side, astern = draw.signed(0.03, 0.3), draw.signed(0.03, 0.3)
+    turn, turn_astern = (draw.signed(0.01, 0.1) * length for _ in range(2))
+
+    def wrench(now: Moment) -> np.ndarray:
+        along = pushing @ now.thrust
+        out = np.zeros_like(now.nu)
+        out[1] = side * along + astern * np.minimum(along, 0.0)
+        out[5] = turn * along + turn_astern * np.minimum(along, 0.0)
+        return out
+
+    world.wrenches.append(wrench)
+    names = ("Y_walk", "Y_walk_back", "N_walk", "N_walk_back")
+    return dict(zip(names, (side, astern, turn, turn_astern), strict=True))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .actuation import _in_steps
-from .registry import Draw, Values, hidden, those, with_motions
-from .world import World, velocity_at
+from .plant import rotation
+from .registry import SURGING, TURNING, Draw, Values, hidden, those, with_motions
+from .world import World, to_body, to_ned, velocity_at
 
 
 def _own_speeds(world: World) -> list[int]:
@@ -72,3 +73,54 @@ def sensor_delay(world: World, draw: Draw) -> Values:
     """u, v, w are those of `delay` seconds ago (a whole number of 1/80 s); pose and gyro are not late."""
     world.velocity_delay = _in_steps(draw.size(0.08, 1.0, 1.5))
     return {"delay": world.velocity_delay}
+
+
+@hidden("attitude_bias", with_motions(5))
+def attitude_bias(world: World, draw: Draw) -> Values:
+    """psi reads too much by a constant; where the vehicle tilts, phi and theta by smaller ones."""
+    bias, values = np.zeros((12, 1)), {}
+    for i, name, low, high in (
+        (5, "b_psi", 0.03, 0.3),
+        (3, "b_phi", 0.005, 0.05),
+        (4, "b_theta", 0.005, 0.05),
+    ):
+        if i in world.dofs:
+            bias[i] = draw.signed(low, high, 2 * high)
+            values[name] = float(bias[i, 0])
+    world.sensors.append(lambda reading: reading + bias)
+    return values
+
+
+@hidden("position_lever_arm", TURNING)
+def position_lever_arm(world: World, draw: Draw) -> Values:
+    """x, y (and z) are those of an antenna at r_f: it reads p + R r_f."""
+    arm = np.array([draw.signed(0.05, 0.6), draw.signed(0.03, 0.3), draw.signed(0.03, 0.3)])
+    if not world.vehicle.tilts:
+        arm[2] = 0.0  # without roll and pitch a height difference shows nowhere
+    rows = [i for i in (0, 1, 2) if i in world.dofs]
+
+    def read(reading: np.ndarray) -> np.ndarray:
+        out = reading.copy()
+        held = np.broadcast_to(arm[:, None], reading[:3].shape)
+        out[rows] += to_ned(rotation(reading[3:6]), held)[rows]
+        return out
+
+    world.sensors.append(read)
+    return dict(zip(("x_fix", "y_fix", "z_fix"), map(float, arm), strict=True))
+
+
+@hidden("water_speed_log", SURGING)
+def water_speed_log(world: World, draw: Draw) -> Values:
+    """The water moves with V = (V_N, V_E, 0), and u, v, w are read relative to it: v - R^T V."""
+    speed, towards = draw.size(0.1, 0.9) * world.vehicle.pace[0], draw.shape(-np.pi, np.pi)
+    water = speed * np.array([[np.cos(towards)], [np.sin(towards)], [0.0]])
+    rows = _own_speeds(world)
+
+    def read(reading: np.ndarray) -> np.ndarray:
+        out = reading.copy()
+        out[[6 + i for i in rows]] -= to_body(rotation(reading[3:6]), water)[rows]
+        return out
+
+    world.flows.append(lambda t, eta, over_ground: (water, np.zeros((3, 1))))
+    world.sensors.append(read)
+    return {"V_N_log": float(water[0, 0]), "V_E_log": float(water[1, 0])}

@@ -102,7 +102,12 @@ def tether_tension(world: World, draw: Draw) -> Values:
         return force_at(point, to_body(now.turn, -pull * reach))
 
     world.wrenches.append(wrench)
-    return {"k": stiffness, "L_0": slack, **dict(zip(("x_a", "y_a", "z_a"), map(float, point), strict=True))}
+    return {
+        "k": stiffness,
+        "L_0": slack,
+        "winch_z": float(winch[2, 0]),
+        **dict(zip(("x_a", "y_a", "z_a"), map(float, point), strict=True)),
+    }
 
 
 @hidden("radiation_memory")

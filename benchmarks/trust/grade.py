@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import WeakData, prepare
-from undertow.identification.weak.fit import WeakFit, mean_square
+from undertow.identification.weak.fit import WeakFit, fit_weak, mean_square, settled
 from undertow.identification.weak.noise import Whitening
 from undertow.identification.weak.residual import whitened
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 
+from .telling import true_values
+
 #: Name and smallest ratio of each grade, the strongest first.
 GRADES = (("strong", 3.0), ("medium", 1.5), ("weak", 1.1))
 HIDDEN = "hidden in the noise"
-_GLANCE = 3  # Gauss-Newton steps after which starting points are compared
+_GLANCE, _STEPS = 3, 15  # Gauss-Newton steps after which starting points are compared, and at most
 
 
 def grade_of(ratio: float) -> str:
@@ -95,27 +97,26 @@ def told(
     values : mapping
         True values, as far as they bear the names of the catalogue: the search begins there.
     """
-    bench = opened(vehicle, train, test)
-    fit = _settled(bench, _added(bench, vehicle, truth, values))
-    noise = quiet(fit, bench.test)
+    base, aside = opened(vehicle, train, test)
+    fit = settled(_added(base, vehicle, truth, values))
+    noise = quiet(fit, aside)
     lacking = {}
     for effect in truth if len(truth) > 1 else ():
         others = [other for other in truth if other != effect]
-        rest = _settled(bench, _added(bench, vehicle, others, values))
-        lacking[effect] = error_of(rest, bench.test, noise)
-    before, after = (error_of(f, bench.test, noise) for f in (bench.base, fit))
-    return Told(fit, bench.test, before, after, lacking)
+        lacking[effect] = error_of(settled(_added(base, vehicle, others, values)), aside, noise)
+    before, after = (error_of(f, aside, noise) for f in (base, fit))
+    return Told(fit, aside, before, after, lacking)
 
 
-def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> Bench:
-    """The incomplete model, refitted, with the data to judge it by."""
+def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> tuple[WeakFit, WeakData]:
+    """The incomplete model, refitted, and the data to judge it by."""
     known = prepare(train, vehicle)
-    return open_bench(vehicle, known, prepare(test, vehicle, sigma=known.sigma))
+    return fit_weak(vehicle, known), prepare(test, vehicle, sigma=known.sigma)
 
 
-def excess(bench: Bench) -> float:
-    """Error of the refitted model on kept-aside data, in units of the noise of the sensors alone."""
-    return error_of(bench.base, bench.test, quiet(bench.base, bench.test))
+def excess(base: WeakFit, test: WeakData) -> float:
+    """Error of a refitted model on kept-aside data, in units of the noise of the sensors alone."""
+    return error_of(base, test, quiet(base, test))
 
 
 def addable(vehicle: Vehicle, effect: str) -> bool:
@@ -124,34 +125,45 @@ def addable(vehicle: Vehicle, effect: str) -> bool:
     return effect in known and not Candidate(known[effect], vehicle).adds_nothing
 
 
-def _added(bench: Bench, vehicle: Vehicle, effects: Sequence[str], values: Mapping[str, float]) -> WeakFit:
+def _added(base: WeakFit, vehicle: Vehicle, effects: Sequence[str], values: Mapping[str, float]) -> WeakFit:
     """Priors stay those of the vehicle: a fit of the incomplete model is no prior knowledge."""
-    fit = bench.base
+    fit = base
     for effect in effects:
         candidate = Candidate(catalogue()[effect], vehicle)
-        fit = _fitted(bench, candidate, fit.values, values)
-        free = {p.name: Value(fit.values[p.name], estimate=True) for p in candidate.parameters}
-        vehicle = candidate.vehicle.with_values(free)
+        fit = _fitted(fit, candidate, true_values(candidate.parameters, values))
+        found = {p.name: Value(fit.values[p.name], estimate=True) for p in candidate.parameters}
+        vehicle = candidate.vehicle.with_values(found)
     return fit
 
 
-def _fitted(
-    bench: Bench, candidate: Candidate, begin: Mapping[str, float], values: Mapping[str, float]
-) -> WeakFit:
-    true = {p.name: values[p.name] for p in candidate.parameters if p.name in values}
-    starts = _different([begin | s | true for s in candidate.starts(bench.command_scale) or [{}]])
-    if len(starts) == 1:
-        return bench.fit(candidate.vehicle, candidate.free(), starts[0])
-    glances = [bench.fit(candidate.vehicle, candidate.free(), s, most=_GLANCE) for s in starts]
-    best = min(glances, key=lambda fit: fit.cost)
-    return bench.fit(candidate.vehicle, candidate.free(), best.values)
+def _fitted(before: WeakFit, candidate: Candidate, true: Mapping[str, float]) -> WeakFit:
+    """The best fit from the true values and, of what is not told, from every start of the catalogue."""
+    starts = [{**before.values, **true, **other} for other in _starts(candidate, true, _scale(before))]
+    most = _GLANCE if len(starts) > 1 else _STEPS
+    found = [_fit(before, candidate, start, most) for start in starts]
+    best = min(found, key=lambda fit: fit.cost)
+    return best if most == _STEPS else _fit(before, candidate, best.values, _STEPS)
 
 
-def _different(starts: Sequence[dict[str, float]]) -> list[dict[str, float]]:
-    return list({tuple(sorted(s.items())): s for s in starts}.values())
+def _fit(before: WeakFit, candidate: Candidate, start: Mapping[str, float], most: int) -> WeakFit:
+    return fit_weak(
+        candidate.vehicle,
+        before.data,
+        candidate.free(),
+        start=start,
+        whitening=before.whitening,
+        disturbance=before.disturbance,
+        max_iterations=most,
+    )
 
 
-def _settled(bench: Bench, fit: WeakFit) -> WeakFit:
-    """The same model under the noise model that fits it."""
-    sharp = bench.sharpened(fit)
-    return sharp.fit(fit.model.functions.vehicle, fit.model.free, fit.values)
+def _starts(candidate: Candidate, true: Mapping[str, float], command: float) -> list[dict[str, float]]:
+    open_ = [p for p in candidate.parameters if p.starts and p.name not in true]
+    grids = [[s * command if p.unit == "command" else s for s in p.starts] for p in open_]
+    return [dict(zip((p.name for p in open_), point, strict=True)) for point in product(*grids)]
+
+
+def _scale(fit: WeakFit) -> float:
+    """Typical large command."""
+    pieces = [np.abs(s.u).ravel() for s in fit.data.segments if s.u.size]
+    return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0

@@ -1,4 +1,4 @@
-"""What the diagnosis is given: files on disk, as a user would have them, read by the program's own readers."""
+"""What the diagnosis is given: files as a user would have them, read by the program's own readers."""
 
 from __future__ import annotations
 

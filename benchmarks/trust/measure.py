@@ -120,5 +120,5 @@ def _against_told(truth: Told, outcome: Outcome) -> Record:
 
 def _against_nothing_hidden(case: Planned, data: Data) -> Record:
     twin = _data(simulated(without(case)), None)
-    before, floor = excess(opened(*data)), excess(opened(*twin))
+    before, floor = excess(*opened(*data)), excess(*opened(*twin))
     return {"ratio": before / floor, "before": before, "told": floor}
