@@ -52,6 +52,8 @@ class Windows:
         Pose and velocity as reported; NaN in the padding and for pose that the log lacks.
     start : (b, 2n) array
         Reported pose and velocity at the start, smoothed locally; zero for pose that the log lacks.
+    stretches : tuple of Stretch
+        Parts of the runs without gaps that the windows were cut from.
     """
 
     runs: tuple[Run, ...]
@@ -66,6 +68,7 @@ class Windows:
     t: Array
     measured: Array
     start: Array
+    stretches: tuple[Stretch, ...]
 
     @property
     def samples(self) -> NDArray[np.intp]:
@@ -87,9 +90,28 @@ class Windows:
         kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
         return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
 
+    def start_after(self, seconds: Array) -> Array:
+        """`start`, but each channel as it is reported some time after the start, shape (b, 2n).
+
+        Parameters
+        ----------
+        seconds : (2n,) array
+            How long after the start, s; where a stretch is over by then, its last value.
+        """
+        found = self.start.copy()
+        places = {(s.run, s.first): s for s in self.stretches}
+        for pair in np.unique(np.column_stack([self.run, self.segment]), axis=0):
+            rows = np.flatnonzero((self.run == pair[0]) & (self.segment == pair[1]))
+            stretch = places[int(pair[0]), int(pair[1])]
+            for delay in np.unique(seconds[seconds > 0]):
+                columns = np.flatnonzero(seconds == delay)
+                values = stretch.smoothed(self.names, self.sigma, self.t[rows, 0] + delay)
+                found[np.ix_(rows, columns)] = values[:, columns]
+        return found
+
 
 @dataclass(frozen=True)
-class _Stretch:
+class Stretch:
     """Part of a run without gaps, and the windows in it, as counted from its first sample."""
 
     run: int
@@ -98,6 +120,13 @@ class _Stretch:
     measured: Array
     starts: NDArray[np.intp]
     stops: NDArray[np.intp]
+
+    def smoothed(self, names: tuple[str, ...], sigma: Array, when: Array) -> Array:
+        """Reported pose and velocity at some instants, smoothed locally, shape (k, 2n)."""
+        left = np.clip(np.searchsorted(self.t, when, side="right") - 1, 0, len(self.t) - 2)
+        share = np.clip((when - self.t[left]) / (self.t[left + 1] - self.t[left]), 0.0, 1.0)[:, None]
+        before, after = (start_values(self.t, self.measured, names, sigma, i) for i in (left, left + 1))
+        return before + share * (after - before)
 
 
 def cut(
@@ -138,7 +167,7 @@ def cut(
     return _side_by_side(tuple(runs), horizon, names, vehicle.command_names, noise, stretches)
 
 
-def _refuse(runs: Sequence[Run], stretches: list[_Stretch], horizon: float | None) -> None:
+def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
     wanted = f"{_FEWEST} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
@@ -149,7 +178,7 @@ def _refuse(runs: Sequence[Run], stretches: list[_Stretch], horizon: float | Non
 
 def _stretches(
     index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float
-) -> list[_Stretch]:
+) -> list[Stretch]:
     pose = [n for n in vehicle.pose_names if run.has(n)]
     needed = [*pose, *vehicle.velocity_names]
     names = (*vehicle.pose_names, *vehicle.velocity_names)
@@ -157,7 +186,7 @@ def _stretches(
     for piece in run.segments([*needed, *vehicle.command_names]):
         t = run.t[piece]
         measured = np.column_stack([_column(run, n, piece) for n in names])
-        found.append(_Stretch(index, piece.start, t, measured, *_windows(t, horizon, overlap)))
+        found.append(Stretch(index, piece.start, t, measured, *_windows(t, horizon, overlap)))
     return found
 
 
@@ -197,7 +226,7 @@ def _side_by_side(
     names: tuple[str, ...],
     commands: tuple[str, ...],
     sigma: Array,
-    stretches: list[_Stretch],
+    stretches: list[Stretch],
 ) -> Windows:
     count = np.concatenate([s.stops - s.starts for s in stretches])
     most = int(count.max())
@@ -217,4 +246,5 @@ def _side_by_side(
         t=np.concatenate([s.t[i] for s, i in zip(stretches, pick, strict=True)]),
         measured=measured,
         start=np.concatenate([start_values(s.t, s.measured, names, sigma, s.starts) for s in stretches]),
+        stretches=tuple(stretches),
     )

@@ -18,6 +18,7 @@ from undertow.model.vehicle import Vehicle
 
 from ..weak.data import Segment, WeakData, prepare
 from ..weak.drive import Chain, Memory
+from ..weak.lateness import Lateness
 from ..weak.mapping import mapped
 from ..weak.pointwise import Pointwise
 from ..weak.residual import WeakModel, whitened
@@ -104,6 +105,7 @@ class _Evaluation:
         self._weak = WeakModel(functions, ())
         self._points = Pointwise(functions, ())
         self._chain = Chain(functions, ())
+        self._lateness = Lateness(functions)
         self._memory = Memory(functions, (), self._points.measured, self._points.true_motion)
 
     def forces(self) -> Forces:
@@ -115,7 +117,8 @@ class _Evaluation:
             self._chain.along(r.t, u, self.p).value for r, u in zip(self.data.runs, commands, strict=True)
         ]
         pieces = []
-        for i, s in enumerate(self.data.segments):
+        for i, reported in enumerate(self.data.segments):
+            s = self._lateness.in_time(reported, self.p)
             mass, along = self._along(s, actuation[s.run][s.samples])
             # The weak residual is the acceleration of the model minus the measured one.
             acceleration = -self._table(parts[i].r) / _weight(s)[:, None]

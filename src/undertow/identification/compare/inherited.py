@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
+from ..weak.lateness import Lateness
 from ..weak.mapping import call
 from ..weak.pointwise import Pointwise
 from .beginning import best_start
@@ -22,7 +23,7 @@ from .cutting import Windows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Simulate = Callable[[Array, Array, Array, Array], Array]
+Simulate = Callable[[Array, Array, Array, Array, Array], Array]
 _SUBSTEPS = 4
 # Seconds of the first window that its beginning is estimated from.
 _LOOK = 10.0
@@ -40,12 +41,17 @@ class Inherited:
         The model.
     points : Pointwise
         Its true motion in terms of the measured one.
+    lateness : Lateness
+        How late its sensors are.
     simulate : callable
-        Reports (b, k, 2n) from start (b, nx), t, u and p.
+        Reports (b, k, 2n) from start (b, nx), t, u, p and what was reported at the start (b, 2n).
     """
 
-    def __init__(self, functions: Functions, points: Pointwise, simulate: Simulate) -> None:
+    def __init__(
+        self, functions: Functions, points: Pointwise, lateness: Lateness, simulate: Simulate
+    ) -> None:
         self._functions, self._points, self._simulate = functions, points, simulate
+        self._lateness = lateness
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(self, windows: Windows, motion: Array, drives: list[Array], u: Array, p: Array) -> Array:
@@ -100,11 +106,18 @@ class Inherited:
         count = len(t) - 1
         if count == 0:
             return start[None]
-        zero = np.zeros(len(log.t))
-        measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
+        reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
+        measured = self._measured(windows, run, reach, p)[: count + 1]
         columns = [measured[:-1], measured[1:], u[:-1], t[:-1], np.diff(t), np.tile(p, (count, 1))]
         (states,) = call(_accumulated(self._advance, count), [start, *columns])
         return np.vstack([start, states.reshape(count, -1)])
+
+    def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
+        """Pose and velocity as reported in part of a run, each at the time that it was true."""
+        log = windows.runs[run]
+        zero = np.zeros(len(log.t))
+        measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
+        return self._lateness.at_its_time(log.t[piece], measured, p)
 
     @cached_property
     def _rest(self) -> ca.Function:
@@ -149,8 +162,10 @@ class Inherited:
         drive = u[:, : look.t.shape[1]]
 
         def report(trials: Array) -> Array:
-            times, commands = (np.repeat(a, len(trials) // len(a), axis=0) for a in (look.t, drive))
-            return self._simulate(trials, times, commands, p) / noise
+            times, commands, before = (
+                np.repeat(a, len(trials) // len(a), axis=0) for a in (look.t, drive, look.start)
+            )
+            return self._simulate(trials, times, commands, p, before) / noise
 
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
         width = np.concatenate([_MOTION * noise, scale])

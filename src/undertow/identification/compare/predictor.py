@@ -13,10 +13,12 @@ from undertow.codegen.simulate import Simulator
 from undertow.model.vehicle import Vehicle
 
 from ..weak.drive import shifted_mean, without_gaps
+from ..weak.lateness import Lateness
 from ..weak.mapping import mapped
 from ..weak.pointwise import Pointwise
 from .cutting import Windows
 from .inherited import Inherited
+from .late import reported_late
 from .prediction import Prediction
 
 Array = NDArray[np.float64]
@@ -37,7 +39,8 @@ class Predictor:
         self.functions = model if isinstance(model, Functions) else Functions(model)
         self.simulator = Simulator(self.functions, compiled=compiled)
         self._points = Pointwise(self.functions, ())
-        self._inherited = Inherited(self.functions, self._points, self.simulated)
+        self.lateness = Lateness(self.functions)
+        self._inherited = Inherited(self.functions, self._points, self.lateness, self.simulated)
 
     @property
     def values(self) -> Array:
@@ -61,7 +64,7 @@ class Predictor:
             True pose and velocity at the starts; as measured where not given.
         """
         start, u = self.start_and_drive(windows, p, motion)
-        reported = self.simulated(start, windows.t, u, p)
+        reported = self.simulated(start, windows.t, u, p, windows.start)
         reported[~windows.inside] = np.nan
         return reported
 
@@ -76,19 +79,34 @@ class Predictor:
         """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
         f, count = self.functions, len(windows)
         nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
-        (motion,) = mapped(self._true_motion, [windows.start, *nothing, u[:, 0]], p, windows.t[:, 0])
+        late = self.lateness.present
+        start = windows.start_after(self.lateness.seconds(p)) if late else windows.start
+        (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
-    def simulated(self, start: Array, t: Array, u: Array, p: Array) -> Array:
-        """Simulate, and say what the sensors report, shape (b, k, 2n)."""
-        return self.reported(self.simulator.run(start, t, u, p), t, u, p)
+    def simulated(self, start: Array, t: Array, u: Array, p: Array, before: Array | None = None) -> Array:
+        """Simulate, and say what the sensors report, shape (b, k, 2n).
+
+        Parameters
+        ----------
+        start : (b, nx) array
+            States at the starts.
+        t, u, p : arrays
+            Times (b, k) in s, commands (b, k, n_commands) and parameters.
+        before : (b, 2n) array, optional
+            What sensors that are late report at the starts; without it the vehicle was as at the start.
+        """
+        prompt = self.reported(self.simulator.run(start, t, u, p), t, u, p)
+        if not self.lateness.present:
+            return prompt
+        return reported_late(prompt, t, self.lateness.seconds(p), prompt[:, 0] if before is None else before)
 
     def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
-        """What the sensors report of states of shape (b, k, nx)."""
+        """What sensors that are not late report of states of shape (b, k, nx)."""
         size = 2 * self._points.size
         if self.sensors_are_true:
             return states[:, :, :size].copy()
-        columns = [a.reshape(-1, a.shape[2]) for a in (states, u)]
+        columns = [a.reshape(a.shape[0] * a.shape[1], a.shape[2]) for a in (states, u)]
         (flat,) = mapped(self.functions.outputs, columns, p, t.ravel())
         return np.asarray(flat.reshape(*t.shape, -1))
 

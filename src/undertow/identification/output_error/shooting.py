@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 
 from ..compare.cutting import Windows
+from ..compare.late import reported_late
 from ..compare.predictor import Predictor
 from ..weak.mapping import mapped
 
@@ -129,7 +130,7 @@ class Shooting:
     def _indirect(self) -> list[int]:
         """Which free parameters act on the commands' delay or on the states that a window inherits."""
         f = self.functions
-        inherited = [f.convert(f.vehicle.composition.dead_time)]
+        inherited = [self._dead_times]
         inherited += [f.chain_rates, f.chain_rest] if f.actuator_states.shape[0] else []
         inherited += [f.memory_rates] if f.memory.shape[0] else []
         felt = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
@@ -137,9 +138,12 @@ class Shooting:
 
     @cached_property
     def _delays(self) -> set[int]:
+        return set(ca.jacobian_sparsity(self._dead_times, self.functions.p).get_col())
+
+    @property
+    def _dead_times(self) -> ca.SX:
         f = self.functions
-        pattern = ca.jacobian_sparsity(f.convert(f.vehicle.composition.dead_time), f.p)
-        return set(pattern.get_col())
+        return ca.vertcat(f.convert(f.vehicle.composition.dead_time), f.report_dead_time)
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""
@@ -148,23 +152,35 @@ class Shooting:
     def _difference(self, p: Array, starts: Array, place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
         step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
+        high, low = p[place] + step, p[place] - step
+        if place in self._delays:  # nothing comes before its time
+            low = max(low, 0.0)
         ends = []
-        for sign in (1.0, -1.0):
+        for value in (high, low):
             moved = p.copy()
-            moved[place] += sign * step
+            moved[place] = value
             ends.append(self.predictor.reports(self.windows, moved, starts))
-        return np.asarray((ends[0] - ends[1]) / (2 * step))
+        return np.asarray((ends[0] - ends[1]) / (high - low))
 
     def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Reduced:
         t = self.windows.t[rows]
         x, s = self.predictor.simulator.run_with_sensitivities(
             start[rows], t, u[rows], p, self.places, initial=range(self._size)
         )
-        reported, slope = self._report_slopes(x, s, u[rows], t, p)
+        reported, slope = self._late(*self._report_slopes(x, s, u[rows], t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
         weighted = np.where(self._used[rows][..., None], slope * self.weight[:, None], 0.0)
         return self._eliminated(self._residual(reported, rows), weighted, t)
+
+    def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
+        """Report and slopes at the time that they come; what was before a window moves with nothing."""
+        if not self.predictor.lateness.present:
+            return reported, slope
+        t, before = self.windows.t[rows], self.windows.start[rows]
+        seconds = self.predictor.lateness.seconds(p)
+        still = np.zeros((*before.shape, slope.shape[3]))
+        return reported_late(reported, t, seconds, before), reported_late(slope, t, seconds, still)
 
     def _report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
         """Report (b, k, 2n) and its derivative in free parameters and starts (b, k, 2n, n_free + 2n)."""

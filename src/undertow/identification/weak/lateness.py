@@ -53,6 +53,10 @@ class Lateness:
         """How old each of the 2n channels is when it is reported, s."""
         return np.asarray(self._dead_time(p)[0]).ravel()
 
+    def at_its_time(self, t: Array, measured: Array, p: Array) -> Array:
+        """Reported signals (N, 2n), each when it was true; the same array where nothing is late."""
+        return _at_delays(t, measured, self.seconds(p)) if self.present else measured
+
     def in_time(self, s: Segment, p: Array) -> Segment:
         """The segment with each channel at the time that it was true; itself where nothing is late."""
         if not self.present:
@@ -104,7 +108,7 @@ def _known(s: Segment, seconds: Array) -> int:
     out, long delays would look good because little is left to be wrong about.
     """
     beyond = s.t + np.max(seconds) > s.t[-1]
-    lost = np.count_nonzero(abs(s.functions.value) @ beyond > 1e-12)
+    lost = int(np.count_nonzero(abs(s.functions.value) @ beyond > 1e-12))
     return s.functions.count - lost if 2 * lost < s.functions.count else 0
 
 
