@@ -150,7 +150,7 @@ def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) 
         # No parameter is clearly other than zero. The kept-aside data have the last word, so all go in.
         keep_all, first = True, _whole(candidate, ground.bench, scouted.values)
     # What is judged is weighed by the noise model of the better fit, for both models alike.
-    sharp = ground.bench.sharpened(first.fit)
+    sharp = ground.bench.sharpened(first.full)
     return _told(ground, sharp, _tried(candidate, sharp, first.fit.values, keep_all))
 
 
@@ -189,8 +189,8 @@ def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all
 
 def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
     """The candidate with all of its parameters."""
-    fit = bench.fit(candidate.vehicle, candidate.free(), start)
-    return Trial(candidate, fit, candidate.removable, bench.judge(fit))
+    fit = bench.fit(candidate.model(), start=start)
+    return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 
 def _told(ground: Ground, bench: Bench, trial: Trial) -> Addition:

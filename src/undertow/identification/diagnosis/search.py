@@ -202,7 +202,8 @@ def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench,
     """Judge the leading candidates again, with the noise model of the best of them."""
     if not finalists or finalists[0].score.error >= bench.base_score.error:
         return bench, finalists
-    sharp = bench.sharpened(finalists[0].fit)
+    # What a parameter that was left out would explain must not count as noise here: all are in.
+    sharp = bench.sharpened(finalists[0].full)
     again = []
     for i, trial in enumerate(finalists):
         report(0.8 + 0.2 * i / len(finalists), f"judging {trial.id}")
@@ -214,7 +215,7 @@ def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
     """A trial under the finer noise model; what is far behind is not fitted once more."""
     if trial is not best and trial.score.error > _OUT_OF_REACH * best.score.error:
         return replace(trial, score=sharp.judge(trial.fit))
-    return try_candidate(trial.candidate, sharp, trial.fit.values)
+    return try_candidate(trial.candidate, sharp, trial.full.values)
 
 
 def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:

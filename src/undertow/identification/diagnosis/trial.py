@@ -27,6 +27,8 @@ _NOISE_EXPLAINS = 2.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
 _SHARPENING = 3
+# Of more starts than this, only the best are looked at more closely.
+_MANY_STARTS, _BEST_STARTS = 4, 2
 
 
 @dataclass(frozen=True)
@@ -53,9 +55,24 @@ class Score:
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate after its fit."""
+    """A candidate after its fit.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        What was tried.
+    full : WeakFit
+        The fit with all its parameters.
+    fit : WeakFit
+        The fit with those that matter.
+    kept : tuple of str
+        Those that matter.
+    score : Score
+        How `fit` does on the kept-aside data.
+    """
 
     candidate: Candidate
+    full: WeakFit
     fit: WeakFit
     kept: tuple[str, ...]
     score: Score
@@ -194,10 +211,30 @@ class Scouted(NamedTuple):
 def scout(candidate: Candidate, bench: Bench) -> Scouted:
     """Take one Gauss-Newton step from every start of a candidate; the one that promises most."""
     starts = candidate.starts(bench.command_scale, bench.seen)
+    if len(starts) > _MANY_STARTS:
+        starts = _promising(candidate, bench, starts)
     noise = (bench.train_whitening, bench.base.disturbance)
     begin, model = bench.base.values, candidate.model()
     steps = (Scouted(*promise(model, bench.train, begin | s, *noise)) for s in starts)
     return min(steps, key=lambda step: step.cost)
+
+
+def _promising(
+    candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]]
+) -> list[dict[str, float]]:
+    """The best of many starts, by the candidate's own columns beside those of the model as it is."""
+    known = bench.base.at
+    model = candidate.model(tuple(p.name for p in candidate.parameters))
+    names = model.functions.parameter_names
+    values = {n: model.functions.vehicle.value_of(n).value for n in names} | bench.base.values
+    costs = []
+    for start in starts:
+        p = np.array([(values | start)[n] for n in names])
+        at = whitened(model.linearise(bench.train, p), bench.train_whitening)
+        columns = np.hstack([known.J, at.J])
+        solution = inverse_of(columns.T @ columns) @ (columns.T @ at.r)
+        costs.append(float(at.r @ at.r - (columns.T @ at.r) @ solution))
+    return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
 
 
 def try_candidate(
@@ -224,14 +261,13 @@ def try_candidate(
     kept = _parameters_that_matter(fit, candidate.removable)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
-    if len(kept) < len(candidate.removable):
-        fit = _refit(candidate, fit, kept, enough)
-    return Trial(candidate, fit, kept, bench.judge(fit))
+    thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
+    return Trial(candidate, fit, thin, kept, bench.judge(thin))
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
     """A candidate none of whose parameters matters: the model stays as it was."""
-    return Trial(candidate, bench.base, (), bench.base_score)
+    return Trial(candidate, bench.base, bench.base, (), bench.base_score)
 
 
 def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: float) -> WeakFit:

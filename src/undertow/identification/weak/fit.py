@@ -181,8 +181,9 @@ def _model_of(vehicle: Vehicle, free: Sequence[str] | None) -> WeakModel:
 
 def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
     """Match the noise model to what a fit leaves, and fit again, until neither changes."""
+    # How the sensors' noise enters hardly changes while the noise model settles, and is dear to work out.
+    quiet = fit.model.whitening(fit.data, fit.p)
     for _ in range(most):
-        quiet = fit.model.whitening(fit.data, fit.p)
         disturbance = matched_disturbance(fit, quiet)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
         whitening = disturbed(quiet, disturbance, fit.data)

@@ -57,6 +57,6 @@ def bounded_step(
 
 def inverse_of(information: Array) -> Array:
     """Inverse of an information matrix; a direction that nothing determines gets a very large variance."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-100))
     scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
     return np.linalg.inv(scaled) * np.outer(scale, scale)
