@@ -240,6 +240,19 @@ def test_the_manifest_records_the_model(tmp_path: Path) -> None:
     assert "0.3 s late" in (folder / "model.h").read_text()
 
 
+def test_outputs_that_come_late_are_told(tmp_path: Path) -> None:
+    prompt = vehicle_with("linear_damping", thrusters=0)
+    late = vehicle_with("linear_damping", "sensor_delay", thrusters=0)
+    late = replace(late, values=late.values | {"velocity_delay": Value(0.15)})
+    told = _changes(prompt, late, tmp_path)
+    assert "output delay of u: 0 -> 0.15 s" in told
+    assert not any(line.startswith("rows changed") for line in told)
+    folder = tmp_path / Export(late).folder_name
+    assert json.loads((folder / "manifest.json").read_text())["output_delay"] == dict.fromkeys("uvw", 0.15)
+    assert "outputs u, v, w are reported 0.15 s late" in (folder / "model.h").read_text()
+    assert Export(late).check(tmp_path).changes == ()
+
+
 def _changes(before: Vehicle, after: Vehicle, out: Path) -> tuple[str, ...]:
     Export(before).write(out)
     return Export(after).write(out).changes

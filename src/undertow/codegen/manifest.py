@@ -61,6 +61,8 @@ class Manifest:
         Entries of x, u and p in order.
     input_delay : float
         Dead time of the inputs, s, which the caller has to provide.
+    output_delay : mapping
+        Dead time of the outputs that are reported late, s, by name, which the caller has to provide, too.
     rows : mapping
         Values of every row of the equations of motion at fixed points. They tell an equation from another one
         whatever way it is written, and do not change when a parameter moves to another place in p.
@@ -72,6 +74,7 @@ class Manifest:
     inputs: tuple[Entry, ...]
     parameters: tuple[Entry, ...]
     input_delay: float
+    output_delay: Mapping[str, float]
     rows: Mapping[str, tuple[float, ...]]
 
     def to_json(self, files: Mapping[str, str], compiler: str) -> str:
@@ -110,8 +113,11 @@ class Manifest:
     def _from_table(cls, content: dict[str, Any]) -> Manifest:
         lists = {k: tuple(Entry(**e) for e in content[k]) for k in ("states", "inputs", "parameters")}
         rows = {str(k): tuple(map(float, v)) for k, v in content["rows"].items()}
+        # Code from before sensors could be late has none that are.
+        late = {str(k): float(v) for k, v in content.get("output_delay", {}).items()}
         delay = float(content["input_delay"])
-        return cls(content["vehicle"], tuple(content["effects"]), **lists, input_delay=delay, rows=rows)
+        effects = tuple(content["effects"])
+        return cls(content["vehicle"], effects, **lists, input_delay=delay, output_delay=late, rows=rows)
 
 
 def sha256(text: str) -> str:
@@ -135,6 +141,7 @@ def describe(functions: Functions) -> Manifest:
             for n, v in zip(functions.parameter_names, functions.values(), strict=True)
         ),
         input_delay=dead_time(functions),
+        output_delay=report_dead_time(functions),
         rows=_rows(functions),
     )
 
@@ -143,6 +150,14 @@ def dead_time(functions: Functions) -> float:
     """Dead time of the inputs for the vehicle's values, s."""
     expression = functions.convert(functions.vehicle.composition.dead_time)
     return float(ca.Function("dead_time", [functions.p], [expression])(functions.values()))
+
+
+def report_dead_time(functions: Functions) -> dict[str, float]:
+    """Dead time of the outputs that come late for the vehicle's values, s, by name."""
+    evaluate = ca.Function("report_dead_time", [functions.p], [ca.densify(functions.report_dead_time)])
+    seconds = evaluate(functions.values()).full().ravel().tolist()
+    names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
+    return {n: s for n, s in zip(names, seconds, strict=True) if s}
 
 
 def _state_unit(functions: Functions, name: str) -> str:
@@ -193,8 +208,14 @@ def changes(old: Manifest, new: Manifest) -> list[str]:
         lines += _membership(what, _names(before), _names(after)) + _altered(what, before, after)
     if old.input_delay != new.input_delay:
         lines.append(f"input delay: {old.input_delay:g} -> {new.input_delay:g} s")
+    late = [(n, old.output_delay.get(n, 0.0), new.output_delay.get(n, 0.0)) for n in _outputs(old, new)]
+    lines += [f"output delay of {n}: {a:g} -> {b:g} s" for n, a, b in late if a != b]
     rows = [n for n, values in new.rows.items() if n in old.rows and not _same(old.rows[n], values)]
     return lines + ([f"rows changed: {', '.join(rows)} ({len(rows)} of {len(new.rows)})"] if rows else [])
+
+
+def _outputs(old: Manifest, new: Manifest) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*old.output_delay, *new.output_delay)))
 
 
 def _names(entries: Iterable[Entry]) -> tuple[str, ...]:
