@@ -356,6 +356,20 @@ BROKEN = [
         "affine",
         "reported u is not",
     ),
+    (
+        "scale",
+        "return eta, ",
+        "return eta + sm.Matrix([0] * 5 + [self.log_gain * eta[5]**2]), ",
+        "affine",
+        "reported psi is not affine in attitude",
+    ),
+    (
+        "scale",
+        "return eta, ",
+        "return eta + sm.Matrix([0] * 5 + [self.log_gain * sm.atan2(nu[1], nu[0])]), ",
+        "affine",
+        "reported psi depends on more than the attitude",
+    ),
     ("sluggish", "(self.rest_state(upstream) -", "(upstream -", "rest", "'slow_port' still moves"),
 ]
 
