@@ -35,7 +35,7 @@ class Waves(Flow, Wrench):
         "angular frequency",
         (0.05, 15.0),
         linear=False,
-        starts=tuple(round(0.6 + 0.06 * i, 2) for i in range(20)),
+        starts=tuple(round(0.66 + 0.075 * i, 3) for i in range(15)),
         neutral=None,
     )
     wave_direction = Parameter(
@@ -43,7 +43,7 @@ class Waves(Flow, Wrench):
         "where it travels, from north to east",
         (-7, 7),
         linear=False,
-        starts=(-2.1, 0.0, 2.1),
+        starts=(-2.36, -0.79, 0.79, 2.36),
         neutral=None,
     )
 
