@@ -13,10 +13,10 @@ from undertow.identification.compare.cutting import cut
 from undertow.identification.compare.windows import Windows, predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.diagnose import HORIZON
-from undertow.identification.diagnosis.evidence import Comparison, compare_scores
+from undertow.identification.diagnosis.evidence import SMALLEST_FALL, Comparison, compare_scores
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.result import Step
-from undertow.identification.diagnosis.search import FALSE_ALARM_RATE, SMALLEST_FALL
+from undertow.identification.diagnosis.search import FALSE_ALARM_RATE
 from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.diagnosis.trial import Bench, Score, Trial, open_bench, scout, try_candidate
 from undertow.identification.logs import Run

@@ -88,6 +88,10 @@ class Candidate:
             self._models[names] = WeakModel(self._functions, names)
         return self._models[names]
 
+    def on(self, base: Vehicle) -> Candidate:
+        """The same effect as a candidate for another model."""
+        return Candidate(self.effect, base)
+
     def starts(
         self, command_scale: float, seen: Mapping[str, tuple[float, float]] | None = None
     ) -> list[dict[str, float]]:

@@ -19,9 +19,10 @@ from ..weak.fit import WeakFit, mean_square
 from ..weak.residual import whitened
 from .estimates import estimate, estimates
 from .excitation import check_excitation
+from .finding import Finding
 from .remaining import remaining
 from .result import Diagnosis, Ranked, RunInfo, Step
-from .search import FALSE_ALARM_RATE, Finding, Search, search
+from .search import FALSE_ALARM_RATE, Search, search
 from .split import keep_blocks_aside
 from .trial import Bench, Score, noise_ratio, only_noise
 from .verdict import Judgement, compensations, judge, unique_ids
@@ -115,8 +116,8 @@ class _Story:
     def __init__(self, vehicle: Vehicle, found: Search, train: list[Run], test: list[Run]) -> None:
         self.vehicle, self.found, self.train, self.test = vehicle, found, train, test
         self.base_fit = found.rounds[0].bench.base
-        self.bench: Bench = found.rounds[0].bench.sharpened(found.final_fit)
-        self.fits = [self.base_fit, *(w.trial.fit for w in found.winners)]
+        self.bench: Bench = found.bench
+        self.fits = found.steps()
         self.scores: list[Score] = [self.bench.judge(f) for f in self.fits]
         final = self.fits[-1]
         # All models are shown in units of the same noise, that of the sensors alone.

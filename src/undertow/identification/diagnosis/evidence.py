@@ -13,6 +13,10 @@ from ..weak.data import WeakData
 from .trial import Score
 
 Array = NDArray[np.float64]
+# A fall of the mean square, in units of the noise, that is hidden in the noise.
+SMALLEST_FALL = 0.05
+# Chance below which the better of two models is held to be better.
+_SURE = 0.01
 # Mean square, in units of the noise, from which an equation counts as not explained by it.
 _ABOVE_NOISE = 1.3
 
@@ -68,3 +72,9 @@ def explained(before: Score, after: Score, noise: Array) -> float:
     first, last, floor = first[counted], last[counted], floor[counted]
     share = np.clip((first - np.maximum(last, floor)) / (first - floor), -1.0, 1.0)
     return float(np.average(share, weights=np.log(first / floor)))
+
+
+def as_good(best: Score, other: Score, data: WeakData) -> bool:
+    """Whether kept-aside data leave open which of two models is the better one."""
+    gap = compare_scores(other, best, data)
+    return gap.p_value > _SURE or gap.mean < SMALLEST_FALL

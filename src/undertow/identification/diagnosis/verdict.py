@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from undertow.model.vehicle import Vehicle
 
 from .evidence import explained
+from .finding import Finding
 from .result import Indistinguishable, Verdict
-from .search import Finding, Search
+from .search import Search
 from .trial import Score
 
 Array = NDArray[np.float64]
@@ -105,11 +106,10 @@ def unique_ids(findings: list[Finding]) -> list[str]:
 
 
 def _sets(found: Search) -> list[Indistinguishable]:
-    pairs = [(r.winner, r.rivals) for r in found.rounds]
     return [
-        Indistinguishable(effects=[best.id, *rivals], reason=_reason(best))
-        for best, rivals in pairs
-        if best is not None and rivals
+        Indistinguishable(effects=[best.id, *(c.findings[i].id for c in rivals)], reason=_reason(best))
+        for i, (best, rivals) in enumerate(zip(found.winners, found.rivals, strict=True))
+        if rivals
     ]
 
 

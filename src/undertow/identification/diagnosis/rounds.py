@@ -1,0 +1,155 @@
+"""One step of the search: all candidates, then the leading ones under a finer noise model."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from undertow.model.catalogue import Catalogue
+
+from .candidates import Candidate, candidates
+from .chance import Linear, best_by_chance, inclusion, p_value
+from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
+from .finding import Finding
+from .linear import linear
+from .trial import Bench, Score, Trial, rejected, scout, try_candidate
+
+_log = logging.getLogger("undertow.diagnosis")
+Report = Callable[[float, str], None]
+
+FALSE_ALARM_RATE = 0.01
+_FULL_FITS = 10
+_FINALISTS = 6
+# Share of the sum of squares that a step must promise before the leading candidates are known.
+_FIRST_LOOK = 1e-2
+# Times the error of the best candidate from which another is no rival of it.
+_OUT_OF_REACH = 3.0
+# Candidates that one step cannot make better than this (chi-square) are not worth a full fit.
+_WORTH_A_FIT = 20.0
+
+
+@dataclass(frozen=True)
+class Round:
+    """One step of the search: the model so far and what every candidate would do for it.
+
+    Attributes
+    ----------
+    bench : Bench
+        Data, noise model and the model so far.
+    findings : list of Finding
+        All candidates, best first.
+    rivals : list of Finding
+        Effects that the data cannot tell from the best one.
+    """
+
+    bench: Bench
+    findings: list[Finding]
+    rivals: list[Finding]
+
+    @property
+    def winner(self) -> Finding | None:
+        """The best candidate, if the evidence for it is strong enough."""
+        best = self.findings[0] if self.findings else None
+        return best if best is not None and best.significant else None
+
+
+def try_all(bench: Bench, known: Catalogue, report: Report) -> Round:
+    """Try every candidate on top of a model.
+
+    Parameters
+    ----------
+    bench : Bench
+        Data, noise model and the model so far.
+    known : Catalogue
+        Effects that may be missing.
+    report : callable
+        Told the share done and what is going on.
+    """
+    possible = candidates(bench.base.model.functions.vehicle, known)
+    _log.info("error so far %.3f; %d effects to try", bench.base_score.error, len(possible))
+    scouted = _scouted(possible, bench, report)
+    by_chance = best_by_chance([s.linear for s in scouted])
+    worth = [s for s in scouted if bench.base.cost - s.cost > _WORTH_A_FIT][:_FULL_FITS]
+    trials = []
+    for i, s in enumerate(worth):
+        report(0.5 + 0.3 * i / len(worth), f"fitting {s.candidate.id}")
+        trials.append(try_candidate(s.candidate, bench, s.values, _FIRST_LOOK))
+    chances = {t.id: p_value(_fall(bench.base_score, t.score), by_chance) for t in trials}
+    finalists = sorted(
+        (t for t in trials if t.kept or not t.candidate.removable), key=lambda t: t.score.error
+    )
+    bench, finalists = _final(bench, finalists[:_FINALISTS], report)
+    tried = {t.id for t in finalists}
+    others = [rejected(c, bench) for c in possible if c.id not in tried]
+    return _judged(bench, finalists, others, chances)
+
+
+def _fall(before: Score, after: Score) -> float:
+    return float(np.mean(before.r**2) - np.mean(after.r**2))
+
+
+class _Scouted(NamedTuple):
+    candidate: Candidate
+    cost: float
+    values: dict[str, float]
+    linear: Linear
+
+
+def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[_Scouted]:
+    """What every candidate promises, the most promising first."""
+    found = []
+    for i, candidate in enumerate(possible):
+        report(0.5 * i / len(possible), f"trying {candidate.id}")
+        cost, values, start = scout(candidate, bench)
+        found.append(_Scouted(candidate, cost, values, linear(start, bench)))
+    return sorted(found, key=lambda entry: entry.cost)
+
+
+def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:
+    """Judge the leading candidates again, with the noise model of the best of them."""
+    if not finalists or finalists[0].score.error >= bench.base_score.error:
+        return bench, finalists
+    # What a parameter that was left out would explain must not count as noise here: all are in.
+    sharp = bench.sharpened(finalists[0].full)
+    again = []
+    for i, trial in enumerate(finalists):
+        report(0.8 + 0.2 * i / len(finalists), f"judging {trial.id}")
+        again.append(_again(trial, sharp, finalists[0]))
+    return sharp, sorted(again, key=lambda t: t.score.error)
+
+
+def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
+    """A trial under the finer noise model; what is far behind is not fitted once more."""
+    if trial is not best and trial.score.error > _OUT_OF_REACH * best.score.error:
+        return replace(trial, score=sharp.judge(trial.fit))
+    return try_candidate(trial.candidate, sharp, trial.full.values)
+
+
+def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
+    linears = [linear(t.fit, bench) for t in finalists]
+    often = [*inclusion(linears).tolist(), *[float("nan")] * len(others)]
+    findings = [
+        _finding(t, bench, chances.get(t.id, 1.0), share)
+        for t, share in zip([*finalists, *others], often, strict=True)
+    ]
+    findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
+    best = findings[0].trial.score
+    rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench.test)]
+    for f in findings[:5]:
+        _log.info(
+            "%s: normalised error %.3f, p = %.2g, best in %.0f %% of resamples",
+            f.id, f.trial.score.error, f.p_value, 100 * f.inclusion,
+        )  # fmt: skip
+    return Round(bench, findings, rivals)
+
+
+def _finding(trial: Trial, bench: Bench, p: float, inclusion: float) -> Finding:
+    evidence = compare_scores(bench.base_score, trial.score, bench.test)
+    strong = p < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
+    share = explained(bench.base_score, trial.score, bench.noise_level)
+    better = trial.score.error < bench.base_score.error
+    return Finding(trial, evidence, share, p, strong and better, inclusion)
