@@ -26,9 +26,7 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
     for left in diagnosis.remaining:
-        console.print(
-            f"{left.degree_of_freedom}: residual {left.residual_rms:.3g} {left.unit} rms, {escape(left.note)}"
-        )
+        console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"))
     for warning in diagnosis.warnings:
         console.print(f"[yellow]warning[/yellow]: {escape(warning)}")
     console.print(

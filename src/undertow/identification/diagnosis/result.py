@@ -78,8 +78,60 @@ class Indistinguishable(Table):
     reason: str
 
 
+class Dependence(Table):
+    """A term that a residual force goes with: an association, not a cause.
+
+    `columns` are the factors that are multiplied, one list for each coefficient; `share` is the share of what
+    exceeds the noise of the sensors on kept-aside data that goes away with the term; `chance` is how often
+    the best of all terms does as much when the residual has nothing to do with any; `alike` are terms that
+    these data hardly tell from it.
+    """
+
+    term: str
+    columns: list[list[str]]
+    coefficients: list[float]
+    standard_errors: list[float]
+    units: list[str]
+    share: float
+    chance: float
+    alike: list[str]
+
+
+class Spectrum(Table):
+    """A period (s) that stands out of a residual force; `in_step` if its phase is the same in every run."""
+
+    period: float
+    amplitude: float
+    share: float
+    chance: float
+    in_step: bool
+
+
+class Trend(Table):
+    """How much the coefficient of a residual force changes in 100 s of a run; `of` says of what."""
+
+    of: str
+    change: float
+    unit: str
+    share: float
+
+
+class BetweenRuns(Table):
+    """A residual force that differs from run to run: its coefficients by run."""
+
+    of: str
+    values: dict[str, list[float]]
+    unit: str
+    chance: float
+
+
 class Remaining(Table):
-    """What the final model leaves in one degree of freedom on kept-aside data."""
+    """What the final model leaves in one degree of freedom on kept-aside data.
+
+    `residual_rms` and `noise_rms` are those of the force averaged under the test functions, `excess_rms` is
+    what is left beyond the noise, averaged over as long as it takes to see it; `summary` says all of it in a
+    sentence.
+    """
 
     degree_of_freedom: str
     normalised_error: float
@@ -87,6 +139,12 @@ class Remaining(Table):
     noise_rms: float
     unit: str
     note: str
+    excess_rms: float = 0.0
+    depends_on: list[Dependence] = []
+    spectrum: Spectrum | None = None
+    trend: Trend | None = None
+    between_runs: list[BetweenRuns] = []
+    summary: str = ""
 
 
 class Diagnosis(Table):

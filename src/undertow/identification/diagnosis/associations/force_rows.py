@@ -1,0 +1,232 @@
+"""The weak residual as a force, one degree of freedom at a time, with what further forces would add to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array, eye_array, kron
+
+from undertow.model.symbols import POSE
+
+from ...weak.data import Segment, WeakData
+from ...weak.drive import Chain, without_gaps
+from ...weak.fit import WeakFit
+from ...weak.lateness import Lateness
+from ...weak.mapping import mapped
+from ...weak.noise import Whitening, overlap
+from ...weak.pointwise import Pointwise
+from ...weak.residual import Linearised, whitened
+from .terms import Along, Column
+
+Array = NDArray[np.float64]
+# Mean square, in units of the noise, up to which there is no disturbance to be matched.
+_NOISE_EXPLAINS = 1.3
+_MATCHING_STEPS = 12
+# Test functions that are taken together, and the mean square over noise from which their force stands out.
+_WIDTHS = (1, 2, 4, 8, 16)
+_STANDS_OUT = 1.5
+
+
+@dataclass(frozen=True)
+class ForceRow:
+    """One force equation of a fitted model along logs.
+
+    Attributes
+    ----------
+    parts : list of Linearised
+        For every segment the force that the model has beyond what the motion needs, and its derivative in the
+        free parameters, times the weight of the test functions, N s or N m s.
+    quiet : list of Whitening
+        Noise of the channels in it.
+    weight : float
+        Mean integral of a test function, s.
+    """
+
+    parts: list[Linearised]
+    quiet: list[Whitening]
+    weight: float
+
+    def whitened(self, disturbance: float, columns: Sequence[Array] | None = None) -> Linearised:
+        """Residual and derivatives in units of the noise, with further columns behind those of the model.
+
+        Parameters
+        ----------
+        disturbance : float
+            Intensity of what the model leaves beyond the noise, N^2 s or (N m)^2 s.
+        columns : sequence of (K, q) arrays, optional
+            Further derivatives, one table for each segment.
+        """
+        counts = [len(p.r) for p in self.parts]
+        noise = [w.with_disturbance(np.full(n, disturbance)) for w, n in zip(self.quiet, counts, strict=True)]
+        return whitened(self.parts if columns is None else _beside(self.parts, columns), noise)
+
+    @property
+    def ratio(self) -> float:
+        """Mean square in units of the noise of the channels alone."""
+        return float(np.mean(self.whitened(0.0).r ** 2))
+
+    @property
+    def rms(self) -> float:
+        """Rms of the force averaged under the test functions, N or N m."""
+        return float(np.sqrt(np.mean(np.concatenate([p.r for p in self.parts]) ** 2))) / self.weight
+
+    @property
+    def noise_rms(self) -> float:
+        """Rms that the noise of the channels gives to it, N or N m."""
+        variance = np.concatenate([w.covariance.diagonal() for w in self.quiet])
+        return float(np.sqrt(np.mean(variance))) / self.weight
+
+    @property
+    def excess_rms(self) -> float:
+        """Rms of the force beyond the noise, averaged over the shortest time in which it stands out of it."""
+        for width in _WIDTHS:
+            total, noise = self._averaged(width)
+            if total > _STANDS_OUT * noise:
+                break
+        return float(np.sqrt(max(total - noise, 0.0)))
+
+    def _averaged(self, width: int) -> tuple[float, float]:
+        """Mean square of the force over `width` test functions, and that of its noise."""
+        squares, variances = [], []
+        for part, noise in zip(self.parts, self.quiet, strict=True):
+            whole = len(part.r) // width * width
+            groups = csr_array(kron(eye_array(whole // width), np.ones((1, width))))
+            covariance = groups @ csr_array(noise.covariance)[:whole, :whole] @ groups.T
+            squares.append((groups @ part.r[:whole]) ** 2)
+            variances.append(covariance.diagonal())
+        if not sum(map(len, squares)):
+            return 0.0, 0.0
+        square, variance = (float(np.mean(np.concatenate(s))) for s in (squares, variances))
+        return square / (self.weight * width) ** 2, variance / (self.weight * width) ** 2
+
+    @cached_property
+    def disturbance(self) -> float:
+        """Intensity that makes the whitened mean square one, N^2 s; zero where noise explains it."""
+        if self.ratio < _NOISE_EXPLAINS:
+            return 0.0
+        level = self.rms**2 * self.weight
+        for _ in range(_MATCHING_STEPS):
+            square = float(np.mean(self.whitened(level).r ** 2))
+            level *= float(np.clip(square**1.5, 0.02, 50.0))
+        return level
+
+
+def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linearised]:
+    pairs = zip(parts, columns, strict=True)
+    return [Linearised(p.r, np.column_stack([p.J, c]), p.start, p.known) for p, c in pairs]
+
+
+class ForceRows:
+    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other.
+
+    Parameters
+    ----------
+    fit : WeakFit
+        The model.
+    data : WeakData
+        Logs, those that it was fitted to or others.
+    """
+
+    def __init__(self, fit: WeakFit, data: WeakData) -> None:
+        self._fit, self.data = fit, data
+        self._size = len(fit.model.functions.vehicle.dof_indices)
+
+    def row(self, dof: int) -> ForceRow:
+        """The equation of one degree of freedom, by its place among those of the vehicle."""
+        rows = len(self.data.rows)
+        parts, quiet = [], []
+        segments = zip(self.data.segments, self._residual, self._noise, self._mass, strict=True)
+        for s, part, noise, mass in segments:
+            to_force = self._to_force(mass[:, dof])
+            known = None if part.known is None else part.known // rows
+            parts.append(Linearised(to_force @ part.r, to_force @ part.J, to_force @ part.start, known))
+            covariance = csr_array(to_force @ noise.covariance @ to_force.T)
+            quiet.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
+        weights = np.concatenate([s.functions.held.sum(axis=1) for s in self.data.segments])
+        return ForceRow(parts, quiet, float(np.mean(weights)))
+
+    def _to_force(self, mass: Array) -> csr_array:
+        """From accelerations of all equations to the force in one, shape (K, K rows)."""
+        count, rows = len(mass), len(self.data.rows)
+        blocks = np.concatenate([mass, np.zeros((count, rows - self._size))], axis=1)[:, None, :]
+        return csr_array(bsr_array((blocks, np.arange(count), np.arange(count + 1))))
+
+    @cached_property
+    def _residual(self) -> list[Linearised]:
+        return self._fit.model.linearise(self.data, self._fit.p)
+
+    @cached_property
+    def _noise(self) -> list[Whitening]:
+        return self._fit.model.whitening(self.data, self._fit.p)
+
+    @cached_property
+    def _mass(self) -> list[Array]:
+        """Mass matrix under every test function, shape (K, n, n)."""
+        return [self._mean(s, mass) for s, _, mass in self._along]
+
+    def _mean(self, s: Segment, mass: Array) -> Array:
+        weight = s.functions.value.sum(axis=1)[:, None]
+        mean = (s.functions.value @ mass.reshape(len(s.t), -1)) / weight
+        return np.asarray(mean.reshape(-1, self._size, self._size))
+
+    # --- further forces -----------------------------------------------------------------------
+    def columns(self, columns: Sequence[Column]) -> list[Array]:
+        """What forces with unit coefficients of columns add to a row, shape (K, columns) in every segment."""
+        return [_stacked([_tested(s, along, c) for c in columns], s) for s, along, _ in self._along]
+
+    def waves(self, frequency: float) -> list[Array]:
+        """The same for a cosine and a sine of unit amplitude in time, shape (K, 2); frequency in Hz."""
+        phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self._along]
+        return [_stacked([s.functions.value @ f(phase) for f in (np.cos, np.sin)], s) for s, phase in phases]
+
+    @cached_property
+    def _along(self) -> list[tuple[Segment, Along, Array]]:
+        functions, p, data = self._fit.model.functions, self._fit.p, self.data
+        chain, motion, late = Chain(functions, ()), self._motion, Lateness(functions)
+        driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
+        found = []
+        for s in (late.in_time(s, p) for s in data.segments):
+            pose, velocity, mass = mapped(motion, [s.measured], p, s.t)
+            actuation = driven[s.run][s.samples]
+            reached = np.column_stack([actuation, s.u[:, actuation.shape[1] :]])
+            found.append((s, self._values(s.t, pose[:, :, 0], velocity[:, :, 0], reached), mass))
+        return found
+
+    def _values(self, t: Array, pose: Array, velocity: Array, commands: Array) -> Along:
+        vehicle = self._fit.model.functions.vehicle
+        names = (*vehicle.pose_names, *vehicle.velocity_names, "t")
+        values = dict(zip(names, np.column_stack([pose, velocity, t]).T, strict=True))
+        return Along(values, dict(zip(self.data.commands, commands.T, strict=True)))
+
+    @property
+    def _motion(self) -> ca.Function:
+        """Pose, velocity through the water and mass matrix, from what is measured."""
+        f = self._fit.model.functions
+        points = Pointwise(f, ())
+        relative = f.vehicle.composition.signals.nu_r.extract(list(f.vehicle.dof_indices), [0])
+        outputs = (f.eta, f.convert.matrix(relative), f.mass_matrix)
+        true = [ca.densify(ca.substitute(e, ca.vertcat(f.eta, f.nu), points.true_motion)) for e in outputs]
+        return ca.Function("motion", [points.measured, f.p, f.t], true)
+
+
+def _stacked(columns: Sequence[Array], s: Segment) -> Array:
+    return np.column_stack(columns) if columns else np.zeros((s.functions.count, 0))
+
+
+def _tested(s: Segment, along: Along, column: Column) -> Array:
+    smooth, held = along.smooth(column), along.held(column)
+    if held is None:
+        return np.asarray(s.functions.value @ smooth)
+    # The command is held over an interval, the motion is taken at both of its ends.
+    ends = np.append(0.5 * (smooth[1:] + smooth[:-1]), smooth[-1])
+    return np.asarray(s.functions.held @ (held * ends))
+
+
+def measured_pose(data: WeakData) -> tuple[str, ...]:
+    """Pose channels that all runs have."""
+    return tuple(n for n in data.names if n in POSE and all(r.has(n) for r in data.runs))

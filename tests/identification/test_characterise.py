@@ -1,0 +1,340 @@
+"""What remains is described by what the simulator put in, and by nothing where chance is all there is."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case, write_case
+from undertow.identification import read_log
+from undertow.identification.diagnosis.associations.between_runs import difference
+from undertow.identification.diagnosis.associations.force_rows import ForceRows
+from undertow.identification.diagnosis.associations.residual import Association, Sample, Samples
+from undertow.identification.diagnosis.associations.spectrum import Series, highest_peak, without_waves
+from undertow.identification.diagnosis.associations.terms import Along, Term, coefficient_unit, terms_of
+from undertow.identification.diagnosis.associations.wording import how, sentence
+from undertow.identification.diagnosis.remaining import remaining
+from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
+from undertow.identification.weak.data import WeakData, prepare
+from undertow.identification.weak.fit import WeakFit, fit_weak
+from undertow.model.loading import load_vehicle
+
+HEADING, COMMANDS = ("turning_drag", "heading_force"), ("thruster_interference", "periodic_side_force")
+
+
+@cache
+def _fitted(effects: tuple[str, ...], seed: int) -> tuple[dict[str, dict[str, float]], WeakFit, WeakData]:
+    """A model ship with something that its model lacks: what was drawn, the refit, and data kept aside."""
+    case = make_case("usv", effects, seed, duration=60.0)
+    with TemporaryDirectory() as folder:
+        write_case(case, Path(folder))
+        vehicle = load_vehicle(Path(folder) / "vehicle.toml")
+        names = ("train_1", "train_2", "train_3", "holdout")
+        runs = [read_log(Path(folder) / f"{n}.csv", channels=vehicle.command_names) for n in names]
+    train = prepare(runs[:3], vehicle)
+    return case.truth["values"], fit_weak(vehicle, train), prepare(runs[3:], vehicle, sigma=train.sigma)
+
+
+@cache
+def _left(*effects: str, seed: int = 1) -> tuple[dict[str, dict[str, float]], dict[str, Remaining]]:
+    values, fit, aside = _fitted(effects, seed)
+    return values, {r.degree_of_freedom: r for r in remaining(fit, aside)}
+
+
+def _is_silent(left: Remaining) -> bool:
+    return not (left.depends_on or left.spectrum or left.trend or left.between_runs)
+
+
+# --- simulated vehicles -----------------------------------------------------------------------------
+def test_drag_in_turns_goes_with_the_yaw_rate_and_the_speed() -> None:
+    values, left = _left(*HEADING)
+    told, k = left["surge"].depends_on[0], values["turning_drag"]["k"]
+    assert told.term == "|r| u"
+    assert told.coefficients[0] == pytest.approx(-k, abs=4 * told.standard_errors[0])
+    assert told.standard_errors[0] < 0.2 * k
+    assert told.units == ["N/((rad/s) (m/s))"]
+    assert told.share > 0.9
+    assert "goes with |r| u (slows surge, the more the faster it turns)" in left["surge"].summary
+
+
+def test_a_force_that_turns_with_the_heading() -> None:
+    values, left = _left(*HEADING)
+    (told,) = left["sway"].depends_on
+    assert told.term == "sin and cos of 2 psi"
+    assert np.hypot(*told.coefficients) == pytest.approx(values["heading_force"]["A"], rel=0.1)
+    angle = np.arctan2(-told.coefficients[1], told.coefficients[0])
+    assert np.sin(angle - 2 * values["heading_force"]["psi_0"]) == pytest.approx(0.0, abs=0.1)
+    assert left["sway"].spectrum is None
+
+
+@pytest.mark.parametrize("effects", [HEADING, COMMANDS])
+def test_what_is_right_stays_right_although_all_accelerations_are_coupled(effects: tuple[str, ...]) -> None:
+    _, left = _left(*effects)
+    assert _is_silent(left["yaw"])
+    assert left["yaw"].normalised_error < 1.15
+
+
+def test_a_force_that_follows_two_commands() -> None:
+    _, left = _left(*COMMANDS)
+    told = left["surge"].depends_on[0]
+    assert told.columns == [["|command f1|", "|command f2|"]]
+    assert told.units == ["N/command^2"]
+    assert told.coefficients[0] < 0
+    assert told.share > 0.9
+
+
+def test_a_periodic_force_shows_its_period() -> None:
+    values, left = _left(*COMMANDS)
+    found = left["sway"].spectrum
+    assert found is not None
+    assert found.period == pytest.approx(values["periodic_side_force"]["P"], rel=0.03)
+    assert found.amplitude == pytest.approx(values["periodic_side_force"]["A"], rel=0.15)
+    assert found.in_step
+    assert found.share > 0.8
+    assert left["sway"].depends_on == []
+    assert f"period {found.period:.3g} s stands out" in left["sway"].summary
+
+
+def test_a_drag_that_grows_is_a_trend() -> None:
+    values, left = _left("growing_drag")
+    trend = left["yaw"].trend
+    assert trend is not None
+    assert trend.of == "r"
+    assert trend.unit == "N m/(rad/s)"
+    _, fit, _ = _fitted(("growing_drag",), 1)
+    # The drag of the fit is that of the middle of a run, half a minute after its start.
+    rate = values["growing_drag"]["rate"]
+    assert trend.change == pytest.approx(100.0 * rate * fit.values["N_r"] / (1 + 30.0 * rate), rel=0.3)
+    assert "the more the longer the run lasts" in left["yaw"].summary
+
+
+def test_a_complete_model_shows_nothing() -> None:
+    _, left = _left()
+    assert all(_is_silent(r) for r in left.values())
+    assert all(r.summary.endswith("rms is left, which is noise") for r in left.values())
+    assert all(0.8 < r.normalised_error < 1.15 for r in left.values())
+    assert all(r.residual_rms == pytest.approx(r.noise_rms, rel=0.15) for r in left.values())
+
+
+def test_gusts_go_with_nothing() -> None:
+    values, left = _left("gusts", seed=6)
+    loud = [r for r in left.values() if r.normalised_error > 1.2]
+    assert {r.degree_of_freedom for r in loud} == {"surge", "sway"}
+    assert all(_is_silent(r) for r in loud)
+    assert all("goes with none of the variables" in r.summary for r in loud)
+    # The force comes from the north and turns about the ship: its two parts share its power.
+    assert np.hypot(*(r.excess_rms for r in loud)) == pytest.approx(values["gusts"]["rms"], rel=0.4)
+
+
+def test_a_row_is_a_force_and_its_columns_are_derivatives() -> None:
+    _, fit, aside = _fitted(HEADING, 1)
+    rows = ForceRows(fit, aside)
+    (part,), (column,) = rows.row(0).parts, rows.columns([("u",)])
+    drag = part.J[:, fit.model.free.index("X_u")]
+    assert column[:, 0] == pytest.approx(drag, rel=1e-9, abs=1e-12)
+
+
+# --- the search for associations ----------------------------------------------------------------------
+TERMS = (Term("first", (("u",),)), Term("pair", (("v",), ("r",))), Term("own", (("p",),)))
+
+
+def _slow(rng: np.random.Generator, count: int, memory: int = 10) -> np.ndarray:
+    """Noise that remembers `memory` entries."""
+    kernel = np.ones(memory) / np.sqrt(memory)
+    return np.convolve(rng.standard_normal(count + memory), kernel, "valid")[:count]
+
+
+def _association(seed: int, mixture: tuple[float, ...], block: int = 60) -> Association:
+    rng, count = np.random.default_rng(seed), 1200
+    own = np.column_stack([_slow(rng, count), np.ones(count)])
+    columns = np.column_stack([*(_slow(rng, count) for _ in range(3)), own[:, 0]])
+    r = _slow(rng, count) - columns @ np.array([*mixture, 0.0])
+    r -= own @ np.linalg.lstsq(own, r, rcond=None)[0]
+    number = np.arange(count) // block
+    fitted = Sample(r[:800], own[:800], columns[:800], number[:800])
+    aside = Sample(r[800:], own[800:], columns[800:], number[800:] - number[800])
+    return Association(TERMS, Samples(fitted, aside, aside), np.zeros((2, 2)))
+
+
+def test_the_term_in_the_residual_is_found_with_its_coefficient() -> None:
+    found = _association(1, (0.0, 0.8, -0.6)).strongest()
+    assert found is not None
+    assert found.term.label == "pair"
+    assert found.coefficients == pytest.approx([0.8, -0.6], abs=0.25)
+    assert found.chance < 0.002
+    assert found.errors == pytest.approx([0.06, 0.06], rel=1.0)
+
+
+def test_what_is_taken_out_does_not_come_back() -> None:
+    start = _association(1, (0.5, 0.8, -0.6))
+    first = start.strongest()
+    assert first is not None
+    rest = start.without(first)
+    second = rest.strongest()
+    assert second is not None
+    assert {first.term.label, second.term.label} == {"first", "pair"}
+    assert rest.samples.aside.square == pytest.approx(start.samples.aside.square - first.gain)
+    assert rest.without(second).samples.aside.square < 1.2 * 400
+
+
+def test_slow_noise_goes_with_nothing() -> None:
+    chances = [(f.chance if (f := _association(seed, (0.0,) * 3).strongest()) else 1.0) for seed in range(60)]
+    assert np.mean(np.array(chances) < 0.1) < 0.2
+    assert min(chances) > 0.002
+
+
+def test_what_the_model_could_take_over_is_no_news() -> None:
+    start = _association(1, (0.5, 0.0, 0.0))
+    assert "own" not in {t.term.label for t in start._tried}
+
+
+# --- the search for a line -----------------------------------------------------------------------------
+def _series(seed: int, amplitude: float, runs: int = 2, frequency: float = 0.21) -> Series:
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.25)
+    phases = rng.uniform(0, 2 * np.pi, runs)
+    waves = [amplitude * np.sin(2 * np.pi * frequency * t + p) for p in phases]
+    r = np.concatenate(waves) + rng.standard_normal(runs * len(t))
+    return Series(np.tile(t, runs), r, np.repeat(np.arange(runs), len(t)))
+
+
+def test_a_line_is_found_although_every_run_has_its_phase() -> None:
+    peak = highest_peak(_series(1, 1.0), _series(2, 1.0, runs=1), 1.0)
+    assert peak is not None
+    assert 1 / peak.frequency == pytest.approx(1 / 0.21, rel=0.02)
+    assert peak.chance < 1e-6
+    assert peak.gain == pytest.approx(0.5 * 240, rel=0.3)
+
+
+def test_noise_has_no_line() -> None:
+    peaks = [highest_peak(_series(s, 0.0), _series(100 + s, 0.0, runs=1), 1.0) for s in range(20)]
+    chances = [p.chance for p in peaks if p is not None]
+    assert len(chances) == 20
+    assert min(chances) > 1e-4
+    assert np.mean(np.array(chances) < 0.1) < 0.25
+
+
+def test_a_line_of_one_run_only_is_not_confirmed() -> None:
+    peak = highest_peak(_series(1, 1.0), _series(2, 0.0, runs=1), 1.0)
+    assert peak is not None
+    assert peak.chance > 0.01
+
+
+def test_runs_that_are_too_short_for_a_period_have_no_line() -> None:
+    short = Series(np.arange(0.0, 4.0, 0.25), np.zeros(16), np.zeros(16, dtype=np.intp))
+    assert highest_peak(short, short, 1.0) is None
+
+
+def test_waves_are_taken_out_run_by_run() -> None:
+    s = _series(3, 2.0, frequency=0.25)
+    angle = 2 * np.pi * 0.25 * s.t
+    left, coefficients = without_waves(s.r, np.column_stack([np.cos(angle), np.sin(angle)]), s.run)
+    assert np.linalg.norm(coefficients, axis=1) == pytest.approx([2.0, 2.0], abs=0.3)
+    assert np.std(left) == pytest.approx(1.0, abs=0.1)
+
+
+# --- the run ---------------------------------------------------------------------------------------------
+def test_runs_that_differ_are_told_from_runs_that_do_not() -> None:
+    rng, run = np.random.default_rng(5), np.repeat(np.arange(3), 200)
+    r, block, one = rng.standard_normal(600), np.arange(600) // 20, np.ones((600, 1))
+    alike = difference(r, one, run, block)
+    other = difference(r - 0.6 * (run == 2), one, run, block)
+    assert alike is not None
+    assert alike.chance > 0.01
+    assert other is not None
+    assert other.chance < 1e-6
+    assert other.values[:, 0] == pytest.approx([0.0, 0.0, 0.6], abs=0.25)
+    assert difference(r[:200], one[:200], run[:200], block[:200]) is None
+
+
+# --- terms and words -----------------------------------------------------------------------------------
+def test_terms_are_made_of_what_the_vehicle_has() -> None:
+    labels = {t.label for t in terms_of(load_vehicle("mini-auv"), ("z", "psi"))}
+    assert {"a constant", "u", "|u| u", "u u", "|r| u", "u v", "t u", "z", "f1", "f1 f2"} <= labels
+    assert {"sin and cos of psi", "sin and cos of 2 psi", "z sin and cos of psi", "f2 u"} <= labels
+    assert not labels & {"p", "q", "phi", "sin(phi)", "x"}
+    assert "sin and cos of psi" not in {t.label for t in terms_of(load_vehicle("mini-auv"), ())}
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [
+        ((), "N m"),
+        (("u",), "N m/(m/s)"),
+        (("|r|", "r"), "N m/(rad/s)^2"),
+        (("t", "u"), "N m/(s (m/s))"),
+        (("sin(2 psi)",), "N m"),
+        (("z", "cos(psi)"), "N m/m"),
+        (("command f1", "|r|"), "N m/(command (rad/s))"),
+        (("command tau_N",), "N m/(N m)"),
+    ],
+)
+def test_units_of_coefficients(column: tuple[str, ...], unit: str) -> None:
+    assert coefficient_unit("N m", column) == unit
+
+
+def test_columns_along_a_log() -> None:
+    along = Along(
+        {"u": np.array([1.0, -2.0]), "psi": np.array([0.0, np.pi / 4]), "t": np.array([0.0, 3.0])},
+        {"f1": np.array([-2.0, 2.0]), "f2": np.array([5.0, 1.0])},
+    )
+    assert along.smooth(("|u|", "u")).tolist() == [1.0, -4.0]
+    assert along.smooth(("sin(2 psi)", "t")) == pytest.approx([0.0, 3.0])
+    assert along.smooth(()).tolist() == [1.0, 1.0]
+    assert along.held(("|command f1|", "u", "command f2")).tolist() == [10.0, 2.0]
+    assert along.held(("u",)) is None
+
+
+def _told(columns: list[list[str]], coefficients: list[float], term: str) -> Dependence:
+    size = len(coefficients)
+    return Dependence(
+        term=term,
+        columns=columns,
+        coefficients=coefficients,
+        standard_errors=[0.1] * size,
+        units=["N"] * size,
+        share=0.706,
+        chance=0.001,
+        alike=["|v| u", "u u", "f1"],
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "coefficients", "words"),
+    [
+        ([["|r|", "u"]], [-2.0], "slows surge, the more the faster it turns"),
+        ([["u"]], [2.0], "drives surge on"),
+        ([["t", "|u|", "u"]], [-2.0], "slows surge, the more the longer the run lasts"),
+        ([["u", "v"]], [2.0], "rises as term grows"),
+        ([["u", "u"]], [-2.0], "falls as term grows"),
+        ([[]], [0.25], "0.25 N"),
+        ([["sin(psi)"], ["cos(psi)"]], [3.0, 4.0], "amplitude 5 N"),
+    ],
+)
+def test_what_a_term_does(columns: list[list[str]], coefficients: list[float], words: str) -> None:
+    told = _told(columns, coefficients, "term")
+    assert words in how(told, "surge", "N")
+
+
+def test_a_sentence_holds_all_that_was_found() -> None:
+    left = Remaining(
+        degree_of_freedom="surge",
+        normalised_error=2.0,
+        residual_rms=0.9,
+        noise_rms=0.4,
+        unit="N",
+        note="",
+        excess_rms=0.812,
+        depends_on=[_told([["|r|", "u"]], [-2.0], "|r| u")],
+        spectrum=Spectrum(period=6.3, amplitude=0.2, share=0.1, chance=1e-6, in_step=False),
+        between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
+    )
+    assert sentence(left, loud=True) == (
+        "surge: 0.81 N rms is left beyond the noise; 71 % of it goes with |r| u or |v| u or u u (slows "
+        "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, another "
+        "phase in every run); the mean force differs from run to run (-1 to 2 N)"
+    )
+    assert sentence(left, loud=False) == "surge: 0.9 N rms is left, which is noise"
