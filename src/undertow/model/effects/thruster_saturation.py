@@ -28,6 +28,7 @@ class ThrusterSaturation(Actuation):
         (0, inf),
         linear=False,
         starts=(0.3, 0.5, 0.75, 1.0),
+        required=True,
         neutral=inf,
     )
 
