@@ -37,6 +37,16 @@ def test_integration_by_parts_is_exact_to_the_order_of_the_splines() -> None:
     np.testing.assert_allclose(functions.rate @ g, -(functions.value @ g_dot), atol=3e-6)
 
 
+def test_uneven_samples_are_integrated_as_well() -> None:
+    """A sixth of the samples is missing, and the signal is far from zero, as positions and headings are."""
+    t = np.sort(np.random.default_rng(1).permutation(CLOCK)[: len(CLOCK) * 5 // 6])
+    functions = functions_on(t, 0.25)
+    assert functions is not None
+    np.testing.assert_allclose(functions.rate @ np.ones(len(t)), 0.0, atol=1e-14)
+    g, g_dot = 50.0 + np.sin(3 * t), 3 * np.cos(3 * t)
+    assert np.std(functions.rate @ g + functions.value @ g_dot) < 1e-3  # of 0.5
+
+
 def test_held_inputs_are_integrated_exactly() -> None:
     functions = functions_on(CLOCK, 0.25)
     assert functions is not None

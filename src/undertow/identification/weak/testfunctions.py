@@ -65,9 +65,11 @@ def test_functions(t: Array, spacing: float) -> TestFunctions | None:
         return None
     place = (t - t[0]) / spacing
     weight = _trapezoid(t)
+    value = _banded(lambda s, i: _PHI(s) * weight[i], place, count)
+    rate = _banded(lambda s, i: _PHI_RATE(s) * weight[i] / spacing, place, count)
     return TestFunctions(
-        value=_banded(lambda s, i: _PHI(s) * weight[i], place, count),
-        rate=_banded(lambda s, i: _PHI_RATE(s) * weight[i] / spacing, place, count),
+        value=_exact_for_cubics(value, value, place, spacing * _VALUE_MOMENTS),
+        rate=_exact_for_cubics(rate, value, place, _RATE_MOMENTS),
         held=_banded(lambda s, i: spacing * _step_integral(s, place, i), place, count, reach=2),
         centre=t[0] + spacing * (np.arange(count) + (DEGREE + 1) / 2),
     )
@@ -79,6 +81,9 @@ _SUPPORT = np.arange(DEGREE + 2.0)
 _PHI = BSpline.basis_element(_SUPPORT, extrapolate=False)
 _PHI_RATE = _PHI.derivative()
 _PHI_INTEGRAL = _PHI.antiderivative()
+# Integrals of phi and of its derivative times 1, s, s^2, s^3, with s counted in knots from the middle.
+_VALUE_MOMENTS = np.array([1.0, 0.0, 1 / 3, 0.0])
+_RATE_MOMENTS = np.array([0.0, -1.0, 0.0, -1.0])
 
 
 def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int, reach: int = 0) -> csr_array:
@@ -93,6 +98,23 @@ def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int, re
         values.append(np.nan_to_num(entry(place[index] - k[index], index)))
     shape = (count, len(place))
     return csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+
+
+def _exact_for_cubics(weights: csr_array, near: csr_array, place: Array, moments: Array) -> csr_array:
+    """Weights with the right integrals of cubics, changed by `near` times a cubic for that.
+
+    Sums over even samples have them already. Over uneven ones not even a constant would integrate to zero
+    with the derivative, and a position far from zero would drown all else.
+    """
+    at = near.tocoo()
+    powers = (place[at.col] - at.row - (DEGREE + 1) / 2)[:, None] ** np.arange(2 * DEGREE + 1)
+    held = np.column_stack([np.bincount(at.row, at.data * s, near.shape[0]) for s in powers.T])
+    gram = held[:, np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))]
+    found = np.column_stack([np.bincount(at.row, weights.data * s, near.shape[0]) for s in powers.T])
+    lacking = moments - found[:, : DEGREE + 1]
+    cubic = np.einsum("kij,kj->ki", np.linalg.pinv(gram, rcond=1e-9, hermitian=True), lacking)
+    change = at.data * np.sum(cubic[at.row] * powers[:, : DEGREE + 1], axis=1)
+    return csr_array((weights.data + change, weights.indices, weights.indptr), shape=weights.shape)
 
 
 def _step_integral(s: Array, place: Array, i: Index) -> Array:
