@@ -39,7 +39,7 @@ def simulated(case: Planned) -> Case:
         except ValueError as error:
             failed = error
         else:
-            return _varied(made, case)
+            return varied(made, case)
     raise failed
 
 
@@ -60,7 +60,8 @@ def _made(case: Planned, strength: float) -> Case:
     )
 
 
-def _varied(made: Case, case: Planned) -> Case:
+def varied(made: Case, case: Planned) -> Case:
+    """The case as its variant has it: without velocities, or with a mass that is a guess."""
     if case.variant == "pose-only":
         runs = {name: {c: v for c, v in run.items() if c not in _VELOCITY} for name, run in made.runs.items()}
         return replace(made, runs=runs)

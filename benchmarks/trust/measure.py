@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 from .cases import Planned
 from .grade import Told, addable, excess, grade_of, opened, told
 from .material import simulated, without, written_and_read
-from .peers import PEERS
+from .peers import asked
 from .verdicts import Answer
 
 Record = dict[str, Any]
@@ -48,7 +48,7 @@ def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> 
     record = described(case, made, data[0]) | _said(outcome.diagnosis) | spent
     record |= _graded(case, made, record, data, outcome)
     if peers:
-        record["peers"] = {name: method(*data) for name, method in PEERS.items()}
+        record["peers"] = asked(*data)
     return record, outcome
 
 

@@ -12,8 +12,8 @@ from .failures import HEAD, failures, row
 from .goals import goals, seconds_by_motions
 from .grade import HIDDEN
 from .measure import Record
-from .tally import OURS, VISIBLE, Scored, methods, of_kind, scored, share
-from .words import DEFINITIONS, FAILURES, INTRODUCTION, NO_PEERS, PEERS
+from .tally import OURS, VISIBLE, Scored, expressible, methods, of_kind, scored, share
+from .words import DEFINITIONS, EXPRESSIBLE, FAILURES, INTRODUCTION, NO_PEERS, PEERS
 
 _SINGLE: tuple[tuple[str, Callable[[Scored], bool]], ...] = (
     ("truth ranked first", lambda c: c.first),
@@ -38,6 +38,7 @@ def page(records: Iterable[Record]) -> str:
         _complete(kept),
         "## Outsiders and pairs\n",
         _outsiders(cases),
+        _pairs(kept),
         "## Every effect\n",
         _by_effect(cases),
         "## Seconds\n",
@@ -68,13 +69,20 @@ _KINDS = {
 
 
 def _by_grade(records: Sequence[Record]) -> str:
+    if len(methods(records)) == 1:
+        return _graded(records) + "\n" + NO_PEERS
+    like = [r for r in records if expressible(r)]
+    return "\n".join([_graded(records), PEERS, EXPRESSIBLE, _graded(like)])
+
+
+def _graded(records: Sequence[Record]) -> str:
     names = methods(records)
     rows = []
     for grade in (*VISIBLE, HIDDEN):
         for words, right in _SINGLE:
             rows.append([grade, words, *(str(share(_single(records, n, grade), right)) for n in names)])
     rows.append([HIDDEN, "something else named", *(_wrong(records, n) for n in names)])
-    return table(("grade", "", *names), rows, left=2) + "\n" + (PEERS if len(names) > 1 else NO_PEERS)
+    return table(("grade", "", *names), rows, left=2)
 
 
 def _single(records: Sequence[Record], who: str, grade: str) -> list[Scored]:
@@ -110,6 +118,16 @@ def _outsiders(cases: Sequence[Scored]) -> str:
     head = ("grade", "outsiders: verdicts", "outsiders: an effect claimed", "pairs: both found",
             "pairs: both and nothing else")  # fmt: skip
     return table(head, rows, left=2)
+
+
+def _pairs(records: Sequence[Record]) -> str:
+    """Both found, by method; nothing where there is only one method."""
+    names = methods(records)
+    by_method = {n: of_kind(scored(records, n), "pair", *VISIBLE) for n in names}
+    rows = [[n, str(share(of, lambda c: c.reported)), str(share(of, lambda c: c.only))]
+            for n, of in by_method.items()]  # fmt: skip
+    head = ("pairs of which both show", "both found", "both and nothing else")
+    return table(head, rows) if len(names) > 1 else ""
 
 
 def _by_effect(cases: Sequence[Scored]) -> str:

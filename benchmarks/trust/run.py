@@ -7,6 +7,7 @@ import multiprocessing
 import subprocess
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -139,7 +140,9 @@ def _begun(case: Planned, work: Work) -> _Running:
     context = multiprocessing.get_context("fork")
     answer, speak = context.Pipe(duplex=False)
     process = context.Process(target=_do, args=(work, case, speak), daemon=True)
-    process.start()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: none of ours run
+        process.start()
     speak.close()
     return _Running(case, process, answer, time.monotonic())
 

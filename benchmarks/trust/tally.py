@@ -133,6 +133,12 @@ def scored(records: Iterable[Record], who: str = OURS) -> list[Scored]:
     return found
 
 
+def expressible(record: Record) -> bool:
+    """Whether the other methods have terms for all that is hidden."""
+    said = record.get("peers", {}).values()
+    return bool(said) and all(set(record["truth"]) <= set(one.get("expressible", ())) for one in said)
+
+
 def methods(records: Iterable[Record]) -> list[str]:
     """undertow and the other methods that were run."""
     return list(dict.fromkeys([OURS, *(name for r in records for name in r.get("peers", {}))]))

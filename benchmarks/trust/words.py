@@ -14,6 +14,10 @@ The other methods get the same logs and, as candidate terms, the equations of th
 these are linear in their parameters; what is not (delays, lags, dead bands, ...) they cannot express. They
 have no verdict beyond the terms that they keep, so `unexplained` is not open to them.
 """
+EXPRESSIBLE = """\
+The same, only effects that the other methods have terms for:
+
+"""
 FAILURES = """\
 Every answer that is not what it should be: a strong or medium effect that is not named alone, a weak one
 that is not in the reported set, an effect claimed for a complete model, an outsider that is not called
