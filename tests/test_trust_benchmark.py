@@ -211,8 +211,8 @@ BY_HAND = [
     record("usv:growing_drag:x1:n1:open:plain:5", "unexplained", truth=("growing_drag",), known=False,
            grade="strong", ratio=5.0),
     record("usv:lift+thruster_lag:x1:n1:open:plain:6", "indistinguishable", "lift",
-           truth=("lift", "thruster_lag"), sets=[["thruster_lag", "actuation_delay"]], grade="medium", ratio=2.0,
-           after=1.0, told=1.0),
+           truth=("lift", "thruster_lag"), sets=[["thruster_lag", "actuation_delay"]], grade="medium",
+           ratio=2.0, after=1.0, told=1.0),
     {"id": "usv:waves:x1:n1:open:plain:7", "kind": "single", "failure": "ValueError: no", "commit": "a"},
 ]  # fmt: skip
 
