@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
-from undertow.model.effect import Actuation, Wrench
+from undertow.model.effect import Actuation, Effect, Wrench, kinds_of
 from undertow.model.kinematics import rotation, skew
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.parameter import PerThruster
 from undertow.model.plausibility import mass_matrix_at
+from undertow.model.statement import statement_of
 from undertow.model.symbols import DOFS, Signals, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
@@ -276,11 +277,19 @@ def test_bundled_vehicles_balance_their_power(name: str) -> None:
 
 
 # --- invariances --------------------------------------------------------------------------------------
-STILL = tuple(
-    i
-    for i, c in catalogue().items()
-    if issubclass(c, Wrench) and not c.built_in and i not in ("dry_friction", "radiation_memory")
-)
+def _is_a_wrench_of_the_motion(effect: type[Effect]) -> bool:
+    """Whether an effect is a wrench, a function of pose and motion through the water, and nothing else."""
+    wrench = kinds_of(effect) == ("wrench",) and not effect.built_in and not effect.specimen().states
+    return wrench and "thrusters" not in effect.requires and effect.id != "dry_friction"
+
+
+STILL = tuple(i for i, c in catalogue().items() if _is_a_wrench_of_the_motion(c))
+
+
+def _feels(effect_id: str, coordinates: str) -> bool:
+    """Whether the wrench of an effect contains a pose coordinate."""
+    used = statement_of(catalogue()[effect_id].specimen(), catalogue()).free_symbols
+    return bool({str(x) for x in used} & set(coordinates.split()))
 
 
 def any_values(*ids: str) -> dict[str, float]:
@@ -308,9 +317,11 @@ def test_in_a_uniform_current_everything_is_as_in_still_water() -> None:
     assert np.abs(still.residual(eta, nu, nu_dot) - expected).max() > 1, "the current matters"
 
 
-def test_heading_matters_to_the_current_alone() -> None:
-    values = any_values(*STILL) | BODY
-    still = Numbers(vehicle_with(values, *STILL))
+def test_place_and_heading_matter_to_those_alone_that_say_so() -> None:
+    anywhere = [i for i in STILL if not _feels(i, "x y z psi")]
+    assert {"restoring", "rigid_body_coriolis", "quadratic_damping"} <= set(anywhere)
+    values = any_values(*anywhere) | BODY
+    still = Numbers(vehicle_with(values, *anywhere))
     turned_by = START[:6] + np.array([4, -3, 2, 0, 0, 0.8])
     nu_dot = np.ones(6)
     assert still.residual(turned_by, START[6:], nu_dot) == pytest.approx(
@@ -336,7 +347,8 @@ def test_fewer_degrees_of_freedom_are_rows_of_six() -> None:
 
 def test_the_residual_is_linear_in_its_linear_parameters() -> None:
     """Regressor times parameters gives the residual back, for the effects that carry parameters alone."""
-    alone = [i for i in STILL if not catalogue()[i].requires]
+    alone = [i for i in STILL if not catalogue()[i].requires and not catalogue()[i].shares]
+    alone = [i for i in alone if all(p.linear for p in catalogue()[i]().parameters)]
     vehicle = vehicle_with(any_values(*alone) | BODY, *alone)
     theta = sm.Matrix([symbol(n) for n in vehicle.parameter_names])
     difference = (vehicle.regressor * theta - vehicle.residual).applyfunc(sm.expand)
