@@ -258,7 +258,7 @@ def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
     if spec.value is None:
         raise UndertowError(f"{place} needs a 'value'")
     value = si_of(place, spec.value, "N/command")
-    if value <= 0:
+    if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
         raise UndertowError(f"{place} = {value:g} N cannot be: give a positive thrust and turn the direction")
     sigma = None if spec.sigma is None else _positive(f"{place} sigma", spec.sigma, "N/command")
     return Value(value, spec.estimate, sigma, spec.source, spec.assumed)

@@ -44,6 +44,10 @@ class CrossflowDrag(Wrench):
         "m", "middle of the length, forward", (-100.0, 100.0), linear=False, starts=(0.0,), neutral=None
     )
 
+    @classmethod
+    def suits(cls, dofs: tuple[str, ...]) -> bool:
+        return {"sway", "yaw"} <= set(dofs) or {"heave", "pitch"} <= set(dofs)
+
     def wrench(self, s: Signals) -> sm.Matrix:
         x, across, down = _stations()
         side, bottom = (-s.rho * self.L_cross * c / (2 * sum(_SIMPSON)) for c in (self.T_cross, self.B_cross))

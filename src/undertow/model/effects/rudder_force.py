@@ -1,0 +1,31 @@
+"""Force of rudders and fins."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import PerThruster
+from undertow.model.symbols import Signals
+
+
+class RudderForce(Wrench):
+    """What a command gives grows with the square of the speed ahead, as for a rudder, a fin or a flap.
+
+    Beside the list of the design because a vehicle file knows the command of a control surface only as a
+    thruster, whose force does not depend on the speed. The force acts along the column that the command has
+    in the allocation, and turns round astern.
+    """
+
+    id = "rudder_force"
+    family = "actuation"
+    reference = (
+        "Fossen (2021), chapter 9 (rudders and fins: lift proportional to the speed squared and the angle)"
+    )
+    signature = "the same command gives no force at rest and four times as much at twice the speed"
+
+    rudder = PerThruster("N/(m/s)^2/command", "force per command and speed ahead squared")
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        speed = s.nu_r[0]
+        return sm.Abs(speed) * speed * self.allocation * s.actuation.multiply_elementwise(self.rudder)

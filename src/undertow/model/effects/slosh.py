@@ -1,0 +1,73 @@
+"""Liquid or a hanging load that swings to and fro."""
+
+from __future__ import annotations
+
+from math import inf
+
+import sympy as sm
+
+from undertow.model.effect import Wrench
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals, column
+
+_SWING = column(["swing_x", "swing_y"])
+
+
+class Slosh(Wrench):
+    """A mass that swings in the hull with little damping: liquid in a tank, a load on a hook, bilge water.
+
+    Beside the list of the design because tanks and cranes are common and their swing is neither damping nor
+    added mass: the hull is pushed long after it was moved. One mass on a spring in surge and sway, with its
+    displacement in the hull and its own velocity as states. It comes on top of the mass of the rigid body:
+    take it off there if it was weighed with the rest.
+    """
+
+    id = "slosh"
+    family = "memory"
+    reference = (
+        "Ibrahim (2005), Liquid Sloshing Dynamics: Theory and Applications (equivalent mechanical models)"
+    )
+    signature = "after a change of thrust the speed swings at one frequency that no other term has"
+
+    m_slosh = Parameter("kg", "mass that swings", (0, inf))
+    slosh_frequency = Parameter(
+        "rad/s",
+        "its angular frequency in a hull held fast",
+        (0.1, 30),
+        linear=False,
+        starts=(0.7, 1.5, 3, 6),
+        neutral=None,
+    )
+    slosh_damping = Parameter(
+        "1", "its damping ratio", (0.01, 0.7), linear=False, starts=(0.05,), neutral=None
+    )
+
+    @classmethod
+    def suits(cls, dofs: tuple[str, ...]) -> bool:
+        return bool({"surge", "sway"} & set(dofs))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return ("slosh_x", "slosh_y", "slosh_u", "slosh_v")
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        return ("m", "m", "m/s", "m/s")
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        place, push = self.state_symbols[:2, :], -self.m_slosh * self._pull()
+        return sm.Matrix([*push, 0, 0, 0, place[0] * push[1] - place[1] * push[0]])
+
+    def rates(self, s: Signals) -> sm.Matrix:
+        u, v = self.state_symbols[2:, :]
+        pull, turning = self._pull(), s.nu[5] * sm.Matrix([v, -u])
+        return sm.Matrix([*_SWING, *(pull + turning)])
+
+    def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
+        x, y, u, v = self.state_symbols
+        return dict(zip(_SWING, [u - s.nu[0] + s.nu[5] * y, v - s.nu[1] - s.nu[5] * x], strict=True))
+
+    def _pull(self) -> sm.Matrix:
+        """Force of the hull on the mass over the mass, shape (2, 1), m/s^2."""
+        w = self.slosh_frequency
+        return -(w**2) * self.state_symbols[:2, :] - 2 * self.slosh_damping * w * _SWING
