@@ -208,9 +208,16 @@ class Actuation(Effect):
 
 
 class Measurement(Effect):
-    """A difference between the true motion and what the sensors report."""
+    """A difference between the true motion and what the sensors report.
+
+    Attributes
+    ----------
+    of_velocity_sensor : bool
+        Whether only a sensor of velocity can have it: none can where velocities were taken from the pose.
+    """
 
     family = "measurement"
+    of_velocity_sensor: ClassVar[bool] = False
 
     @abc.abstractmethod
     def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
@@ -220,7 +227,7 @@ class Measurement(Effect):
         attitude, so that the true motion can be worked out from what is reported.
         """
 
-    def dead_time(self) -> sm.Matrix:
+    def age(self) -> sm.Matrix:
         """How old each reported pose coordinate and body velocity is, shape (12, 1), s; never negative."""
         return sm.zeros(12, 1)
 

@@ -9,7 +9,7 @@ from itertools import product
 
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import Catalogue
-from undertow.model.effect import Effect
+from undertow.model.effect import Effect, Measurement
 from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Value, Vehicle
 
@@ -117,8 +117,23 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
     return start * command_scale if parameter.unit == "command" else start
 
 
-def candidates(vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
-    """All effects of the catalogue that could be added to a vehicle."""
+def candidates(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
+    """All effects of the catalogue that could be added to a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    known : Catalogue
+        Effects that may be missing.
+    derived : bool
+        Whether velocities were taken from the pose, so that no velocity sensor can be wrong.
+    """
     possible = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
-    found = [Candidate(cls, vehicle) for cls in possible if cls.suits(vehicle.degrees_of_freedom)]
+    possible = [c for c in possible if c.suits(vehicle.degrees_of_freedom)]
+    found = [Candidate(c, vehicle) for c in possible if not (derived and _of_velocity_sensor(c))]
     return [c for c in found if not c.adds_nothing]
+
+
+def _of_velocity_sensor(effect: type[Effect]) -> bool:
+    return issubclass(effect, Measurement) and effect.of_velocity_sensor

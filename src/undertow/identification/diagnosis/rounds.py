@@ -69,7 +69,7 @@ def try_all(bench: Bench, known: Catalogue, report: Report) -> Round:
     report : callable
         Told the share done and what is going on.
     """
-    possible = candidates(bench.base.model.functions.vehicle, known)
+    possible = candidates(bench.base.model.functions.vehicle, known, derived=bench.train.velocities_derived)
     _log.info("error so far %.3f; %d effects to try", bench.base_score.error, len(possible))
     scouted = _scouted(possible, bench, report)
     by_chance = best_by_chance([s.linear for s in scouted])

@@ -59,6 +59,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         channels={**run.channels, **pose, **found},
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
+        resolution=max(one.resolution for one in tracks.values()),
     ).noted(_summary(tracks, sigma), *(_told(run, name, one) for name, one in tracks.items()))
 
 

@@ -49,6 +49,8 @@ class Run:
         Known standard deviations of the noise of channels, in the unit of the channel.
     derived : frozenset of str
         Names of channels computed from others (velocities from pose).
+    resolution : float
+        Time constant in s of the smoother that those came through; changes faster than it are smoothed away.
     mapping : Mapping, optional
         How the columns of the file were read; None where the run is from no file.
     wrapped : dict of (n,) arrays
@@ -65,6 +67,7 @@ class Run:
     notes: tuple[str, ...] = ()
     sigma: Mapping[str, float] = field(default_factory=dict)
     derived: frozenset[str] = frozenset()
+    resolution: float = 0.0
     mapping: LogMapping | None = None
     wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     dropped: int = 0

@@ -44,6 +44,9 @@ class Track:
         Start and end in s of the times without samples.
     noise : float
         Standard deviation of the measurement noise.
+    resolution : float
+        Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor
+        1 / (1 + (w resolution)^6).
     """
 
     value: Array
@@ -54,6 +57,7 @@ class Track:
     jump: Flags
     lost: list[tuple[float, float]]
     noise: float
+    resolution: float
 
 
 @dataclass
@@ -160,6 +164,7 @@ def track(t: Array, y: Array) -> Track:
         signal.jump,
         signal.lost(),
         float(np.sqrt(variance)),
+        step * ratio ** (-1 / (2 * ORDER)),
     )
 
 

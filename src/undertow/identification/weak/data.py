@@ -20,6 +20,9 @@ from .testfunctions import TestFunctions, knot_spacing, test_functions
 Array = NDArray[np.float64]
 # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
 _WIDER_FOR_DERIVED = 2.0
+# Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there a
+# cubic B-spline has its first zero in frequency.
+_KNOTS_PER_RESOLUTION = 2 * np.pi
 _BLOCKS = 24
 _LONGEST_BLOCK = 5.0
 _SHORTEST_BLOCK = 1.0
@@ -92,6 +95,18 @@ class WeakData:
     rows: tuple[int, ...]
     names: tuple[str, ...]
     commands: tuple[str, ...]
+
+    @cached_property
+    def derived(self) -> tuple[int, ...]:
+        """Velocities among the 2n channels that were taken from the pose, whose noise is known."""
+        size = len(self.names) // 2
+        taken = [i for i in range(size, 2 * size) if any(self.names[i] in r.derived for r in self.runs)]
+        return tuple(i for i in taken if self.sigma[i - size] > 0)
+
+    @property
+    def velocities_derived(self) -> bool:
+        """Whether all velocities were taken from the pose: no sensor measured them."""
+        return len(self.derived) == len(self.names) // 2
 
     @cached_property
     def equation(self) -> NDArray[np.intp]:
@@ -174,7 +189,7 @@ def _segments(
 ) -> list[Segment]:
     needed = [n for n in names if n in pose or n in vehicle.velocity_names]
     commands = run.matrix(vehicle.command_names)
-    spacing = knot_spacing(run.t) * (_WIDER_FOR_DERIVED if run.derived else 1.0) if len(run.t) > 1 else 1.0
+    spacing = _spacing(run) if len(run.t) > 1 else 1.0
     found = []
     for piece in run.segments([*needed, *vehicle.command_names]):
         t = run.t[piece]
@@ -183,6 +198,12 @@ def _segments(
             columns = [run.channels[n][piece] if n in needed else np.zeros(len(t)) for n in names]
             found.append(Segment(index, piece.start, t, np.column_stack(columns), commands[piece], functions))
     return found
+
+
+def _spacing(run: Run) -> float:
+    """Distance of the knots, s."""
+    plain = knot_spacing(run.t)
+    return max(_WIDER_FOR_DERIVED * plain, _KNOTS_PER_RESOLUTION * run.resolution) if run.derived else plain
 
 
 def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:

@@ -112,7 +112,12 @@ def overlap(functions: TestFunctions, t: Array, equations: int) -> csr_array:
 
 
 def residual_covariance(
-    functions: TestFunctions, slopes: Entries, sigma: Array, rows: Sequence[int]
+    functions: TestFunctions,
+    slopes: Entries,
+    sigma: Array,
+    rows: Sequence[int],
+    derived: Sequence[int] = (),
+    t: Array | None = None,
 ) -> csr_array:
     """Covariance of the weak residual from noise on the measured channels.
 
@@ -126,6 +131,10 @@ def residual_covariance(
         Standard deviations of the measured channels.
     rows : sequence of int
         Equations that are used, among the 2n (forces first, then kinematics).
+    derived : sequence of int
+        Channels that are the time derivative of a pose: their noise is that of the pose, differentiated.
+    t : (N,) array, optional
+        Time of the samples, s; needed with `derived`.
 
     Returns
     -------
@@ -137,14 +146,29 @@ def residual_covariance(
     equation = slopes.row % n + np.where((block == 2) | (block == 3), n, 0)
     weights = _on_one_pattern(functions)
     pattern = weights[0]
-    felt = []
+    felt: list[list[tuple[int, int, Array]]] = [[], []]
     for row in rows:
         for channel in range(2 * n):
             chosen = np.flatnonzero((equation == row) & (slopes.column == channel))
-            if sigma[channel] > 0 and len(chosen):
+            level = sigma[channel - n if channel in derived else channel]
+            if level > 0 and len(chosen):
                 terms = (weights[_WEIGHTS[block[e]]].data * slopes.data[pattern.indices, e] for e in chosen)
-                felt.append((rows.index(row), channel, sigma[channel] * sum(terms)))
-    return _product(felt, pattern, len(rows), 2 * n)
+                felt[channel in derived].append((rows.index(row), channel, level * sum(terms)))
+    measured = _stacked(felt[0], pattern, len(rows), 2 * n)
+    covariance = measured @ measured.T
+    if felt[1] and t is not None:
+        rates = _stacked(felt[1], pattern, len(rows), 2 * n) @ kron(_difference(t), eye_array(2 * n))
+        covariance = covariance + rates @ rates.T
+    return csr_array(covariance)
+
+
+def _difference(t: Array) -> csr_array:
+    """Central differences of a signal at the samples, shape (N, N)."""
+    count = len(t)
+    after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)
+    step = 1.0 / (t[after] - t[before])
+    place = np.tile(np.arange(count), 2)
+    return csr_array((np.concatenate([step, -step]), (place, np.concatenate([after, before]))))
 
 
 # Which test weights (value, rate, held) a block of pointwise rows meets.
@@ -165,14 +189,13 @@ def _on_one_pattern(functions: TestFunctions) -> list[csr_array]:
     return found
 
 
-def _product(felt: list[tuple[int, int, Array]], pattern: csr_array, rows: int, channels: int) -> csr_array:
-    """S S' of the sensitivities S, (K rows) by (N channels), stacked from its blocks."""
+def _stacked(felt: list[tuple[int, int, Array]], pattern: csr_array, rows: int, channels: int) -> csr_array:
+    """Sensitivities of all rows (K rows) to all samples (N channels), stacked from their blocks."""
     count, samples = pattern.shape
+    shape = (count * rows, samples * channels)
     if not felt:
-        return csr_array((count * rows, count * rows))
+        return csr_array(shape)
     function = np.repeat(np.arange(count), np.diff(pattern.indptr))
     place = np.concatenate([function * rows + row for row, _, _ in felt])
     across = np.concatenate([pattern.indices * channels + channel for _, channel, _ in felt])
-    data = np.concatenate([d for _, _, d in felt])
-    stacked = csr_array((data, (place, across)), shape=(count * rows, samples * channels))
-    return csr_array(stacked @ stacked.T)
+    return csr_array((np.concatenate([d for _, _, d in felt]), (place, across)), shape=shape)

@@ -132,7 +132,7 @@ class WeakModel:
         function = self._points.noise
         (slope,) = nonzeros(function, [*inputs, p, s.t[:, None]], len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
-        noise = residual_covariance(s.functions, slopes, data.sigma, data.rows)
+        noise = residual_covariance(s.functions, slopes, data.sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 

@@ -16,6 +16,7 @@ class SensorBias(Measurement):
     """
 
     id = "sensor_bias"
+    of_velocity_sensor = True
     reference = "constant bias of rate and velocity sensors; Fossen (2021), chapter 14 (inertial measurement)"
     signature = "a velocity is reported at rest, and positions drift away from it"
 

@@ -13,6 +13,7 @@ class SensorDelay(Measurement):
     """The velocity sensor (DVL) reports u, v and w late; pose and angular velocity come in time."""
 
     id = "sensor_delay"
+    of_velocity_sensor = True
     reference = "transport delay; Ljung (1999), System Identification, section 4.2 (dead time)"
     signature = "measured velocity trails the position's rate by a constant time, whatever the manoeuvre"
 
@@ -23,5 +24,5 @@ class SensorDelay(Measurement):
     def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
         return eta, nu
 
-    def dead_time(self) -> sm.Matrix:
+    def age(self) -> sm.Matrix:
         return sm.Matrix([0] * 6 + [self.velocity_delay] * 3 + [0] * 3)

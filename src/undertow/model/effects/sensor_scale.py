@@ -17,6 +17,7 @@ class SensorScale(Measurement):
     """
 
     id = "sensor_scale"
+    of_velocity_sensor = True
     reference = (
         "scale factor error; a Doppler log's speed is proportional to the speed of sound assumed in it"
     )

@@ -18,6 +18,7 @@ class WaterSpeedLog(Flow, Measurement):
     """
 
     id = "water_speed_log"
+    of_velocity_sensor = True
     family = "measurement"
     reference = "relative velocity v_r = v - R' v_c; Fossen (2021), chapter 10 (ocean currents)"
     signature = (
