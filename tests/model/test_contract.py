@@ -386,6 +386,26 @@ def test_a_broken_effect_fails_these_checks_and_no_other(
     assert all("\n" not in f.message for f in failed)
 
 
+def test_what_is_reported_before_it_happens_is_found(tmp_path: Path) -> None:
+    source = f'''
+class Echo(Measurement):
+    """A log on the sea bed hears of the position late."""
+    id = "echo"
+{NOTES}
+    echo_time = Parameter("s", "way of the sound", (0, 2), linear=False, starts=(0.1,))
+
+    def reported(self, eta, nu, s):
+        return eta, nu
+
+    def age(self):
+        return sm.Matrix([self.echo_time] * 3 + [0] * 9)
+'''
+    assert all(f.ok for f in check_effect(effect_from(tmp_path, source)))
+    early = check_effect(effect_from(tmp_path, source.replace("(0, 2)", "(-1, 2)")))
+    assert [f.check for f in early if not f.ok] == ["dead_time"]
+    assert "age of reported x can be negative" in next(f.message for f in early if not f.ok)
+
+
 def test_all_findings_come_at_once(tmp_path: Path) -> None:
     source = KEEL.replace("self.C_keel *", "(1 + self.C_keel) *").replace("force = -s.rho", "force = s.rho")
     failed = {f.check for f in check_effect(effect_from(tmp_path, source)) if not f.ok}

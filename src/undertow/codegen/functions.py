@@ -158,9 +158,9 @@ class Functions:
         return ca.vertcat(self.convert.matrix(eta), self.convert.matrix(nu))
 
     @cached_property
-    def report_dead_time(self) -> ca.SX:
+    def report_age(self) -> ca.SX:
         """How old pose and velocity are when the sensors report them, shape (2n,), s."""
-        return self.convert.matrix(self.vehicle.composition.report_dead_time)
+        return self.convert.matrix(self.vehicle.composition.report_age)
 
     @cached_property
     def x_dot(self) -> ca.SX:

@@ -141,7 +141,7 @@ def describe(functions: Functions) -> Manifest:
             for n, v in zip(functions.parameter_names, functions.values(), strict=True)
         ),
         input_delay=dead_time(functions),
-        output_delay=report_dead_time(functions),
+        output_delay=output_delay(functions),
         rows=_rows(functions),
     )
 
@@ -152,9 +152,9 @@ def dead_time(functions: Functions) -> float:
     return float(ca.Function("dead_time", [functions.p], [expression])(functions.values()))
 
 
-def report_dead_time(functions: Functions) -> dict[str, float]:
+def output_delay(functions: Functions) -> dict[str, float]:
     """Dead time of the outputs that come late for the vehicle's values, s, by name."""
-    evaluate = ca.Function("report_dead_time", [functions.p], [ca.densify(functions.report_dead_time)])
+    evaluate = ca.Function("report_age", [functions.p], [ca.densify(functions.report_age)])
     seconds = evaluate(functions.values()).full().ravel().tolist()
     names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
     return {n: s for n, s in zip(names, seconds, strict=True) if s}

@@ -174,17 +174,17 @@ class Composition:
         return self._rows(eta).xreplace(self.locked), self._rows(nu).xreplace(self.locked)
 
     @cached_property
-    def report_dead_time(self) -> sm.Matrix:
-        """Sum of the dead times of what the sensors report, pose then velocity, shape (2n, 1), s."""
+    def report_age(self) -> sm.Matrix:
+        """How old what the sensors report is, pose then velocity, shape (2n, 1), s."""
         effects = [e for e in self.effects if isinstance(e, Measurement)]
-        total = sum((e.dead_time() for e in effects), sm.zeros(12, 1))
+        total = sum((e.age() for e in effects), sm.zeros(12, 1))
         return sm.Matrix.vstack(self._rows(total[:6, :]), self._rows(total[6:, :]))
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Parameters that occur in the equations, in the order of the effects; environment last."""
         chain, rates, _ = self.chain
-        parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time]), self.report_dead_time]
+        parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time]), self.report_age]
         parts += [sm.Matrix(list(rates.values()) or [0]), sm.Matrix(list(self.wrench_states.values()) or [0])]
         used = {str(x) for part in parts for x in part.free_symbols}
         return tuple(n for n in self._declared_names() if n in used)

@@ -164,12 +164,13 @@ def affine_in_motion(s: Statement) -> Iterator[str]:
 
 def dead_time_positive(s: Statement) -> Iterator[str]:
     """Nothing acts or is reported before its time, for parameters within bounds."""
-    part = next(p for p in s.parts if p.name == "dead_time")
-    values, probe = compiled(list(part.matrix)), Probe(s)
+    parts = [p for p in s.parts if p.name in ("dead_time", "age")]
+    rows = [(name, seconds) for p in parts for name, seconds in zip(p.rows, p.matrix, strict=True)]
+    values, probe = compiled([seconds for _, seconds in rows]), Probe(s)
     for _ in range(_TRIALS):
-        early = [i for i, seconds in enumerate(values(probe.point())) if seconds < 0]
+        early = [row for row, seconds in zip(rows, values(probe.point()), strict=True) if seconds < 0]
         if early:
-            yield f"{part.rows[early[0]]} can be negative within the bounds: {_short(part.matrix[early[0]])}"
+            yield f"{early[0][0]} can be negative within the bounds: {_short(early[0][1])}"
             return
 
 

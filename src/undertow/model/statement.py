@@ -226,9 +226,9 @@ def _measurement(effect: Measurement, s: Signals) -> tuple[Part, ...]:
             usable,
         ),
         Part(
-            "dead_time",
-            effect.dead_time(),
-            tuple(f"dead time of {n}" for n in (*POSE, *VELOCITY)),
+            "age",
+            effect.age(),
+            tuple(f"age of reported {n}" for n in (*POSE, *VELOCITY)),
             ("s",) * 12,
             sm.zeros(12, 1),
             frozenset(),

@@ -143,7 +143,7 @@ class Shooting:
     @property
     def _dead_times(self) -> ca.SX:
         f = self.functions
-        return ca.vertcat(f.convert(f.vehicle.composition.dead_time), f.report_dead_time)
+        return ca.vertcat(f.convert(f.vehicle.composition.dead_time), f.report_age)
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""

@@ -47,7 +47,7 @@ class Lateness:
     @cached_property
     def present(self) -> bool:
         """Whether any channel can be late."""
-        return bool(self._functions.report_dead_time.nnz())
+        return bool(self._functions.report_age.nnz())
 
     def seconds(self, p: Array) -> Array:
         """How old each of the 2n channels is when it is reported, s."""
@@ -97,8 +97,8 @@ class Lateness:
     def _dead_time(self) -> ca.Function:
         f = self._functions
         free = ca.vertcat(*[f.p[i] for i in self._free]) if self._free else ca.SX(0, 1)
-        slope = ca.jacobian(f.report_dead_time, free)
-        return ca.Function("report_dead_time", [f.p], [ca.densify(f.report_dead_time), ca.densify(slope)])
+        slope = ca.jacobian(f.report_age, free)
+        return ca.Function("report_age", [f.p], [ca.densify(f.report_age), ca.densify(slope)])
 
 
 def _known(s: Segment, seconds: Array) -> int:
