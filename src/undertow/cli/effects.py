@@ -1,7 +1,12 @@
-"""List the effects that a model can be made of, show one of them, or check one of your own.
+"""List the effects that a model can be made of, show one of them, check one of your own, or begin one.
 
 Without a word behind it, the command lists the catalogue. `show` prints the physics of one effect, `check`
-runs the contract on a file of your own.
+runs the contract on a file of your own, `new` writes such a file, from what a diagnosis left unexplained.
+
+    undertow diagnose rov.toml run1.csv run2.csv --json found.json
+    undertow effects new turning_drag --from found.json
+    undertow effects check turning_drag.py
+    undertow diagnose rov.toml run1.csv run2.csv --effects turning_drag.py
 """
 
 from __future__ import annotations
@@ -24,6 +29,10 @@ app = typer.Typer(add_completion=False)
 
 _ID = typer.Argument(metavar="ID", help="Id of the effect; 'undertow effects' lists them.")
 _FILE = typer.Argument(metavar="FILE", help="Python file with effects of your own; it is executed.")
+_NEW_ID = typer.Argument(metavar="ID", help="Id of the new effect, such as turning_drag.")
+_FROM = typer.Option("--from", metavar="DIAGNOSIS.json", help="What 'undertow diagnose --json' wrote.")
+_OUT = typer.Option("--out", metavar="FILE", help="Where to write it.", show_default="ID.py")
+_FORCE = typer.Option("--force", help="Replace the file if it exists.")
 _JSON = typer.Option("--json", help="Print JSON instead of text.")
 _FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "measurement", "memory")
 
@@ -76,6 +85,39 @@ def check(file: Annotated[Path, _FILE]) -> int:
     complaints = "1 complaint" if failed == 1 else f"{failed} complaints"
     typer.echo(complaints if failed else "all checks passed")
     return 1 if failed else 0
+
+
+@app.command()
+def new(
+    id: Annotated[str, _NEW_ID],
+    diagnosis: Annotated[Path | None, _FROM] = None,
+    out: Annotated[Path | None, _OUT] = None,
+    force: Annotated[bool, _FORCE] = False,
+) -> None:
+    """Write a file with an effect of your own, to be edited: from a diagnosis, or with one example term.
+
+    With --from it has a parameter for everything that a diagnosis found the unexplained force to go with. It
+    passes 'undertow effects check' as it is, and 'undertow diagnose --effects FILE' tries it beside the
+    catalogue. What makes the force, and a reference, are for you to say.
+    """
+    from undertow.errors import UndertowError
+    from undertow.files import check_writable, write_whole
+    from undertow.identification.scaffold import check_id, effect_file, example, read_diagnosis, suggested
+
+    check_id(id)
+    target = out or Path(f"{id}.py")
+    check_writable(target, inputs=[diagnosis] if diagnosis else [])
+    replaced = target.exists()
+    if replaced and not force:
+        raise UndertowError(f"'{target}' exists already: name another file with --out, or give --force")
+    found = suggested(read_diagnosis(diagnosis), diagnosis.name) if diagnosis else example()
+    write_whole(target, effect_file(id, target.name, found))
+    out_ = console()
+    out_.print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
+    for term in found.terms:
+        out_.print(text(f"  {term.name}: {term.about}"))
+    for line in found.left_out:
+        out_.print(text(f"left out: {line}"))
 
 
 def _known(files: list[Path] | None) -> Mapping[str, type[Effect]]:

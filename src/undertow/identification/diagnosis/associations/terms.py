@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Column = tuple[str, ...]
 _COMMAND = "command "
 _ANGLES = ("psi", "phi", "theta")
-_WAVE = re.compile(r"(sin|cos)\((2 )?(psi|phi|theta)\)")
+WAVE = re.compile(r"(sin|cos)\((2 )?(psi|phi|theta)\)")
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def unit_of(factor: str) -> str:
     name = command_of(factor)
     if name is not None:
         return UNITS.get(name, "command")
-    if _WAVE.fullmatch(factor):
+    if WAVE.fullmatch(factor):
         return "1"
     plain = plain_of(factor)
     return "s" if factor == "t" else {**UNITS, "t": ""}[plain]
@@ -147,7 +147,7 @@ class Along:
         return np.prod(found, axis=0) if found else None
 
     def _value(self, factor: str) -> Array:
-        wave = _WAVE.fullmatch(factor)
+        wave = WAVE.fullmatch(factor)
         if wave:
             angle = (2 if wave[2] else 1) * self.values[wave[3]]
             return np.asarray(np.sin(angle) if wave[1] == "sin" else np.cos(angle))
@@ -157,7 +157,7 @@ class Along:
 
 def is_factor(text: str) -> bool:
     """Whether a text is a factor."""
-    return bool(_WAVE.fullmatch(text)) or text in ("t", *POSE[:3]) or _is_motion(text)
+    return bool(WAVE.fullmatch(text)) or text in ("t", *POSE[:3]) or _is_motion(text)
 
 
 def _is_motion(text: str) -> bool:

@@ -1,0 +1,10 @@
+"""Effect files to begin with: written from what a diagnosis left unexplained, or with one example term."""
+
+from __future__ import annotations
+
+from .reading import read_diagnosis
+from .suggestion import Suggestion, example, suggested
+from .text import effect_file
+from .words import check_id
+
+__all__ = ["Suggestion", "check_id", "effect_file", "example", "read_diagnosis", "suggested"]

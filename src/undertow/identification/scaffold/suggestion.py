@@ -1,0 +1,228 @@
+"""From what a diagnosis left unexplained to the terms of an effect, and what no effect can say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import isfinite, pi
+
+from undertow.errors import UndertowError
+from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS
+
+from ..diagnosis.associations.terms import Column, coefficient_unit, command_of, is_factor, label_of
+from ..diagnosis.result import Dependence, Diagnosis, Remaining, Spectrum
+from .words import identifier, taken_names
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Angular frequency of a periodic force: a parameter of its own.
+
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    value : float
+        What the diagnosis found, rad/s.
+    near : float
+        Half the distance at which the logs can tell two frequencies apart, rad/s.
+    """
+
+    name: str
+    value: float
+    near: float
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One term of a force: a parameter times factors.
+
+    Attributes
+    ----------
+    name, unit, about : str
+        The parameter.
+    row : int
+        Which of the six forces and moments it is part of.
+    column : Column
+        Factors, as the diagnosis writes them.
+    wave : Wave, optional
+        What the term swings with; `column` is then ``("cos",)`` or ``("sin",)``.
+    """
+
+    name: str
+    unit: str
+    about: str
+    row: int
+    column: Column
+    wave: Wave | None = None
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """What an effect file is written from.
+
+    Attributes
+    ----------
+    about : str
+        First line of the docstring.
+    origin : tuple of str
+        Paragraphs that say where the terms come from.
+    signature : str
+        What in a log gives the effect away.
+    reference : str
+        What stands for a reference until there is one.
+    terms : tuple of Coefficient
+        The terms.
+    left_out : tuple of str
+        What was found and cannot be stated by an effect, with the reason.
+    """
+
+    about: str
+    origin: tuple[str, ...]
+    signature: str
+    reference: str
+    terms: tuple[Coefficient, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def example() -> Suggestion:
+    """One term to begin with."""
+    column: Column = ("|r|", "u")
+    unit = coefficient_unit("N", column)
+    return Suggestion(
+        about="Surge force that goes with the yaw rate and the speed (an example).",
+        origin=("Written by 'undertow effects new' as an example of a term.",),
+        signature="speed is lost in turns",
+        reference="none yet: name the book or paper that the physics follows",
+        terms=(Coefficient(_name("X", column), unit, "surge force per |r| u", 0, column),),
+    )
+
+
+def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
+    """Terms for all that a diagnosis found a residual force to go with.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        What was found.
+    source : str
+        Name of the file that it was read from.
+
+    Raises
+    ------
+    UndertowError
+        If it found nothing that an effect can state, or something that is no term.
+    """
+    near = pi / (2 * max((r.duration for r in diagnosis.runs), default=1.0))
+    terms = [t for left in diagnosis.remaining for t in _terms(left, near)]
+    left_out = tuple(line for left in diagnosis.remaining for line in _left_out(left))
+    if not terms:
+        found = f" ({left_out[0]})" if left_out else f"; its verdict is {diagnosis.verdict}"
+        raise UndertowError(
+            f"'{source}' has no term that an effect could state{found}: leave --from out for an empty one"
+        )
+    described = [left for left in diagnosis.remaining if _is_described(left)]
+    logs = ", ".join(r.name for r in diagnosis.runs)
+    added = f" with {_listed(diagnosis.effects)} added" if diagnosis.effects else ""
+    return Suggestion(
+        about=f"Force that goes with {_listed([t for left in described for t in _labels(left)])}.",
+        origin=(
+            f"Suggested by 'undertow effects new' from {source}: vehicle {diagnosis.vehicle}{added}, "
+            f"logs {logs}, undertow {diagnosis.undertow}. On the data kept aside:",
+            *(f"- {left.summary}" for left in described),
+        ),
+        signature="; ".join(left.summary for left in described),
+        reference=f"residual forces in {source}, none yet: name the book or paper that the physics follows",
+        terms=tuple(_distinct(terms)),
+        left_out=left_out,
+    )
+
+
+def _is_described(left: Remaining) -> bool:
+    return bool(left.depends_on or (left.spectrum and left.spectrum.in_step))
+
+
+def _labels(left: Remaining) -> Iterator[str]:
+    yield from (told.term for told in left.depends_on)
+    if left.spectrum is not None and left.spectrum.in_step:
+        yield f"a period of {left.spectrum.period:.3g} s"
+
+
+def _listed(labels: list[str]) -> str:
+    unique = list(dict.fromkeys(labels))
+    return " and ".join(filter(None, [", ".join(unique[:-1]), unique[-1]]))
+
+
+# --- terms ------------------------------------------------------------------------------------
+def _terms(left: Remaining, near: float) -> Iterator[Coefficient]:
+    if left.degree_of_freedom not in DOFS:
+        raise UndertowError(f"'{left.degree_of_freedom}' is no degree of freedom: is this a diagnosis?")
+    row = DOFS.index(left.degree_of_freedom)
+    for told in left.depends_on:
+        yield from _dependent(told, row)
+    if left.spectrum is not None and left.spectrum.in_step:
+        yield from _periodic(left.spectrum, row, near)
+
+
+def _dependent(told: Dependence, row: int) -> Iterator[Coefficient]:
+    what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
+    for factors, value, error in zip(told.columns, told.coefficients, told.standard_errors, strict=False):
+        column = _checked(factors)
+        about = f"{what} per {label_of(column)}" if column else what
+        unit = coefficient_unit(FORCE_UNITS[row], column)
+        found = f"{about}; found {value:.3g} with standard error {error:.1g}"
+        yield Coefficient(_name(FORCE[row], column), unit, found, row, column)
+
+
+def _checked(factors: Sequence[str]) -> Column:
+    for factor in factors:
+        if not is_factor(factor):
+            raise UndertowError(f"'{factor[:40]}' is no factor of a term: is this a diagnosis?")
+    return tuple(factors)
+
+
+def _periodic(spectrum: Spectrum, row: int, near: float) -> Iterator[Coefficient]:
+    if not (isfinite(spectrum.period) and spectrum.period > 0):
+        raise UndertowError(f"a period of {spectrum.period} s cannot be: is this a diagnosis?")
+    wave = Wave(f"omega_{FORCE[row]}", 2 * pi / spectrum.period, near)
+    what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
+    for part in ("cos", "sin"):
+        about = f"{what}, {part} part; found an amplitude of {spectrum.amplitude:.3g}"
+        yield Coefficient(f"{FORCE[row]}_{part}", FORCE_UNITS[row], about, row, (part,), wave)
+
+
+def _name(force: str, column: Column) -> str:
+    """Name of a coefficient: ``X_absr_u``."""
+    parts = [_in_name(f) for f in column] or ["constant"]
+    return f"{force}_{'_'.join(parts)}"
+
+
+def _in_name(factor: str) -> str:
+    size = "abs" if factor.startswith("|") else ""
+    name = command_of(factor)
+    return size + identifier(factor if name is None else name)
+
+
+def _distinct(terms: list[Coefficient]) -> Iterator[Coefficient]:
+    """Names that nothing else has, neither in the catalogue nor in the file."""
+    used: set[str] = set()
+    for term in terms:
+        name, count = term.name, 2
+        while name in used or name in taken_names():
+            name, count = f"{term.name}_{count}", count + 1
+        used.add(name)
+        yield Coefficient(name, term.unit, term.about, term.row, term.column, term.wave)
+
+
+# --- what no effect can say -------------------------------------------------------------------
+def _left_out(left: Remaining) -> Iterator[str]:
+    dof = left.degree_of_freedom
+    if left.spectrum is not None and not left.spectrum.in_step:
+        yield (
+            f"the period of {left.spectrum.period:.3g} s in {dof}, since its phase differs from run to run "
+            "and the parameters of an effect do not"
+        )
+    for told in left.between_runs:
+        yield (
+            f"the {told.of} in {dof}, since it differs from run to run and the parameters of an effect do not"
+        )
