@@ -1,0 +1,83 @@
+"""A box pushed through water by a flow solver: a wake with a memory, and no noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.compare.shown import traces
+from undertow.identification.report.pictures import measured_vs_simulated
+from undertow.identification.report.style import AFTER, BEFORE, FAINT, INK, figure, look, save_png
+
+from . import telling
+from .calls import Caller, Judged, Told
+from .variants import runs_of, vehicle_of
+
+FOLDER = "cfd-surge"
+VEHICLE = "box-hull"
+MAPPING = "src/undertow/demo_data/cfd-surge/log.toml"
+STEP, MULTISTEP, FINE = "surge_step_coarse.csv", "surge_multistep_coarse.csv", "surge_step_medium.csv"
+#: Effects added by hand, whatever the verdict.
+BY_HAND = ("radiation_memory", "drag_asymmetry", "constant_force")
+#: Added mass of the box by boundary elements and by small oscillations in the same solver, kg.
+ADDED_MASS = (20.4, 21.1)
+NAMES = ("cfd-run.png", "cfd-force.png")
+
+
+def both(one: str, other: str) -> tuple[Judged, Judged]:
+    """Identify on one profile and judge on the other, and the other way round."""
+    name = lambda file: file.removeprefix("surge_").removesuffix(".csv")  # noqa: E731
+    first, second = (
+        Judged(f"{name(a)} → {name(b)}", VEHICLE, MAPPING, (a,), (b,))
+        for a, b in ((one, other), (other, one))
+    )
+    return first, second
+
+
+WAYS = (*both(STEP, MULTISTEP), *both(STEP, FINE))
+
+
+def work(call: Caller, images: Path) -> Told:
+    """Everything that takes time."""
+    logs = {name[6:-4]: Judged("", VEHICLE, MAPPING, (name,)) for name in (STEP, MULTISTEP, FINE)}
+    compared = {name: telling.comparison_kept(call.compare(what)) for name, what in logs.items()}
+    diagnoses = [telling.diagnosis_kept(call.diagnose(way)[0]) for way in WAYS]
+    hand, memory = [], []
+    for way in WAYS[:2]:
+        for effect in BY_HAND:
+            told, file = call.add(effect, way)
+            model = vehicle_of(file)
+            memory += [model] if effect == BY_HAND[0] else []
+            found = {n: v.value for n, v in model.values.items() if v.estimate}
+            ahead = compare(model, runs_of(way, call.data, model, held=True)).result.prediction_error
+            hand.append({"way": way.title, "effect": effect, "ahead": ahead, "values": found, **told})
+    stated = vehicle_of(VEHICLE)
+    runs = runs_of(WAYS[0], call.data, stated, held=True)
+    before, after = (compare(model, runs) for model in (stated, memory[0]))
+    names = ("as stated", f"with {BY_HAND[0]}")
+    save_png(measured_vs_simulated(traces(before, after, free=True)[0], names), images / NAMES[0])
+    save_png(force(before, after, names), images / NAMES[1])
+    return {"compared": compared, "diagnoses": diagnoses, "by_hand": telling.rounded(hand)}
+
+
+def force(before: Comparison, after: Comparison, names: tuple[str, str]) -> Figure:
+    """The push, and what both models lack of the force along a run."""
+    with look():
+        picture, axes = figure(4.2, 2, sharex=True)
+        push = before.forces.wrenches["generalised_force"][:, 0]
+        axes[0, 0].plot(before.forces.t, push, color=INK)
+        axes[0, 0].set_ylabel("push [N]")
+        for comparison, name, colour in ((before, names[0], BEFORE), (after, names[1], AFTER)):
+            axes[1, 0].plot(comparison.forces.t, comparison.forces.missing[:, 0], color=colour, label=name)
+        axes[1, 0].axhline(0.0, color=FAINT, linewidth=0.8)
+        axes[1, 0].set_ylabel("force that the model lacks [N]")
+        axes[1, 0].set_xlabel("time [s]")
+        limit = float(np.quantile(np.abs(before.forces.missing[:, 0]), 0.99))
+        axes[1, 0].set_ylim(-1.3 * limit, 1.3 * limit)
+        for axis in axes[:, 0]:
+            axis.grid()
+        picture.legend(loc="outside upper left", ncols=2)
+    return picture

@@ -1,0 +1,91 @@
+"""What the numbers put into the page on the roll decay of a tanker model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from benchmarks.results.text import MISSING, number, percent, table
+
+from . import telling
+from .calls import Told
+from .kvlcc2 import BEST
+
+#: model_test_parameters.csv, full scale: GM, KG, draught, radius of gyration (m), volume (m^3); the scale.
+GM, KG, DRAUGHT, KXX, VOLUME, SCALE = 5.73, 18.6, 20.8, 23.2, 312653.0, 68.0
+#: Stated roll inertia of the vehicle file, kg m^2.
+INERTIA = 115.7
+#: Height of the centre of buoyancy of a full hull over its draught.
+FULL_HULL = (0.50, 0.55)
+_SHOWN = {"K_p": "K_p [N m s]", "K_pabsp": "K_p|p| [N m s²]", "K_ppp": "K_ppp [N m s³]", "BM": "BM [m]"}
+
+
+def blocks(n: Told) -> dict[str, str]:
+    """Tables and lists of the page, from the numbers of `kvlcc2.work`."""
+    first, own, speed = n["diagnoses"][:2], n["diagnoses"][2:4], n["diagnoses"][4:]
+    return {
+        "commands": telling.commands(_commands(n), "../shared/data/kvlcc2-rolldecay-sspa"),
+        "compared": telling.compared(n["compared"]),
+        "regimes": telling.regimes(n["compared"]["model_test_21337"]),
+        "verdicts": telling.verdicts(first),
+        "diagnoses": telling.diagnoses(first),
+        "own_verdicts": telling.verdicts(own),
+        "own_diagnoses": telling.diagnoses(own),
+        "by_hand": _by_hand(n["by_hand"]),
+        "truth": _truth(n["by_hand"]),
+        "speed": _at_speed(n["speed"]),
+        "speed_verdicts": telling.verdicts(speed),
+        "seconds": telling.seconds(n),
+    }
+
+
+def _commands(n: Told) -> list[str]:
+    rest = n["diagnoses"][2]["command"].removeprefix("undertow diagnose ")
+    by_hand = f"undertow add wall_sided {rest} --out better.toml"
+    check = "undertow effects check examples/kvlcc2/wall_sided.py"
+    return [*telling.typed(n), check, by_hand]
+
+
+def _by_hand(rows: Sequence[Told]) -> str:
+    head = ("identified → judged", "model", "free run explains", "5 s ahead", *_SHOWN.values())
+    return table(head, [_model(r) for r in rows], left=2)
+
+
+def _model(r: Told) -> list[str]:
+    return [
+        r["way"],
+        r["model"],
+        f"{number(r['fit'])} %",
+        percent(r["ahead"]),
+        *(_value(r, p) for p in _SHOWN),
+    ]
+
+
+def _value(row: Told, name: str) -> str:
+    if name not in row:
+        return MISSING
+    found = row[name]
+    spread = "" if found["sigma"] is None else f" ± {found['sigma']:.1g}"
+    return f"{number(found['value'])}{spread}"
+
+
+def _truth(rows: Sequence[Told]) -> str:
+    """Inertia and BM against what the table of the tests implies."""
+    best = [r for r in rows if r["model"] == BEST]
+    dry = VOLUME / SCALE**3 * 1000 * (KXX / SCALE) ** 2
+    whole = " and ".join(number(INERTIA - r["K_pdot"]["value"], 4) for r in best)
+    arm = " and ".join(number(SCALE * r["BM"]["value"]) for r in best)
+    low, high = (GM + KG - share * DRAUGHT for share in FULL_HULL[::-1])
+    return (
+        f"- Inertia in roll, ship and water together: {whole} kg m² (both ways; {BEST}).\n"
+        f"  The stated radius of gyration gives {number(dry, 4)} kg m²; the difference is added inertia if "
+        "that radius is of\n  the dry ship, which the table does not say.\n"
+        f"- BM: {arm} m in full scale. The table has no BM, but KB + BM = KG + GM = {GM + KG:.2f} m, and the "
+        f"centre\n  of buoyancy of so full a hull lies at {FULL_HULL[0]:.2f} to {FULL_HULL[1]:.2f} of its "
+        f"draught: that makes BM {low:.1f} to {high:.1f} m.\n"
+    )
+
+
+def _at_speed(rows: Sequence[Told]) -> str:
+    shown = ("K_p", "K_pabsp", "BM")
+    cells = [[r["test"], r["model"], *(_value(r, p) for p in shown)] for r in rows]
+    return table(("test", "model", *(_SHOWN[p] for p in shown)), cells, left=2)

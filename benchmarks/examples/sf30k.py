@@ -1,0 +1,109 @@
+"""SUB-fighter 30k at sea: a published model that fails, and what is missing as far as one log can tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.logs import Run
+
+from . import telling
+from .calls import Caller, Judged, Told
+from .variants import runs_of, vehicle_of
+
+Array = NDArray[np.float64]
+FOLDER = "ntnu-rov-sf30k"
+SIX, FOUR = "examples/sf30k/vehicle.toml", "examples/sf30k/vehicle-4dof.toml"
+MAPPING = "examples/sf30k/log.toml"
+LOG = "sf30k_20150518_1829.csv"
+WINDOW = (720.0, 1330.0)
+WAYS = tuple(
+    Judged(f"{motions} degrees of freedom, stretches kept aside", vehicle, MAPPING, (LOG,), (), WINDOW)
+    for motions, vehicle in (("six", SIX), ("four", FOUR))
+)
+#: Where Neptune.xml puts the Doppler log, m; the vehicle files do not say so.
+DOPPLER_LOG = {"x_s": 0.54, "y_s": -0.56, "z_s": 0.0}
+#: Time constant over which commands and motion are compared as steady, s.
+STEADY = 20.0
+
+
+def work(call: Caller, images: Path) -> Told:
+    """Everything that takes time."""
+    compared = {
+        name: telling.comparison_kept(call.compare(way))
+        for name, way in zip(("six", "four"), WAYS, strict=True)
+    }
+    found = [call.diagnose(way) for way in WAYS]
+    from . import sf30k_pictures
+
+    models = [vehicle_of(WAYS[1].vehicle), vehicle_of(found[1][1])]
+    run = runs_of(WAYS[1], call.data, models[0])[0]
+    before, after = (compare(model, [run]) for model in models)
+    sf30k_pictures.draw(before, after, run, images)
+    return {
+        "compared": compared,
+        "diagnoses": [telling.diagnosis_kept(told) for told, _ in found],
+        "checks": telling.rounded({"arm": lever_arm(run), "slopes": slopes(before)}),
+    }
+
+
+# --- evidence that needs no model -------------------------------------------------------------
+def lever_arm(run: Run) -> Told:
+    """Place of the Doppler log by kinematics alone, from how its excess goes with the yaw rate, m."""
+    yaw, ahead, aside = excess(run)
+    across = _slope(yaw, ahead)
+    return {"x_s": _slope(yaw, aside), "y_s": {**across, "value": -across["value"]}}
+
+
+def excess(run: Run) -> tuple[Array, Array, Array]:
+    """Yaw rate, and what the Doppler log reads beyond the rate of the position fixes, as means over 4 s.
+
+    For a sensor at (x, y) in a vehicle that yaws, the excess is -r y ahead and r x to starboard.
+    """
+    t, c = run.t, run.channels
+    north, east, yaw = (_means(t, np.gradient(c[n], t), 4.0) for n in ("x", "y", "psi"))
+    heading = _means(t, c["psi"], 4.0)
+    ahead = np.cos(heading) * north + np.sin(heading) * east
+    aside = -np.sin(heading) * north + np.cos(heading) * east
+    return yaw, _means(t, c["u"], 4.0) - ahead, _means(t, c["v"], 4.0) - aside
+
+
+def _means(t: Array, values: Array, width: float) -> Array:
+    """Means over pieces of time; NaN where a piece is not full."""
+    usual = width / float(np.median(np.diff(t)))
+    pieces = [values[(t >= a) & (t < a + width)] for a in np.arange(t[0], t[-1], width)]
+    return np.array([np.mean(p) if len(p) >= 0.8 * usual else np.nan for p in pieces])
+
+
+def line(x: Array, y: Array) -> tuple[float, float]:
+    """Slope and offset of the best line."""
+    good = np.isfinite(x) & np.isfinite(y)
+    slope, offset = np.polyfit(x[good], y[good], 1)
+    return float(slope), float(offset)
+
+
+def _slope(x: Array, y: Array) -> Told:
+    """Slope of y over x with its standard error; pieces far off the line are left out."""
+    good = np.isfinite(x) & np.isfinite(y)
+    for _ in range(3):
+        slope, offset = line(x[good], y[good])
+        rest = y - slope * x - offset
+        good = np.isfinite(rest) & (np.abs(rest) < 4 * 1.4826 * np.median(np.abs(rest[good])))
+    error = np.std(rest[good]) / (np.std(x[good]) * np.sqrt(good.sum()))
+    return {"value": slope, "standard_error": float(error), "pieces": int(good.sum())}
+
+
+def steady(comparison: Comparison, i: int) -> tuple[Array, Array]:
+    """Commanded force, and the force that the motion needs by the model, as slow means, N or N m."""
+    forces = comparison.forces
+    drive = forces.wrenches["thrusters"][:, i]
+    return _means(forces.t, drive, STEADY), _means(forces.t, drive + forces.missing[:, i], STEADY)
+
+
+def slopes(comparison: Comparison) -> dict[str, Told]:
+    """Share of the commanded force that the motion shows, 1 if all of it arrives."""
+    dofs = comparison.result.degrees_of_freedom
+    return {dof: _slope(*steady(comparison, i)) for i, dof in enumerate(dofs)}

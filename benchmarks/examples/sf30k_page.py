@@ -1,0 +1,56 @@
+"""What the numbers put into the page on the SUB-fighter 30k."""
+
+from __future__ import annotations
+
+from benchmarks.results.text import MISSING, table
+
+from . import telling
+from .calls import Told
+from .sf30k import DOPPLER_LOG, STEADY
+
+_ARM = "velocity_lever_arm"
+
+
+def blocks(n: Told) -> dict[str, str]:
+    """Tables and lists of the page, from the numbers of `sf30k.work`."""
+    found, compared = n["diagnoses"], n["compared"]
+    return {
+        "commands": telling.commands(telling.typed(n), "../shared/data/ntnu-rov-sf30k"),
+        "compared_six": telling.compared({"six": compared["six"]}),
+        "compared_four": telling.compared({"four": compared["four"]}),
+        "regimes": telling.regimes(compared["four"]),
+        "verdicts": telling.verdicts(found),
+        "diagnoses": telling.diagnoses(found),
+        "doppler": _doppler(n),
+        "thrust": _thrust(n["checks"]["slopes"]),
+        "seconds": telling.seconds(n),
+    }
+
+
+def _doppler(n: Told) -> str:
+    """Where the Doppler log is, by the diagnoses, by kinematics, and as published."""
+    places = [(f"diagnosis, {d['title']}", arm_in(d)) for d in n["diagnoses"]]
+    places.append(("Doppler log against position fixes", n["checks"]["arm"]))
+    rows = [[name, *(_cell(found.get(p)) for p in DOPPLER_LOG)] for name, found in places]
+    rows.append(["published", *(f"{place:g}" for place in DOPPLER_LOG.values())])
+    return table(("place of the Doppler log", "forward [m]", "to starboard [m]", "down [m]"), rows)
+
+
+def arm_in(d: Told) -> Told:
+    """The lever arm among the final parameters of a diagnosis, else as the candidate alone has it."""
+    final = {p["name"]: p for p in d["parameters"] if p["effect"] == _ARM}
+    alone = [r for r in d["ranking"] if r["effect"] == _ARM]
+    return final or {p["name"]: p for r in alone for p in r["parameters"]}
+
+
+def _cell(p: Told | None) -> str:
+    return MISSING if p is None else f"{p['value']:.2f} ± {p['standard_error']:.2f}"
+
+
+def _thrust(slopes: Told) -> str:
+    rows = [[dof, f"{s['value']:.2f} ± {s['standard_error']:.2f}"] for dof, s in slopes.items()]
+    return (
+        f"Means over {STEADY:g} s, where inertia hardly counts: the force that the motion needs by the\n"
+        "published model, over the force that is commanded. 1 means that all of it arrives and that drag is\n"
+        "as published.\n\n" + table(("degree of freedom", "needed over commanded"), rows)
+    )

@@ -1,0 +1,201 @@
+"""What undertow said, as Markdown; nothing here decides what is true."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from benchmarks.results.text import MISSING, listed, number, percent, table
+
+from .calls import Told
+
+_CANDIDATES = 6
+_PARAMETERS = 4
+_KEPT = (
+    "command", "title", "wall", "verdict", "headline", "effects", "steps", "indistinguishable", "warnings",
+    "remaining", "parameters", "false_alarm_rate", "seconds", "degrees_of_freedom",
+)  # fmt: skip
+
+
+# --- what is kept -----------------------------------------------------------------------------
+def diagnosis_kept(told: Told) -> Told:
+    """What a page needs of a diagnosis, without paths of this machine."""
+    kept = {k: told[k] for k in _KEPT if k in told}
+    kept["ranking"] = told["ranking"][: 2 * _CANDIDATES]
+    kept["runs"] = [{k: r[k] for k in ("name", "role", "samples", "duration")} for r in told["runs"]]
+    kept["candidates"] = len(told["ranking"])
+    return rounded(kept)
+
+
+def comparison_kept(told: Told) -> Told:
+    """What a page needs of a comparison."""
+    kept = {
+        k: told[k]
+        for k in ("command", "wall", "headline", "prediction_error", "horizon", "channels", "worst")
+    }
+    inputs = {d["degree_of_freedom"]: d["inputs"] for d in told["dofs"]}
+    wanted = ("degree_of_freedom", "unit", "residual_rms", "noise_rms", "normalised")
+    kept["dofs"] = [
+        {k: d[k] for k in wanted} | {"inputs": inputs[d["degree_of_freedom"]]} for d in told["dofs"]
+    ]
+    kept["cells"] = [
+        {k: c[k] for k in ("degree_of_freedom", "group", "regime", "residual_rms", "normalised")}
+        for c in told["cells"]
+        if c["normalised"] is not None
+    ]
+    return rounded(kept)
+
+
+def rounded(value: Any) -> Any:
+    """The same with six significant digits: more would change with every machine."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, Mapping):
+        return {k: rounded(v) for k, v in value.items()}
+    return [rounded(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+# --- comparisons ------------------------------------------------------------------------------
+def compared(comparisons: Mapping[str, Told]) -> str:
+    """One row for each comparison: the force that the model lacks, and the prediction 5 s ahead."""
+    first = next(iter(comparisons.values()))
+    names = [f"{d['degree_of_freedom']} [{d['unit']}]" for d in first["dofs"]]
+    rows = [
+        [name, *(_lacking(d) for d in told["dofs"]), percent(told["prediction_error"])]
+        for name, told in comparisons.items()
+    ]
+    head = ("log", *names, "5 s ahead")
+    note = "Force that the model lacks, rms (in brackets: times the noise); velocity error 5 s ahead.\n\n"
+    lines = [f"- {name}: {told['headline']}." for name, told in comparisons.items()]
+    return note + table(head, rows) + "\n" + "\n".join(lines) + "\n"
+
+
+def _lacking(d: Told) -> str:
+    times = MISSING if d["normalised"] is None else number(d["normalised"], 2)
+    return f"{number(d['residual_rms'], 2)} ({times})"
+
+
+def regimes(told: Told) -> str:
+    """The error map of a comparison: residual force over its noise by regime and degree of freedom."""
+    dofs = [d["degree_of_freedom"] for d in told["dofs"]]
+    cells = {(c["regime"], c["degree_of_freedom"]): c for c in told["cells"]}
+    rows = [
+        [name, *(_cell(cells.get((name, dof))) for dof in dofs)]
+        for name in dict.fromkeys(c["regime"] for c in told["cells"])
+    ]
+    return table(("regime", *dofs), rows)
+
+
+def _cell(cell: Told | None) -> str:
+    return MISSING if cell is None else number(cell["normalised"], 2)
+
+
+# --- diagnoses --------------------------------------------------------------------------------
+def verdicts(diagnoses: Iterable[Told]) -> str:
+    """One row for each diagnosis."""
+    head = ("identified on → judged on", "verdict", "named", "kept-aside error", "5 s ahead", "seconds")
+    return table(head, [_verdict(d) for d in diagnoses], left=3)
+
+
+def _verdict(d: Told) -> list[str]:
+    errors = " → ".join(number(s["error"]) for s in d["steps"])
+    ahead = " → ".join(percent(s["prediction"]) for s in d["steps"])
+    tried = d["steps"][-1]["added"]
+    sets = [" or ".join(s["effects"]) for s in d["indistinguishable"]]
+    named = listed([*d["effects"], *sets]) if d["effects"] or sets else f"none (tried: {listed(tried)})"
+    return [d["title"], d["verdict"], named, errors, ahead, number(d["seconds"], 2)]
+
+
+def diagnosis(d: Told) -> str:
+    """Everything a diagnosis said: headline, candidates, what remains, warnings."""
+    parts = [f"**{d['title']}**: {d['headline']}\n", ranking(d), remaining(d), alarms(d)]
+    return "\n".join(p for p in parts if p)
+
+
+def diagnoses(several: Iterable[Told]) -> str:
+    """All of them."""
+    return "\n".join(diagnosis(d) for d in several)
+
+
+def ranking(d: Told) -> str:
+    """The leading candidates."""
+    helping = [r for r in d["ranking"] if r["parameters"]][:_CANDIDATES]
+    rows = [
+        [
+            r["effect"],
+            _values(r["parameters"]),
+            f"{number(r['error_before'])} → {number(r['error_after'])}",
+            f"{100 * r['explained']:.0f} %",
+            "yes" if r["significant"] else "no",
+        ]
+        for r in helping
+    ]
+    rest = d["candidates"] - len(helping)
+    head = ("candidate", "parameters", "kept-aside error", "explains", "more than chance")
+    shown = table(head, rows, left=2) if rows else ""
+    return shown + f"\n{rest} further candidates help less or not at all.\n"
+
+
+def _values(parameters: Sequence[Told]) -> str:
+    shown = ", ".join(value(p) for p in parameters[:_PARAMETERS])
+    return shown + (", …" if len(parameters) > _PARAMETERS else "") or MISSING
+
+
+def value(p: Told) -> str:
+    """A fitted parameter with standard error and unit."""
+    spread = "" if p["standard_error"] is None else f" ± {p['standard_error']:.1g}"
+    return f"{p['name']} = {p['value']:.4g}{spread} {p['unit']}".rstrip()
+
+
+def remaining(d: Told) -> str:
+    """What is left in each degree of freedom."""
+    lines = [f"- what remains in {r['degree_of_freedom']}: {_left(r)}" for r in d["remaining"]]
+    return "\n".join(lines) + "\n"
+
+
+def _left(r: Told) -> str:
+    told = f"{number(r['residual_rms'], 2)} {r['unit']} rms, {r['note']}"
+    # The sentence that describes the rest begins with the same number.
+    _, _, more = r.get("summary", "").partition("; ")
+    return f"{told}; {more}" if more else told
+
+
+def alarms(d: Told) -> str:
+    """Warnings: parameters that make up for something absent."""
+    return "\n".join(f"- warning: {w}" for w in d["warnings"]) + ("\n" if d["warnings"] else "")
+
+
+def tally(diagnoses: Iterable[Told]) -> str:
+    """How often every candidate helped beyond chance, and how often it was named, over all diagnoses."""
+    found = list(diagnoses)
+    sure: dict[str, int] = {}
+    named: dict[str, int] = {}
+    for d in found:
+        for r in d["ranking"]:
+            sure[r["effect"]] = sure.get(r["effect"], 0) + int(r["significant"])
+        for effect in {*d["effects"], *(e for s in d["indistinguishable"] for e in s["effects"])}:
+            named[effect] = named.get(effect, 0) + 1
+    order = sorted(sure, key=lambda e: (-named.get(e, 0), -sure[e], e))
+    rows = [[e, str(sure[e]), str(named.get(e, 0))] for e in order if sure[e] or named.get(e)]
+    return table(("candidate", f"more than chance, of {len(found)}", f"named, of {len(found)}"), rows)
+
+
+def commands(words: Iterable[str], data: str) -> str:
+    """Commands as they are typed at the root of the repository."""
+    return "\n".join(["```sh", f"DATA={data}", *words, "```", ""])
+
+
+def typed(n: Told) -> list[str]:
+    """The commands of all comparisons and diagnoses of a page."""
+    return [told["command"] for told in (*n["compared"].values(), *n["diagnoses"])]
+
+
+def seconds(n: Told) -> str:
+    """Time taken."""
+    slow = [d["seconds"] for d in n["diagnoses"]]
+    quick = [c["wall"] for c in n["compared"].values()]
+    return (
+        f"Diagnoses took {number(min(slow), 2)} to {number(max(slow), 2)} s each; comparisons "
+        f"{number(min(quick), 2)} to {number(max(quick), 2)} s with the\nstart of the program. The machine "
+        "had two cores and other work, so these are upper limits.\n"
+    )

@@ -1,0 +1,40 @@
+"""Vehicle files with effects added by hand, and runs read as the command line reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from undertow.identification.logs import Run, read_log, read_mapping, velocities_from_pose
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Vehicle
+
+from .calls import ROOT, Judged
+
+#: Effect to its parameters with start values.
+Tables = Mapping[str, Mapping[str, float]]
+
+
+def variant(template: str, tables: Tables, out: Path) -> Path:
+    """Write a vehicle file with further effects, whose parameters are estimated from these start values."""
+    text = (ROOT / template).read_text(encoding="utf-8")
+    for effect, values in tables.items():
+        text += f"\n[effects.{effect}]\n"
+        for name, start in values.items():
+            text += f"{name} = {{ value = {start:g}, assumed = true, estimate = true }}\n"
+    out.write_text(text, encoding="utf-8")
+    return out
+
+
+def vehicle_of(path: str | Path, effects: tuple[str, ...] = ()) -> Vehicle:
+    """A vehicle file, from the root of the repository, or a bundled vehicle."""
+    file = ROOT / path
+    return load_vehicle(str(file if file.is_file() else path), effect_files=[ROOT / e for e in effects])
+
+
+def runs_of(what: Judged, data: Path, vehicle: Vehicle, *, held: bool = False) -> list[Run]:
+    """The logs that are identified on, or those kept aside, as the command line reads them."""
+    mapping = read_mapping(ROOT / what.mapping)
+    names = what.holdout if held else what.logs
+    runs = [read_log(data / n, mapping, vehicle.command_names, window=what.window) for n in names]
+    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
