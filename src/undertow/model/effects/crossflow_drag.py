@@ -10,8 +10,8 @@ from undertow.model.effect import Wrench
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals, column
 
-# Simpson's rule over seven stations: unlike the closed form it does not divide by the yaw rate.
-_SIMPSON = sm.Matrix([1, 4, 2, 4, 2, 4, 1])
+# Simpson's rule over nine stations: unlike the closed form it does not divide by the yaw rate.
+_SIMPSON = sm.Matrix([1, 4, 2, 4, 2, 4, 2, 4, 1])
 
 
 class CrossflowDrag(Wrench):
@@ -19,7 +19,7 @@ class CrossflowDrag(Wrench):
 
     It is there because turning moves bow and stern sideways: one coefficient gives the sway force, the yaw
     moment and how they depend on each other, which diagonal quadratic damping cannot. Strip theory over the
-    length L_cross, summed over seven stations by Simpson's rule; without rotation it is `quadratic_damping`.
+    length L_cross, summed over nine stations by Simpson's rule; without rotation it is `quadratic_damping`.
     """
 
     id = "crossflow_drag"
