@@ -25,6 +25,7 @@ _MAX_ITERATIONS = 15
 _ENOUGH = 0.01
 _NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.2
+_MOVED = 0.05
 _MATCHING_STEPS = 4
 # Largest mean square of an equation that still counts as noise of the channels.
 _NOISE_EXPLAINS = 1.6
@@ -181,9 +182,11 @@ def _model_of(vehicle: Vehicle, free: Sequence[str] | None) -> WeakModel:
 
 def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
     """Match the noise model to what a fit leaves, and fit again, until neither changes."""
-    # How the sensors' noise enters hardly changes while the noise model settles, and is dear to work out.
-    quiet = fit.model.whitening(fit.data, fit.p)
+    quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
+        # How the sensors' noise enters is dear to work out, and hangs on the parameters but little.
+        if np.any(np.abs(fit.p - at) > _MOVED * np.abs(at)):
+            quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
         disturbance = matched_disturbance(fit, quiet)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
         whitening = disturbed(quiet, disturbance, fit.data)

@@ -17,20 +17,27 @@ from .testfunctions import TestFunctions
 Array = NDArray[np.float64]
 _ORDERS = range(3, 9)
 _GAUSSIAN_MAD = 1.4826
+# Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
+_OUTLYING, _SHARE_WITHIN = 3.5, 0.9939
+# Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
+_CLEARLY = 4.0
 
 
 def white_noise(t: Array, y: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
 
     A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is
-    smooth; the order that leaves least is taken, so a fast signal does not pass for noise.
+    smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly less: then
+    the lower one takes a fast signal for noise.
     """
     if len(t) <= 4 * _ORDERS[0]:
         return 0.0  # too few samples to tell noise from motion
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
     found = [_by_difference(y, even, k) for k in _ORDERS if len(y) > 4 * k]
-    return min([f for f in found if np.isfinite(f)], default=0.0)
+    known = [f for f in found if np.isfinite(f)]
+    clearly = 1.0 + _CLEARLY / np.sqrt(len(y))
+    return next((f for f in known if f <= clearly * min(known)), 0.0)
 
 
 def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
@@ -39,7 +46,10 @@ def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
     kept = difference[usable & np.isfinite(difference)]
     if len(kept) < 10:
         return np.inf
-    return float(_GAUSSIAN_MAD * np.median(np.abs(kept)) / np.sqrt(comb(2 * order, order)))
+    rough = _GAUSSIAN_MAD * float(np.median(np.abs(kept)))
+    # Of what is not a kink or a jump the mean square is known twice as well as the median.
+    within = kept[np.abs(kept) <= _OUTLYING * rough]
+    return float(np.sqrt(np.mean(within**2) / _SHARE_WITHIN / comb(2 * order, order)))
 
 
 class Whitening:
