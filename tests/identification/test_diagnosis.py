@@ -18,11 +18,9 @@ from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.evidence import compare_scores, explained
 from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.diagnosis.trial import Score
-from undertow.identification.diagnosis.verdict import compensations
 from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Value
 
 
 def _loaded(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options):
@@ -167,12 +165,3 @@ def test_explained_share_is_measured_above_the_noise() -> None:
     assert explained(_score(np.zeros(1), 5.0), _score(np.zeros(1), 1.0), noise) == pytest.approx(1.0)
     assert explained(_score(np.zeros(1), 5.0), _score(np.zeros(1), 3.0), noise) == pytest.approx(0.5)
     assert explained(_score(np.zeros(1), 0.9), _score(np.zeros(1), 0.8), noise) == 0.0
-
-
-def test_a_parameter_far_from_its_prior_is_told() -> None:
-    box = load_vehicle("box-hull").with_values({"X_u": Value(-5.0, estimate=True, sigma=1.0)})
-    lines = compensations(box, {"X_u": (-15.0, 0.1)}, {"X_u": -5.5})
-    assert len(lines) == 1
-    assert "X_u is 3 times its prior" in lines[0]
-    assert "making up" in lines[0]
-    assert compensations(box, {"X_u": (-6.0, 0.1)}, {}) == []

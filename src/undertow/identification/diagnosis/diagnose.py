@@ -17,6 +17,7 @@ from ..logs import Run
 from ..weak.data import prepare
 from ..weak.fit import WeakFit, mean_square
 from ..weak.residual import whitened
+from .compensation import Relief, absorbing, reliefs
 from .estimates import estimate, estimates
 from .excitation import check_excitation
 from .finding import Finding
@@ -25,7 +26,7 @@ from .result import Diagnosis, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search, search
 from .split import keep_blocks_aside
 from .trial import Bench, Score, noise_ratio, only_noise
-from .verdict import Judgement, compensations, judge, unique_ids
+from .verdict import Judgement, judge, unique_ids
 
 Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
@@ -182,9 +183,12 @@ class _Story:
         )
 
     def _warnings(self, after: WeakFit) -> list[str]:
-        errors = self.base_fit.standard_errors
-        fitted = {n: (v, errors[n]) for n, v in self.base_fit.values.items()}
-        return compensations(self.vehicle, fitted, after.values if self.judgement.effects else {})
+        named = tuple(unique_ids(self.judgement.effects))
+        claimed = {*named, *(e for s in self.judgement.sets for e in s.effects)}
+        helpers = [h for h in reliefs(self.found.rounds[0].findings) if claimed.issuperset(h.effects)]
+        if len(named) > 1:
+            helpers.append(Relief(named, after.values, min((h.error for h in helpers), default=0.0)))
+        return absorbing(self.vehicle, self.base_fit, helpers)
 
 
 def _new_parameters(finding: Finding) -> tuple[str, ...]:

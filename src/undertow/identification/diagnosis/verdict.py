@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.model.vehicle import Vehicle
-
 from .evidence import explained
 from .finding import Finding
 from .result import Indistinguishable, Verdict
@@ -118,38 +116,3 @@ def _reason(best: Finding) -> str:
         "their predictions of the kept-aside data differ by less than the noise lets one see "
         f"(the best of them improves the mean square by {best.evidence.mean:.3g})"
     )
-
-
-def compensations(
-    before: Vehicle, fitted: dict[str, tuple[float, float]], helped: dict[str, float]
-) -> list[str]:
-    """Warnings for parameters that a fit pushed far from their prior.
-
-    Parameters
-    ----------
-    before : Vehicle
-        Model with stated priors.
-    fitted : mapping
-        Value and standard error of the refitted model, by parameter.
-    helped : mapping
-        Value of the same parameters once the named effects are in.
-    """
-    lines = []
-    for name, (value, error) in fitted.items():
-        prior = before.value_of(name)
-        if prior.sigma is None:
-            continue
-        distance = abs(value - prior.value) / float(np.hypot(prior.sigma, error))
-        if distance > 3.0:
-            lines.append(_compensation(name, value, prior.value, distance, helped.get(name)))
-    return lines
-
-
-def _compensation(name: str, value: float, prior: float, distance: float, after: float | None) -> str:
-    ratio = f"{value / prior:.3g} times its prior" if prior else f"{value:.3g} against a prior of 0"
-    line = f"{name} is {ratio} ({distance:.1f} standard deviations)"
-    if after is not None and abs(after - prior) < 0.5 * abs(value - prior):
-        return (
-            f"{line}: it was making up for what is missing, and returns to {after / prior:.3g} times with it"
-        )
-    return f"{line}: either the prior is wrong, or it makes up for something that is missing"

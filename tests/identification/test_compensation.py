@@ -1,0 +1,165 @@
+"""Parameters that make up for what is missing: named with the effect that brings them back, or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from undertow.identification.diagnosis.candidates import Candidate
+from undertow.identification.diagnosis.compensation import Relief, absorbing
+from undertow.identification.diagnosis.evidence import compare_scores
+from undertow.identification.diagnosis.trial import Bench, open_bench, scout, try_candidate
+from undertow.identification.logs import Run
+from undertow.identification.weak.data import prepare
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle_schema import VehicleTable
+
+MASS, ADDED, DRAG, BUOYANCY = 10.0, 8.0, 6.0, 3.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What `absorbing` needs of a fit."""
+
+    vehicle: Vehicle
+    values: dict[str, float]
+    standard_errors: dict[str, float]
+
+
+def _fit(vehicle: Vehicle, **values: float) -> Fit:
+    fitted = vehicle.with_values({n: replace(vehicle.value_of(n), value=v) for n, v in values.items()})
+    return Fit(fitted, values, dict.fromkeys(values, 0.01))
+
+
+def _box(**values: Value) -> Vehicle:
+    return load_vehicle("box-hull").with_values(values)
+
+
+# --- a vehicle that sinks and is too buoyant -------------------------------------------------------
+def _float() -> Vehicle:
+    guess = {"estimate": True, "source": "guess"}
+    table = {
+        "schema": "undertow/vehicle/1",
+        "name": "float",
+        "degrees_of_freedom": ["heave"],
+        "signs": "sname",
+        "generalised_forces": ["tau_Z"],
+        "effects": {
+            "rigid_body": {"m": MASS},
+            "added_mass": {"Z_wdot": {"value": -ADDED, "sigma": 0.8, **guess}},
+            "linear_damping": {"Z_w": {"value": -1.05 * DRAG, "sigma": 0.6, **guess}},
+        },
+    }
+    return vehicle_from_table(VehicleTable.model_validate(table), catalogue())
+
+
+def _descent(seed: int) -> Run:
+    """60 s at 10 Hz, pushed downwards most of the time, so that buoyancy looks like drag."""
+    rng, step = np.random.default_rng(seed), 0.1
+    force = np.repeat(rng.uniform(4.0, 7.0, 20), 30)
+    w = np.zeros(len(force))
+    decay = np.exp(-DRAG / (MASS + ADDED) * step)
+    for i in range(len(w) - 1):
+        end = (force[i] - BUOYANCY) / DRAG
+        w[i + 1] = end + (w[i] - end) * decay
+    noisy = w + 0.003 * rng.standard_normal(len(w))
+    return Run(f"descent {seed}", step * np.arange(len(w)), {"w": noisy, "tau_Z": force}, sha256=str(seed))
+
+
+@cache
+def _bench() -> Bench:
+    vehicle = _float()
+    train = prepare([_descent(1), _descent(2)], vehicle)
+    return open_bench(vehicle, train, prepare([_descent(3)], vehicle, sigma=train.sigma))
+
+
+def _relief(effect: str) -> tuple[Relief, float]:
+    candidate = Candidate(catalogue()[effect], _float())
+    trial = try_candidate(candidate, _bench(), scout(candidate, _bench()).values)
+    chance = compare_scores(_bench().base_score, trial.score, _bench().test).p_value
+    return Relief((effect,), trial.fit.values, trial.score.error), chance
+
+
+def test_drag_that_absorbs_buoyancy_is_told_with_what_brings_it_back() -> None:
+    helpers = [_relief(e) for e in ("net_buoyancy", "constant_force")]
+    assert all(chance < 1e-3 for _, chance in helpers)
+    base = _bench().base
+    lines = absorbing(_float(), base, [helper for helper, _ in helpers])
+    line = next(x for x in lines if "Z_w " in x)
+    ratio = base.values["Z_w"] / (-1.05 * DRAG)
+    assert ratio > 1.8
+    assert line.startswith(f"linear damping: Z_w is {ratio:.3g} times its prior (")
+    # Without roll and pitch the two are the same thing, and no name is preferred.
+    assert ": it is absorbing net_buoyancy or constant_force; with net_buoyancy it returns to 0.95" in line
+
+
+def test_no_effect_is_named_where_none_is_held_to_be_there() -> None:
+    lines = absorbing(_float(), _bench().base, [])
+    doubt = "either the prior is wrong, or it makes up for something that is missing"
+    assert lines
+    assert all(line.endswith(doubt) and "absorbing" not in line for line in lines)
+
+
+def test_an_effect_that_does_not_bring_it_back_is_not_named() -> None:
+    helper, _ = _relief("quadratic_damping")
+    lines = absorbing(_float(), _bench().base, [helper])
+    assert not any("quadratic_damping" in line for line in lines if "Z_w " in line)
+
+
+# --- the rules ---------------------------------------------------------------------------------------
+def test_a_parameter_near_its_prior_is_not_told() -> None:
+    box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
+    assert absorbing(box, _fit(box, X_u=-6.0), []) == []
+
+
+def test_a_parameter_without_a_prior_is_not_told() -> None:
+    box = _box(X_u=Value(-5.0, estimate=True))
+    assert absorbing(box, _fit(box, X_u=-50.0), []) == []
+
+
+def test_only_leading_effects_can_be_what_is_absorbed() -> None:
+    box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
+    good, poor = Relief(("lift",), {"X_u": -15.0}, 1.0), Relief(("waves",), {"X_u": -5.0}, 2.0)
+    (line,) = absorbing(box, _fit(box, X_u=-15.0), [good, poor])
+    assert "X_u is 3 times its prior (10.0 standard deviations)" in line
+    assert "waves" not in line
+    pair = Relief(("lift", "waves"), {"X_u": -5.25}, 0.5)
+    (line,) = absorbing(box, _fit(box, X_u=-15.0), [good, poor, pair])
+    assert "it is absorbing lift and waves; with lift and waves it returns to 1.05 times" in line
+
+
+def test_a_parameter_pushed_onto_its_bound_is_told_even_without_a_prior() -> None:
+    box = _box(X_u=Value(-5.0, estimate=True))
+    (line,) = absorbing(box, _fit(box, X_u=0.0), [])
+    assert "X_u is at its bound 0, 500.0 standard deviations from -5" in line
+
+
+def test_a_bound_within_the_error_is_no_alarm() -> None:
+    box = _box(X_u=Value(-5.0, estimate=True))
+    fit = replace(_fit(box, X_u=0.0), standard_errors={"X_u": 4.0})
+    assert absorbing(box, fit, []) == []
+
+
+def test_a_prior_of_zero_has_no_ratio() -> None:
+    box = _box(X_u=Value(0.0, estimate=True, sigma=0.5))
+    (line,) = absorbing(box, _fit(box, X_u=-4.0), [Relief(("lift",), {"X_u": -0.1}, 1.0)])
+    assert "X_u is -4 against a prior of 0 (8.0 standard deviations)" in line
+    assert line.endswith("with lift it returns to -0.1")
+
+
+def test_a_refit_that_no_vehicle_can_be_is_told() -> None:
+    auv = load_vehicle("mini-auv")
+    impossible = _fit(auv, m=-40.0)
+    assert any("the refitted vehicle cannot be" in line for line in absorbing(auv, impossible, []))
+
+
+@pytest.mark.parametrize("helper", [Relief(("lift",), {}, 1.0), Relief(("lift",), {"X_u": -11.0}, 1.0)])
+def test_a_parameter_that_hardly_comes_back_is_not_absorbed(helper: Relief) -> None:
+    box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
+    (line,) = absorbing(box, _fit(box, X_u=-15.0), [helper])
+    assert "lift" not in line
