@@ -93,7 +93,8 @@ class Caller:
         words, out, better = what.words("diagnose"), self._next("json"), self._next("toml")
         seconds = self._run([*words, "--json", str(out), "--apply", str(better)])
         told = json.loads(out.read_text(encoding="utf-8"))
-        return {"command": shown(words), "title": what.title, "wall": seconds, **told}, better
+        line = shown(words).replace(f"{self.scratch}/", "")
+        return {"command": line, "title": what.title, "wall": seconds, **told}, better
 
     def add(self, effect: str, what: Judged) -> tuple[Told, Path]:
         """Add an effect by hand whatever it does, and return how the error changed, and the vehicle file."""
@@ -103,14 +104,11 @@ class Caller:
         kept = {k: history[k] for k in ("added", "helps", "error_before", "error_after")}
         return {"command": shown([*words, "--out", "better.toml"]), "wall": seconds, **kept}, better
 
-    def fit(self, vehicle: Path, what: Judged, effects: str, horizon: float) -> Path:
-        """Fit a vehicle by output error to the logs of `what`, and return the file."""
+    def fit(self, what: Judged, horizon: float | None = None) -> Path:
+        """Fit a vehicle, by output error over a horizon (s) or by the weak form, and return the file."""
         out = self._next("toml")
-        line = Judged(
-            what.title, str(vehicle), what.mapping, what.logs, what.holdout, what.window, (effects,)
-        )
-        words = ["--method", "output-error", "--horizon", f"{horizon:g}", "--out", str(out)]
-        self._run([*line.words("fit"), *words])
+        how = [] if horizon is None else ["--method", "output-error", "--horizon", f"{horizon:g}"]
+        self._run([*what.words("fit"), *how, "--out", str(out)])
         return out
 
     def _next(self, ending: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -69,8 +70,7 @@ def by_hand(call: Caller) -> tuple[list[Told], dict[str, Vehicle]]:
     rows, vehicles = [], {}
     for way in WAYS:
         for name, tables in MODELS.items():
-            file = call.fit(variant(VEHICLE, tables, call.scratch / "variant.toml"), way, OWN, HORIZON)
-            fitted = vehicle_of(file, (OWN,))
+            fitted = _fitted(call, way, tables)
             rows.append(
                 {"way": way.title, "model": name, **_values(fitted), **_errors(fitted, way, call.data)}
             )
@@ -85,9 +85,14 @@ def at_speed(call: Caller) -> list[Told]:
         held = AGAIN if log == STILL else STILL
         way = Judged("", VEHICLE, MAPPING, (log,), (held,), UNDER_WAY_WINDOW)
         for name in ("linear, wall-sided", BEST):
-            file = call.fit(variant(VEHICLE, MODELS[name], call.scratch / "variant.toml"), way, OWN, HORIZON)
-            rows.append({"test": log[:-4], "model": name, **_values(vehicle_of(file, (OWN,)))})
+            found = _values(_fitted(call, way, MODELS[name]))
+            rows.append({"test": log[:-4], "model": name, **found})
     return telling.rounded(rows)
+
+
+def _fitted(call: Caller, way: Judged, tables: Tables) -> Vehicle:
+    file = variant(VEHICLE, tables, call.scratch / "variant.toml")
+    return vehicle_of(call.fit(replace(way, vehicle=str(file), effects=(OWN,)), HORIZON), (OWN,))
 
 
 def _values(vehicle: Vehicle) -> Told:

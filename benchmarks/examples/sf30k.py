@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from undertow.identification.logs import Run
 
 from . import telling
 from .calls import Caller, Judged, Told
-from .variants import runs_of, vehicle_of
+from .variants import Tables, runs_of, variant, vehicle_of
 
 Array = NDArray[np.float64]
 FOLDER = "ntnu-rov-sf30k"
@@ -26,6 +28,17 @@ WAYS = tuple(
 )
 #: Where Neptune.xml puts the Doppler log, m; the vehicle files do not say so.
 DOPPLER_LOG = {"x_s": 0.54, "y_s": -0.56, "z_s": 0.0}
+#: What a second look takes for granted: the sensor where it is published to be, and a buoyancy of its own.
+SECOND = {
+    "velocity_lever_arm": {n: f"{place:g} m" for n, place in DOPPLER_LOG.items()},
+    "net_buoyancy": {"B_net": 0.0},
+}
+THRUSTERS = ("lateral", "vertical", "port", "starboard")
+#: Models fitted by hand.
+BY_HAND: dict[str, Tables] = {
+    "second look": SECOND,
+    "second look, thrusters free": {**SECOND, "thruster_gain": {f"gain_error_{n}": 0.0 for n in THRUSTERS}},
+}
 #: Time constant over which commands and motion are compared as steady, s.
 STEADY = 20.0
 
@@ -36,7 +49,7 @@ def work(call: Caller, images: Path) -> Told:
         name: telling.comparison_kept(call.compare(way))
         for name, way in zip(("six", "four"), WAYS, strict=True)
     }
-    found = [call.diagnose(way) for way in WAYS]
+    found = [call.diagnose(way) for way in (*WAYS, second_look(call.scratch))]
     from . import sf30k_pictures
 
     models = [vehicle_of(WAYS[1].vehicle), vehicle_of(found[1][1])]
@@ -46,8 +59,26 @@ def work(call: Caller, images: Path) -> Told:
     return {
         "compared": compared,
         "diagnoses": [telling.diagnosis_kept(told) for told, _ in found],
+        "by_hand": telling.rounded([by_hand(call, name) for name in BY_HAND]),
         "checks": telling.rounded({"arm": lever_arm(run), "slopes": slopes(before)}),
     }
+
+
+def second_look(scratch: Path) -> Judged:
+    """Four degrees of freedom with what the first look and the publication say of sensor and buoyancy."""
+    file = variant(FOUR, SECOND, scratch / "second-look.toml")
+    return replace(WAYS[1], title="four degrees of freedom, second look", vehicle=str(file))
+
+
+def by_hand(call: Caller, name: str) -> Told:
+    """A model fitted by the weak form: what its parameters are, before and after, and how it predicts."""
+    stated = variant(FOUR, BY_HAND[name], call.scratch / "by-hand.toml")
+    before, file = vehicle_of(stated), call.fit(replace(WAYS[1], vehicle=str(stated)))
+    after = vehicle_of(file)
+    ahead = tomllib.loads(file.read_text(encoding="utf-8"))["history"][-1]["error_after"]
+    free = [n for n, v in before.values.items() if v.estimate]
+    values = {n: [before.values[n].value, after.values[n].value, after.values[n].sigma] for n in free}
+    return {"model": name, "ahead": ahead, "values": values}
 
 
 # --- evidence that needs no model -------------------------------------------------------------

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from benchmarks.results.text import MISSING, table
+from collections.abc import Sequence
+
+from benchmarks.results.text import MISSING, number, percent, table
 
 from . import telling
 from .calls import Told
-from .sf30k import DOPPLER_LOG, STEADY
+from .sf30k import DOPPLER_LOG, SECOND, STEADY
+from .variants import added
 
 _ARM = "velocity_lever_arm"
 
@@ -19,8 +22,12 @@ def blocks(n: Told) -> dict[str, str]:
         "compared_six": telling.compared({"six": compared["six"]}),
         "compared_four": telling.compared({"four": compared["four"]}),
         "regimes": telling.regimes(compared["four"]),
-        "verdicts": telling.verdicts(found),
-        "diagnoses": telling.diagnoses(found),
+        "verdicts": telling.verdicts(found[:2]),
+        "diagnoses": telling.diagnoses(found[:2]),
+        "tables": f"```toml\n{added(SECOND)}```\n",
+        "second_verdicts": telling.verdicts(found[2:]),
+        "second_diagnoses": telling.diagnoses(found[2:]),
+        "by_hand": _by_hand(n["by_hand"]),
         "doppler": _doppler(n),
         "thrust": _thrust(n["checks"]["slopes"]),
         "seconds": telling.seconds(n),
@@ -29,7 +36,7 @@ def blocks(n: Told) -> dict[str, str]:
 
 def _doppler(n: Told) -> str:
     """Where the Doppler log is, by the diagnoses, by kinematics, and as published."""
-    places = [(f"diagnosis, {d['title']}", arm_in(d)) for d in n["diagnoses"]]
+    places = [(f"diagnosis, {d['title']}", arm_in(d)) for d in n["diagnoses"][:2]]
     places.append(("Doppler log against position fixes", n["checks"]["arm"]))
     rows = [[name, *(_cell(found.get(p)) for p in DOPPLER_LOG)] for name, found in places]
     rows.append(["published", *(f"{place:g}" for place in DOPPLER_LOG.values())])
@@ -45,6 +52,25 @@ def arm_in(d: Told) -> Told:
 
 def _cell(p: Told | None) -> str:
     return MISSING if p is None else f"{p['value']:.2f} ± {p['standard_error']:.2f}"
+
+
+def _by_hand(models: Sequence[Told]) -> str:
+    """Fitted parameters beside what is published, in SNAME signs."""
+    names = dict.fromkeys(n for m in models for n in m["values"])
+    rows = [[n, _stated(n, models), *(_found(m["values"].get(n)) for m in models)] for n in names]
+    rows.append(["5 s ahead", "", *(percent(m["ahead"]) for m in models)])
+    return table(("SI, SNAME signs", "stated", *(m["model"] for m in models)), rows)
+
+
+def _stated(name: str, models: Sequence[Told]) -> str:
+    return next(number(m["values"][name][0], 4) for m in models if name in m["values"])
+
+
+def _found(entry: Sequence[float] | None) -> str:
+    if entry is None:
+        return MISSING
+    _, value, sigma = entry
+    return f"{number(value)} ± {sigma:.1g}" if sigma is not None else number(value)
 
 
 def _thrust(slopes: Told) -> str:

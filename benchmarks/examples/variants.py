@@ -11,19 +11,29 @@ from undertow.model.vehicle import Vehicle
 
 from .calls import ROOT, Judged
 
-#: Effect to its parameters with start values.
-Tables = Mapping[str, Mapping[str, float]]
+#: Effect to its parameters: a number is a start value to be estimated, a text is a value that is known.
+Tables = Mapping[str, Mapping[str, float | str]]
 
 
 def variant(template: str, tables: Tables, out: Path) -> Path:
-    """Write a vehicle file with further effects, whose parameters are estimated from these start values."""
-    text = (ROOT / template).read_text(encoding="utf-8")
-    for effect, values in tables.items():
-        text += f"\n[effects.{effect}]\n"
-        for name, start in values.items():
-            text += f"{name} = {{ value = {start:g}, assumed = true, estimate = true }}\n"
-    out.write_text(text, encoding="utf-8")
+    """Write a vehicle file with further effects."""
+    out.write_text((ROOT / template).read_text(encoding="utf-8") + "\n" + added(tables), encoding="utf-8")
     return out
+
+
+def added(tables: Tables) -> str:
+    """The tables as TOML."""
+    parts = [
+        [f"[effects.{effect}]", *(_entry(n, v) for n, v in values.items())]
+        for effect, values in tables.items()
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts) + "\n"
+
+
+def _entry(name: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return f'{name} = "{value}"'
+    return f"{name} = {{ value = {value:g}, assumed = true, estimate = true }}"
 
 
 def vehicle_of(path: str | Path, effects: tuple[str, ...] = ()) -> Vehicle:
