@@ -31,6 +31,10 @@ class Fitted(Protocol):
         """Model and names of the free parameters."""
 
     @property
+    def p(self) -> Array:
+        """All parameters of the model, in its order."""
+
+    @property
     def vehicle(self) -> Vehicle:
         """The vehicle with fitted values and standard errors."""
 

@@ -8,6 +8,8 @@ from undertow.model.vehicle import Vehicle
 from ..fitted import Fitted
 from .result import Estimate
 
+_NOTHING_SAID = 1e12
+
 
 def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
     """All free parameters of a fit."""
@@ -24,7 +26,7 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
         name=name,
         effect=_owner(vehicle, bare),
         value=printed(parameter, fit.values[name], stated.signs),
-        standard_error=fit.standard_errors[name],
+        standard_error=_known(fit.standard_errors[name]),
         unit=_unit(parameter),
         about=parameter.about,
         prior=None if prior is None else printed(parameter, prior.value, stated.signs),
@@ -38,3 +40,8 @@ def _owner(vehicle: Vehicle, name: str) -> str:
 
 def _unit(parameter: Parameter) -> str:
     return "" if parameter.unit == "1" else parameter.unit
+
+
+def _known(standard_error: float) -> float | None:
+    """A standard error, unless the data say nothing at all of the parameter."""
+    return standard_error if standard_error < _NOTHING_SAID else None

@@ -46,7 +46,9 @@ class Ranked(Table):
 
     `error_before` and `error_after` are normalised (1 is the noise floor); `explained` is the share of what
     exceeds the floor that goes away; `improvement` is the mean fall of the mean square over the blocks of the
-    kept-aside data with its 95 % interval.
+    kept-aside data with its 95 % interval. `p_value` is the chance that the best of all candidates looks as
+    good when nothing is missing; `inclusion` how often this one is the best when the blocks of the logs are
+    drawn anew. Both are absent for candidates that do not help.
     """
 
     effect: str
@@ -59,21 +61,36 @@ class Ranked(Table):
     improvement: float
     interval: tuple[float, float]
     significant: bool
-    prediction_before: float | None = None
-    prediction_after: float | None = None
+    p_value: float | None = None
+    inclusion: float | None = None
 
 
 class Step(Table):
-    """The model with one more effect."""
+    """The model with one more effect, on kept-aside data.
+
+    `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
+    windows of 5 s whose starts are estimated, in units of the noise; `prediction` the error of velocities 5 s
+    ahead in shares of their rms, and `ahead` the same over several horizons and over the whole run.
+    """
 
     added: list[str]
     error: float
     prediction: float | None = None
+    simulation: float | None = None
+    ahead: dict[str, float] = {}
 
 
 class Indistinguishable(Table):
     """Effects that these data cannot tell apart, and why."""
 
+    effects: list[str]
+    reason: str
+
+
+class Equivalent(Table):
+    """Parameters that moved far from what was stated, effects that would do the same, and why that is so."""
+
+    parameters: list[str]
     effects: list[str]
     reason: str
 
@@ -162,6 +179,7 @@ class Diagnosis(Table):
     ranking: list[Ranked]
     steps: list[Step]
     indistinguishable: list[Indistinguishable]
+    equivalent: list[Equivalent] = []
     warnings: list[str]
     remaining: list[Remaining]
     parameters: list[Estimate]

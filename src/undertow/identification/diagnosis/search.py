@@ -26,7 +26,7 @@ _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
 MAX_EFFECTS = 3
 _PAIRS = 2
-_RIVALS = 3
+_RIVALS = 5
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 # An effect is named only where it (with those named before it) explains this share of what exceeds the noise:
 # a wrong effect often takes half of a residual, seldom four fifths of it.
 NAMED_SHARE = 0.8
+# Of more effects than this that do equally well, none is in evidence.
+_MANY = 4
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,9 @@ class Judgement:
     share: float
 
 
-def judge(found: Search, scores: tuple[Score, Score], noise: Array, quiet: bool) -> Judgement:
+def judge(
+    found: Search, scores: tuple[Score, Score], noise: Array, *, quiet: bool, confirmed: bool
+) -> Judgement:
     """Decide.
 
     Parameters
@@ -57,15 +61,19 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, quiet: bool)
         Mean square that the noise of the sensors has under that noise model.
     quiet : bool
         Whether the noise explains what the final model leaves.
+    confirmed : bool
+        Whether the final model does not simulate the kept-aside runs worse than the incomplete one.
     """
     winners = found.winners
     share = explained(*scores, noise)
     sets = _sets(found)
     if not winners:
         return _without_effect(quiet, share)
-    if not quiet and share < NAMED_SHARE:
-        return _unexplained(winners, share)
+    if not confirmed or (not quiet and share < NAMED_SHARE):
+        return _unexplained(winners, share, confirmed)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
+    if any(len(s.effects) > _MANY for s in sets):
+        verdict = "not_identifiable"
     return Judgement(verdict, _named(winners, sets, share, quiet), winners, sets, share)
 
 
@@ -80,12 +88,14 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
     return Judgement("unexplained", text, [], [], share)
 
 
-def _unexplained(winners: list[Finding], share: float) -> Judgement:
+def _unexplained(winners: list[Finding], share: float, confirmed: bool) -> Judgement:
     names = " and ".join(unique_ids(winners))
-    text = (
-        f"Unexplained: {names} lowers the kept-aside error but explains only {share:.0%} of what "
-        "exceeds the noise, too little to be named as what is missing."
+    reason = (
+        f"explains only {share:.0%} of what exceeds the noise, too little to be named as what is missing"
+        if confirmed
+        else "makes the simulation of the kept-aside runs worse, so it is not what is missing"
     )
+    text = f"Unexplained: {names} lowers the kept-aside error but {reason}."
     return Judgement("unexplained", text, [], [], share)
 
 

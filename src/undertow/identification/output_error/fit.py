@@ -195,7 +195,7 @@ class _Descent:
 
     def __init__(self, model: WeakModel, windows: Windows, compiled: bool | None, progress: Report) -> None:
         self.model, self.windows = model, windows
-        self._weight = _weights(windows)
+        self._weight = channel_weights(windows)
         self._shooting = Shooting(model.functions, windows, model.free, self._weight, compiled=compiled)
         self._bounds, self._prior = bounds_of(model), prior_of(model)
         self._progress = progress
@@ -268,7 +268,7 @@ def _damped(at: Reduced, damping: float) -> Linearised:
     return Linearised(r, J, np.zeros((len(r), 0)))
 
 
-def _weights(windows: Windows) -> Array:
+def channel_weights(windows: Windows) -> Array:
     """One over the noise of each channel; zero for what is not measured, or derived from what is."""
     with_data = np.isfinite(windows.measured)
     count = with_data.sum(axis=(0, 1))

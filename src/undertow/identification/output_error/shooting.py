@@ -102,6 +102,13 @@ class Shooting:
             total = float(np.sum(r**2))
         return total if np.isfinite(total) else float("inf")
 
+    def mean_squares(self, p: Array, starts: Array) -> Array:
+        """Weighted mean square of the simulation error by window, shape (b,); inf where one diverged."""
+        r = self._residual(self.predictor.reports(self.windows, p, starts))
+        with np.errstate(over="ignore"):
+            total = np.sum(r**2, axis=(1, 2)) / np.maximum(self._used.sum(axis=(1, 2)), 1)
+        return np.where(np.isfinite(total), total, np.inf)
+
     def linearise(self, p: Array, starts: Array) -> Reduced:
         """Simulate with sensitivities and eliminate the starts window by window."""
         finite = self._by_differences(p, starts)

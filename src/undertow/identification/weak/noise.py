@@ -27,8 +27,8 @@ def white_noise(t: Array, y: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
 
     A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is
-    smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly less: then
-    the lower one takes a fast signal for noise.
+    smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly
+    less: then the lower one takes a fast signal for noise.
     """
     if len(t) <= 4 * _ORDERS[0]:
         return 0.0  # too few samples to tell noise from motion

@@ -1,0 +1,141 @@
+"""The final word by simulation: multiple shooting on the kept-aside data, in units of the sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import wilcoxon
+
+from undertow.errors import UndertowError
+from undertow.model.vehicle import Vehicle
+
+from ..compare.cutting import Windows, cut
+from ..compare.windows import Predictor, predict, prediction_error
+from ..fitted import Fitted
+from ..logs import Run
+from ..output_error.fit import OutputErrorFit, channel_weights, fit_output_error
+from ..output_error.shooting import Shooting
+from .chain import Chain
+
+Array = NDArray[np.float64]
+# Windows of a free run diverge in heading even for the true model: short ones decide.
+HORIZONS = (1.0, 5.0, 20.0)
+DECIDING = 5.0
+_START_STEPS = 3
+_SURE = 0.01
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A model of the short list.
+
+    Attributes
+    ----------
+    chain : Chain
+        Its effects.
+    fit : Fitted
+        Its fit by output error, or by the weak form where a simulation diverged.
+    squares : (b,) array
+        Mean square of the simulation error in every kept-aside window, in units of the noise.
+    """
+
+    chain: Chain
+    fit: Fitted
+    squares: Array
+
+    @property
+    def error(self) -> float:
+        """Root mean square over all windows; 1 is the noise of the sensors."""
+        return float(np.sqrt(np.mean(self.squares)))
+
+
+class Referee:
+    """Judges models by simulating the kept-aside runs in windows whose starts are estimated.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose channels and commands are simulated.
+    train, test : sequence of Run
+        What models are fitted to, and what they are judged by.
+    sigma : (2n,) array
+        Noise of the channels.
+    """
+
+    def __init__(self, vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], sigma: Array) -> None:
+        self._vehicle, self._train, self._test, self._sigma = vehicle, train, test, sigma
+
+    @cached_property
+    def shortest(self) -> float:
+        """A little less than the shortest kept-aside run, s."""
+        return 0.9 * min(float(r.t[-1] - r.t[0]) for r in self._test)
+
+    @cached_property
+    def windows(self) -> Windows:
+        """The windows that decide."""
+        return cut(self._test, self._vehicle, min(DECIDING, self.shortest), sigma=self._sigma)
+
+    def squares(self, fit: Fitted) -> Array:
+        """Mean square of the simulation error in every window at its best start; inf where it diverges."""
+        functions, p = fit.model.functions, np.asarray(fit.p)
+        shooting = Shooting(functions, self.windows, (), channel_weights(self.windows), compiled=False)
+        starts = shooting.first_starts(p)
+        for _ in range(_START_STEPS):
+            at = shooting.linearise(p, starts)
+            if not np.isfinite(at.cost):
+                break
+            starts = starts + at.start_step
+        return shooting.mean_squares(p, starts)
+
+    def ahead(self, vehicle: Vehicle) -> dict[str, float]:
+        """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
+        predictor = Predictor(vehicle, compiled=False)
+        found = {
+            f"{horizon:g} s": prediction_error(
+                predict(predictor, cut(self._test, self._vehicle, horizon, sigma=self._sigma))
+            )
+            for horizon in HORIZONS
+            if horizon <= self.shortest
+        }
+        whole = cut(self._test, self._vehicle, None, sigma=self._sigma)
+        return found | {"free run": prediction_error(predict(predictor, whole))}
+
+    def contender(self, chain: Chain) -> Contender:
+        """A chain fitted by output error from where the weak form left it, and judged."""
+        fit = self._refined(chain)
+        return Contender(chain, fit, self.squares(fit))
+
+    def _refined(self, chain: Chain) -> Fitted:
+        weak = chain.fit
+        try:
+            refined: OutputErrorFit = fit_output_error(
+                weak.model.functions.vehicle,
+                self._train,
+                weak.model.free,
+                min(DECIDING, self.shortest),
+                start=weak.values,
+            )
+        except UndertowError:  # the simulation of a poor model may diverge
+            return weak
+        return refined
+
+
+def standing(contenders: Sequence[Contender]) -> list[Contender]:
+    """The best of a short list, then those that the simulation does not show to be worse."""
+    ordered = sorted(contenders, key=lambda c: c.error)
+    best = ordered[0]
+    return [best, *(c for c in ordered[1:] if not clearly_worse(c.squares, best.squares))]
+
+
+def clearly_worse(squares: Array, than: Array) -> bool:
+    """Whether one model simulates the windows worse than another by more than chance."""
+    gap = squares - than
+    if not np.all(np.isfinite(squares)):
+        return bool(np.all(np.isfinite(than)))
+    if np.allclose(gap, 0.0, atol=1e-9):
+        return False
+    return bool(wilcoxon(gap, alternative="greater").pvalue < _SURE and np.mean(gap) > 0.0)

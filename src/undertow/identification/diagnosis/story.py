@@ -1,0 +1,176 @@
+"""What a search comes to: judged once more by simulation, and told in numbers and words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow import __version__
+from undertow.model.catalogue import Catalogue
+from undertow.model.vehicle import Vehicle
+
+from ..weak.fit import WeakFit, mean_square
+from ..weak.residual import whitened
+from .candidates import candidates
+from .chain import Chain
+from .compensation import Relief, absorbing, reliefs
+from .equivalents import equivalents
+from .estimates import estimate, estimates
+from .finding import Finding
+from .referee import DECIDING, Referee, clearly_worse, standing
+from .remaining import remaining
+from .result import Diagnosis, Equivalent, Ranked, RunInfo, Step
+from .search import FALSE_ALARM_RATE, Search
+from .trial import Score, noise_ratio, only_noise
+from .verdict import Judgement, judge, unique_ids
+
+Array = NDArray[np.float64]
+
+
+class Story:
+    """The outcome of a search, judged under one noise model for all steps and by simulation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model as given.
+    found : Search
+        What the search found.
+    referee : Referee
+        Who simulates.
+    known : Catalogue
+        Effects that may be missing.
+    """
+
+    def __init__(self, vehicle: Vehicle, found: Search, referee: Referee, known: Catalogue) -> None:
+        self.vehicle, self.referee, self._known = vehicle, referee, known
+        self.found = found = decided(found, referee)
+        self.bench = found.bench
+        self.base = found.rounds[0].bench.base
+        self.fits = found.steps()
+        self.simulated = [referee.squares(f) for f in self.fits]
+        final = self.fits[-1]
+        # All models are shown in units of the same noise, that of the sensors alone.
+        self._whitening = final.model.whitening(self.bench.test, final.p)
+        self.judgement: Judgement = judge(
+            found,
+            (self.bench.judge(self.fits[0]), self.bench.judge(final)),
+            self.bench.noise_level,
+            quiet=only_noise(noise_ratio(final, self.bench.test)),
+            confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
+        )
+
+    @property
+    def after(self) -> WeakFit:
+        """The fit with what is named, or the refitted model where nothing is."""
+        return self.fits[-1] if self.judgement.effects else self.base
+
+    def told(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
+        """The diagnosis."""
+        equivalent = self._equivalents()
+        doubts = [f"But {e.reason}: {_either(e)}." for e in equivalent]
+        return Diagnosis(
+            undertow=__version__,
+            vehicle=self.vehicle.name,
+            degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
+            signs=self.vehicle.signs,
+            runs=infos,
+            verdict=self.judgement.verdict,
+            headline=" ".join([self.judgement.headline, *doubts]),
+            effects=unique_ids(self.judgement.effects),
+            ranking=[self._ranked(f) for f in self.found.rounds[0].findings],
+            steps=self._steps(),
+            indistinguishable=self.judgement.sets,
+            equivalent=equivalent,
+            warnings=self._warnings(),
+            remaining=remaining(self.after, self.bench.test),
+            parameters=estimates(self.after, self.vehicle),
+            false_alarm_rate=FALSE_ALARM_RATE,
+            noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            seconds=seconds,
+        )
+
+    def _equivalents(self) -> list[Equivalent]:
+        if self.judgement.verdict != "adequate":
+            return []
+        derived = self.bench.train.velocities_derived
+        return equivalents(self.vehicle, self.bench, candidates(self.vehicle, self._known, derived=derived))
+
+    def _normalised(self, fit: WeakFit) -> float:
+        r = whitened(fit.model.linearise(self.bench.test, fit.p), self._whitening).r
+        return Score(r, mean_square(r, self.bench.test)).error
+
+    @cached_property
+    def _before(self) -> float:
+        return self._normalised(self.base)
+
+    def _steps(self) -> list[Step]:
+        ids = [w.id for w in self.found.winners]
+        return [self._step(ids[:i], fit, self.simulated[i]) for i, fit in enumerate(self.fits)]
+
+    def _step(self, added: list[str], fit: WeakFit, squares: Array) -> Step:
+        ahead = self.referee.ahead(fit.vehicle)
+        simulation = float(np.sqrt(np.mean(squares)))
+        return Step(
+            added=added,
+            error=self._normalised(fit),
+            prediction=ahead.get(f"{DECIDING:g} s", ahead["free run"]),
+            simulation=simulation if math.isfinite(simulation) else None,
+            ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
+        )
+
+    def _ranked(self, finding: Finding) -> Ranked:
+        trial = finding.trial
+        helps = bool(trial.kept) or finding.significant
+        return Ranked(
+            effect=finding.id,
+            family=trial.candidate.effect.family,
+            about=trial.candidate.effect.about(),
+            parameters=[estimate(trial.fit, n, self.vehicle) for n in _new_parameters(finding)],
+            error_before=self._before,
+            error_after=self._normalised(trial.fit) if helps else self._before,
+            explained=finding.explained,
+            improvement=finding.evidence.mean,
+            interval=finding.evidence.interval,
+            significant=finding.significant,
+            p_value=finding.p_value if helps else None,
+            inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+        )
+
+    def _warnings(self) -> list[str]:
+        named = tuple(unique_ids(self.judgement.effects))
+        claimed = {*named, *(e for s in self.judgement.sets for e in s.effects)}
+        helpers = [h for h in reliefs(self.found.rounds[0].findings) if claimed.issuperset(h.effects)]
+        if len(named) > 1:
+            helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
+        return absorbing(self.vehicle, self.base, helpers)
+
+
+def decided(found: Search, referee: Referee) -> Search:
+    """The search with every set of equally good effects cut down to those that stand up to simulation.
+
+    All of a set are fitted by output error, started from the weak form, and simulate the kept-aside runs; the
+    best of them leads.
+    """
+    for place in range(len(found.rivals)):
+        if found.rivals[place]:
+            chains = [found.chain, *found.rivals[place]]
+            best, *others = (c.chain for c in standing([referee.contender(c) for c in chains]))
+            rivals: list[list[Chain]] = list(found.rivals)
+            rivals[place] = others
+            found = replace(found, chain=best, rivals=rivals)
+    return found
+
+
+def _either(equivalent: Equivalent) -> str:
+    return " or ".join(["wrong stated values", *equivalent.effects])
+
+
+def _new_parameters(finding: Finding) -> tuple[str, ...]:
+    own = [p.name for p in finding.trial.candidate.parameters]
+    removable = finding.trial.candidate.removable
+    return tuple(n for n in own if n in finding.trial.kept or (finding.trial.kept and n not in removable))
