@@ -104,12 +104,13 @@ class Effect(abc.ABC):
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
-        """Where to begin a search in logs whose pose coordinates lie between these values.
+        """Where to begin a search in logs in which this was seen.
 
         Parameters
         ----------
         seen : mapping
-            Least and greatest value of each pose coordinate that the vehicle has, m and rad.
+            Least and greatest value of each pose coordinate that the vehicle has, m and rad, and, as
+            `beat`, of the angular frequency at which what the model leaves swings most, rad/s.
 
         Returns
         -------

@@ -18,6 +18,7 @@ from ..weak.data import WeakData
 from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, promise, settled
 from ..weak.noise import Whitening
 from ..weak.residual import WeakModel, whitened
+from .beat import beat
 from .candidates import Candidate
 
 Array = NDArray[np.float64]
@@ -162,11 +163,13 @@ class Bench:
 
     @cached_property
     def seen(self) -> dict[str, tuple[float, float]]:
-        """Least and greatest value of each pose coordinate in the data to fit to."""
+        """Least and greatest value of each pose coordinate, and of the frequency that is left (`beat`)."""
         names = self.base.model.functions.vehicle.pose_names
         poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
         low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
-        return dict(zip(names, zip(low, high, strict=True), strict=True))
+        found = dict(zip(names, zip(low, high, strict=True), strict=True))
+        line = beat(self.base.at.r, self.train)
+        return found if line is None else found | {"beat": line}
 
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData) -> Bench:
