@@ -17,7 +17,7 @@ from benchmarks.hidden_effects import EFFECTS, make_case
 from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import plain_world
 from benchmarks.trust.__main__ import main
-from benchmarks.trust.cases import COMPLETE, SIZES, Planned, part, plan
+from benchmarks.trust.cases import COMPLETE, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
 from benchmarks.trust.grade import HIDDEN, grade_of, told
@@ -54,7 +54,10 @@ def test_every_id_reads_back() -> None:
 def test_every_round_has_every_effect_outsider_and_complete_model() -> None:
     for cases in (plan(1), plan(2)[len(plan(1)) :]):
         hidden = Counter(case.hidden[0] for case in cases if case.kind in ("single", "outsider"))
-        assert hidden == Counter(name for name, e in EFFECTS.items() if e.kind in ("library", "alien"))
+        aliens = [name for name, e in EFFECTS.items() if e.kind == "alien"]
+        assert hidden == Counter([*SINGLES, *aliens])
+        assert "thruster_deadband" in SINGLES
+        assert "thruster_deadband_jump" not in SINGLES
         assert {case.label for case in cases if case.kind == "complete"} == set(COMPLETE)
         assert all(case.vehicle in EFFECTS[name].vehicles for case in cases for name in case.hidden)
 
@@ -196,7 +199,14 @@ def test_a_share_of_nothing_says_so() -> None:
 def record(case: str, verdict: str, *named: str, truth: tuple[str, ...] = (), **more: Any) -> dict[str, Any]:
     planned = Planned.read(case)
     answer = Answer(verdict, list(named), more.pop("sets", []), more.pop("ranking", [*named, "waves", "lag"]))
-    values = {"motions": ["surge", "sway", "yaw"], "values": {}, "seconds": 3.0, "known": True, "commit": "a"}
+    values = {
+        "motions": ["surge", "sway", "yaw"],
+        "values": {},
+        "seconds": 3.0,
+        "cpu": 2.0,
+        "known": True,
+        "commit": "a",
+    }
     own = {"id": planned.id, "kind": planned.kind, "label": planned.label, "vehicle": planned.vehicle}
     return values | own | {"truth": list(truth), "answer": answer.as_dict()} | more
 

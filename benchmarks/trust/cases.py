@@ -36,6 +36,9 @@ COMPLETE: dict[str, tuple[tuple[str, ...], float, bool, str]] = {
     "one added mass 2 x off": (("wrong_added_mass",), 1.0, False, "plain"),
     "all guesses 2 x off": (("wrong_all",), 1.0, False, "plain"),
 }
+#: Effects of the catalogue. One that goes by the name of another is left out (a dead band with a jump): its
+#: equations are not those of the catalogue, so that neither that name nor `unexplained` would be wrong.
+SINGLES = tuple(name for name, effect in EFFECTS.items() if effect.catalogue == name)
 NULLS_PER_ROUND = 2
 PAIRS_PER_ROUND = 8
 _ALIKE = ({"net_buoyancy", "constant_force"},)
@@ -146,7 +149,7 @@ def part(cases: Sequence[T], which: str) -> list[T]:
 
 
 def _round(r: int, base: int) -> list[Planned]:
-    singles = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "library"]
+    singles = [_one(name, r, base) for name in SINGLES]
     outsiders = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "alien"]
     complete = [_complete(label, NULLS_PER_ROUND * r + i, base)
                 for label in COMPLETE for i in range(NULLS_PER_ROUND)]  # fmt: skip
@@ -172,12 +175,11 @@ def _complete(label: str, number: int, base: int) -> Planned:
 
 def _pair(number: int, base: int) -> Planned:
     vehicle = _turn(tuple(NOMINAL), number, base, "pair vehicle")
-    names = [n for n, e in EFFECTS.items() if e.kind == "library" and vehicle in e.vehicles]
+    names = [n for n in SINGLES if vehicle in EFFECTS[n].vehicles]
     rng = _random(base, "pair", number)
     while True:
         first, second = (names[int(i)] for i in rng.permutation(len(names))[:2])
-        ids = {EFFECTS[first].catalogue or first, EFFECTS[second].catalogue or second}
-        if len(ids) == 2 and ids not in _ALIKE:
+        if {first, second} not in _ALIKE:
             break
     noise, closed_loop = _conduct("pair", number, base)
     return _seeded((vehicle, (first, second), 1.0, noise, closed_loop, "plain"), number, base)

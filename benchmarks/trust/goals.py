@@ -104,14 +104,17 @@ def _time(cases: Sequence[Scored]) -> Goal:
 
 
 def seconds_by_motions(cases: Iterable[Scored]) -> list[list[str]]:
-    """Rows: degrees of freedom, cases, median and largest seconds."""
-    groups: dict[int, list[float]] = {}
+    """Rows: degrees of freedom, cases, median and longest seconds, median seconds of one processor."""
+    groups: dict[int, list[Scored]] = {}
     for case in cases:
-        groups.setdefault(len(case.record["motions"]), []).append(case.record["seconds"])
-    return [
-        [str(count), str(len(own)), f"{np.median(own):.1f}", f"{max(own):.0f}"]
-        for count, own in sorted(groups.items())
-    ]
+        groups.setdefault(len(case.record["motions"]), []).append(case)
+    rows = []
+    for count, own in sorted(groups.items()):
+        wall, cpu = ([c.record[key] for c in own] for key in ("seconds", "cpu"))
+        rows.append(
+            [str(count), str(len(own)), *(f"{v:.1f}" for v in (np.median(wall), max(wall), np.median(cpu)))]
+        )
+    return rows
 
 
 def _at_least(name: str, found: Share, least: float) -> Goal:

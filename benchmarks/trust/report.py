@@ -15,6 +15,7 @@ from .measure import Record
 from .tally import OURS, VISIBLE, Scored, expressible, methods, of_kind, scored, share
 from .words import DEFINITIONS, EXPRESSIBLE, FAILURES, INTRODUCTION, NO_PEERS, PEERS
 
+_SECONDS = ("degrees of freedom", "cases", "median s", "longest s", "median s of processor time")
 _SINGLE: tuple[tuple[str, Callable[[Scored], bool]], ...] = (
     ("truth ranked first", lambda c: c.first),
     ("in the top three", lambda c: c.in_three),
@@ -42,7 +43,7 @@ def page(records: Iterable[Record]) -> str:
         "## Every effect\n",
         _by_effect(cases),
         "## Seconds\n",
-        table(("degrees of freedom", "cases", "median s", "longest s"), seconds_by_motions(cases), left=0),
+        table(_SECONDS, seconds_by_motions(cases), left=0),
         "## Failures\n",
         FAILURES,
         table(HEAD, [row(c) for c in failures(cases)], left=4) if failures(cases) else "None.\n",

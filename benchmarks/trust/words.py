@@ -42,6 +42,8 @@ DEFINITIONS = """\
   same equations for a vehicle without roll and pitch; there, and nowhere else, either or both of them count
   as the truth.
 - *False alarm*: an effect is named for a complete model.
+- *Left out*: a dead band with a jump at its edge. The catalogue's is continuous, so that neither its name nor
+  `unexplained` would be wrong.
 - *Weaker than drawn*: where a vehicle ran away with an effect of the drawn size, the size was lowered in
   steps to 0.7, 0.5, 0.35 or 0.25 of it.
 
