@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import sympy as sm
 
 from undertow.model.effect import Flow, Wrench
@@ -46,6 +48,18 @@ class Waves(Flow, Wrench):
         starts=(-2.36, -0.79, 0.79, 2.36),
         neutral=None,
     )
+
+    @classmethod
+    def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+        if "beat" not in seen:
+            return []
+        low, high = seen["beat"]
+        still = {"wave_cos": 0.0, "wave_sin": 0.0}
+        return [
+            still | {"wave_frequency": low + share * (high - low), "wave_direction": towards}
+            for share in (0.25, 0.5, 0.75)
+            for towards in cls.wave_direction.starts
+        ]
 
     def velocity(self, s: Signals) -> sm.Matrix:
         return self.wave_frequency * self._upright(_AHEAD, -_UP)
