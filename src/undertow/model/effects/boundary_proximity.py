@@ -16,7 +16,7 @@ from undertow.model.symbols import Signals, symbol
 
 _GAP = symbol("gap")
 # Decay lengths in the range of the vehicle where a search begins.
-_FADES_OVER_RANGE = 3.0
+_FADES_OVER_RANGE = 4.0
 
 
 class BoundaryProximity(Wrench):
@@ -64,9 +64,9 @@ class BoundaryProximity(Wrench):
         points = []
         for part, axis in zip("NED", "xyz", strict=True):
             low, high = seen.get(axis, (0.0, 0.0))
-            # On either side: a boundary well beyond where the vehicle was, and one that it came up to.
+            # On either side: a boundary at the edge of where the vehicle was, and one that readings pass.
             for side, edge, reach in ((1, high, high - low), (-1, -low, high - low)):
-                for beyond in (1.0, -0.4) if reach > 0 else ():
+                for beyond in (0.0, -0.4) if reach > 0 else ():
                     fade = _FADES_OVER_RANGE / reach
                     point = {"fade_N": 0.0, "fade_E": 0.0, "fade_D": 0.0, f"fade_{part}": side * fade}
                     points.append(point | {"fade_0": fade * (edge + beyond * reach)})
