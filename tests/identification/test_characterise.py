@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 
-from benchmarks.hidden_effects import make_case, write_case
-from undertow.identification import read_log
+from benchmarks.hidden_effects import make_case
+from tests.identification.surge import surge_run, surge_vehicle
+from undertow.identification import Run, velocities_from_pose
 from undertow.identification.diagnosis.associations.between_runs import difference
 from undertow.identification.diagnosis.associations.force_rows import ForceRows
 from undertow.identification.diagnosis.associations.residual import Association, Sample, Samples
@@ -19,24 +19,36 @@ from undertow.identification.diagnosis.associations.terms import Along, Term, co
 from undertow.identification.diagnosis.associations.wording import how, sentence
 from undertow.identification.diagnosis.remaining import remaining
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
+from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.weak.data import WeakData, prepare
 from undertow.identification.weak.fit import WeakFit, fit_weak
-from undertow.model.loading import load_vehicle
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle_schema import VehicleTable
 
 HEADING, COMMANDS = ("turning_drag", "heading_force"), ("thruster_interference", "periodic_side_force")
 
 
 @cache
-def _fitted(effects: tuple[str, ...], seed: int) -> tuple[dict[str, dict[str, float]], WeakFit, WeakData]:
-    """A model ship with something that its model lacks: what was drawn, the refit, and data kept aside."""
+def _simulated(effects: tuple[str, ...], seed: int) -> tuple[dict[str, dict[str, float]], Vehicle, list[Run]]:
+    """A model ship with something that its model lacks: what was drawn, the model, and four runs of 60 s."""
     case = make_case("usv", effects, seed, duration=60.0)
-    with TemporaryDirectory() as folder:
-        write_case(case, Path(folder))
-        vehicle = load_vehicle(Path(folder) / "vehicle.toml")
-        names = ("train_1", "train_2", "train_3", "holdout")
-        runs = [read_log(Path(folder) / f"{n}.csv", channels=vehicle.command_names) for n in names]
-    train = prepare(runs[:3], vehicle)
-    return case.truth["values"], fit_weak(vehicle, train), prepare(runs[3:], vehicle, sigma=train.sigma)
+    vehicle = vehicle_from_table(VehicleTable.model_validate(case.vehicle), catalogue())
+    columns = [(n, dict(c)) for n, c in case.runs.items()]
+    return case.truth["values"], vehicle, [Run(n, c.pop("t"), c, source=n) for n, c in columns]
+
+
+@cache
+def _fitted(effects: tuple[str, ...], seed: int) -> tuple[dict[str, dict[str, float]], WeakFit, WeakData]:
+    """What was drawn, the model refitted to three of the runs, and the fourth."""
+    values, vehicle, runs = _simulated(effects, seed)
+    return values, *_refitted(vehicle, runs[:3], runs[3:])
+
+
+def _refitted(vehicle: Vehicle, runs: list[Run], aside: list[Run]) -> tuple[WeakFit, WeakData]:
+    train = prepare(runs, vehicle)
+    return fit_weak(vehicle, train), prepare(aside, vehicle, sigma=train.sigma)
 
 
 @cache
@@ -338,3 +350,34 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         "phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )
     assert sentence(left, loud=False) == "surge: 0.9 N rms is left, which is noise"
+
+
+# --- other logs --------------------------------------------------------------------------------------
+def test_one_motion_driven_by_a_force_in_the_log() -> None:
+    whole = surge_vehicle()
+    less = {n: v for n, v in whole.values.items() if n != "X_uabsu"}
+    kept = tuple(e for e in whole.effects if e.id != "quadratic_damping")
+    vehicle = replace(whole, values=less, effects=kept)
+    runs = [surge_run(0.001, seed=i) for i in range(3)]
+    (left,) = remaining(*_refitted(vehicle, runs[:2], runs[2:]))
+    assert left.normalised_error > 3.0
+    assert {"|u| u", "u u"} & {left.depends_on[0].term, *left.depends_on[0].alike}
+
+
+def _turning(fit: WeakFit, aside: WeakData) -> Dependence:
+    left = {r.degree_of_freedom: r for r in remaining(fit, aside)}
+    assert _is_silent(left["yaw"])
+    return left["sway"].depends_on[0]
+
+
+def test_velocities_from_pose() -> None:
+    _, vehicle, runs = _simulated(HEADING, 1)
+    kept = ("x", "y", "psi", *vehicle.command_names)
+    poses = [replace(r, channels={n: r.channels[n] for n in kept}) for r in runs]
+    derived = [velocities_from_pose(r, vehicle.degrees_of_freedom) for r in poses]
+    assert _turning(*_refitted(vehicle, derived[:3], derived[3:])).term == "sin and cos of 2 psi"
+
+
+def test_stretches_kept_aside() -> None:
+    _, vehicle, runs = _simulated(HEADING, 1)
+    assert _turning(*_refitted(vehicle, *keep_blocks_aside(runs))).term == "sin and cos of 2 psi"

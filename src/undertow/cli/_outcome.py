@@ -26,7 +26,9 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
     for left in diagnosis.remaining:
-        console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"))
+        console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
+    if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
+        console.print("[dim]an effect made of it: undertow effects new ID --from (the file of --json)[/dim]")
     for warning in diagnosis.warnings:
         console.print(f"[yellow]warning[/yellow]: {escape(warning)}")
     console.print(

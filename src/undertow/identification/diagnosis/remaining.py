@@ -43,7 +43,7 @@ def _left(characteriser: Characteriser, fit: WeakFit, i: int) -> Remaining:
         residual_rms=row.rms,
         noise_rms=row.noise_rms,
         unit=FORCE_UNITS[vehicle.dof_indices[i]],
-        excess_rms=row.excess_rms,
+        excess_rms=row.excess_rms if loud else 0.0,
         note=f"{error:.1f} times what the noise explains" if loud else "explained by the noise",
     )
     if loud:

@@ -177,12 +177,12 @@ class ForceRows:
     # --- further forces -----------------------------------------------------------------------
     def columns(self, columns: Sequence[Column]) -> list[Array]:
         """What forces with unit coefficients of columns add to a row, shape (K, columns) in every segment."""
-        return [_stacked([_tested(s, along, c) for c in columns], s) for s, along, _ in self._along]
+        return [_tested(s, along, columns) for s, along, _ in self._along]
 
     def waves(self, frequency: float) -> list[Array]:
         """The same for a cosine and a sine of unit amplitude in time, shape (K, 2); frequency in Hz."""
         phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self._along]
-        return [_stacked([s.functions.value @ f(phase) for f in (np.cos, np.sin)], s) for s, phase in phases]
+        return [s.functions.value @ np.column_stack([np.cos(a), np.sin(a)]) for s, a in phases]
 
     @cached_property
     def _along(self) -> list[tuple[Segment, Along, Array]]:
@@ -214,17 +214,16 @@ class ForceRows:
         return ca.Function("motion", [points.measured, f.p, f.t], true)
 
 
-def _stacked(columns: Sequence[Array], s: Segment) -> Array:
-    return np.column_stack(columns) if columns else np.zeros((s.functions.count, 0))
-
-
-def _tested(s: Segment, along: Along, column: Column) -> Array:
-    smooth, held = along.smooth(column), along.held(column)
-    if held is None:
-        return np.asarray(s.functions.value @ smooth)
-    # The command is held over an interval, the motion is taken at both of its ends.
-    ends = np.append(0.5 * (smooth[1:] + smooth[:-1]), smooth[-1])
-    return np.asarray(s.functions.held @ (held * ends))
+def _tested(s: Segment, along: Along, columns: Sequence[Column]) -> Array:
+    smooth, held = np.zeros((2, len(s.t), len(columns)))
+    for k, column in enumerate(columns):
+        motion, commands = along.smooth(column), along.held(column)
+        if commands is None:
+            smooth[:, k] = motion
+        else:
+            # The command is held over an interval, the motion is taken at both of its ends.
+            held[:, k] = commands * np.append(0.5 * (motion[1:] + motion[:-1]), motion[-1])
+    return np.asarray(s.functions.value @ smooth + s.functions.held @ held)
 
 
 def measured_pose(data: WeakData) -> tuple[str, ...]:

@@ -82,7 +82,8 @@ def highest_peak(fitted: Series, aside: Series, fastest: float) -> Peak | None:
     first, second = power(fitted, grid), power(aside, grid)
     place = int(np.argmax(first / _neighbours(first, grid)))
     frequency = _summit(grid, first + second, place)
-    return Peak(frequency, band_gain(aside, frequency, grid), _chance(second, grid, place, len(aside.runs)))
+    gain = _band_gain(second, frequency, grid, aside.length)
+    return Peak(frequency, gain, _chance(second, grid, place, len(aside.runs)))
 
 
 def power(series: Series, grid: Array) -> Array:
@@ -97,8 +98,10 @@ def _power(s: Series, grid: Array) -> Array:
 
 def _neighbours(power: Array, grid: Array) -> Array:
     """Mean power that the neighbourhood suggests: from the median within a factor of two in frequency."""
-    low, high = np.searchsorted(grid, grid / 2), np.searchsorted(grid, grid * 2)
-    return np.array([np.median(power[a:b]) for a, b in zip(low, high, strict=True)]) / _MEDIAN
+    coarse = grid[::_FINE]
+    low, high = np.searchsorted(grid, coarse / 2), np.searchsorted(grid, coarse * 2)
+    medians = [np.median(power[a:b]) for a, b in zip(low, high, strict=True)]
+    return np.asarray(np.interp(grid, coarse, medians) / _MEDIAN)
 
 
 def _summit(grid: Array, power: Array, place: int) -> float:
@@ -114,11 +117,10 @@ def _chance(power: Array, grid: Array, place: int, runs: int) -> float:
     return float(min(1.0, 3 * gamma.sf(runs * ratio, runs)))
 
 
-def band_gain(series: Series, frequency: float, grid: Array) -> float:
+def _band_gain(power: Array, frequency: float, grid: Array, length: float) -> float:
     """Sum of squares in the band around a frequency, above that of the neighbours."""
-    found = power(series, grid)
-    excess = found - _neighbours(found, grid)
-    wide = max(_BAND * frequency, 1.5 / series.length)
+    excess = power - _neighbours(power, grid)
+    wide = max(_BAND * frequency, 1.5 / length)
     return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / _FINE, 0.0)
 
 
