@@ -66,14 +66,14 @@ def work(call: Caller, images: Path) -> Told:
 def force(before: Comparison, after: Comparison, names: tuple[str, str]) -> Figure:
     """The push, and what both models lack of the force along a run."""
     with look():
-        picture, axes = figure(4.2, 2, sharex=True)
+        picture, axes = figure(4.6, 2, sharex=True)
         push = before.forces.wrenches["generalised_force"][:, 0]
         axes[0, 0].plot(before.forces.t, push, color=INK)
         axes[0, 0].set_ylabel("push [N]")
         for comparison, name, colour in ((before, names[0], BEFORE), (after, names[1], AFTER)):
             axes[1, 0].plot(comparison.forces.t, comparison.forces.missing[:, 0], color=colour, label=name)
         axes[1, 0].axhline(0.0, color=FAINT, linewidth=0.8)
-        axes[1, 0].set_ylabel("force that the model lacks [N]")
+        axes[1, 0].set_ylabel("model lacks [N]")
         axes[1, 0].set_xlabel("time [s]")
         limit = float(np.quantile(np.abs(before.forces.missing[:, 0]), 0.99))
         axes[1, 0].set_ylim(-1.3 * limit, 1.3 * limit)

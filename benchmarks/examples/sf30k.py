@@ -34,13 +34,18 @@ SECOND = {
     "net_buoyancy": {"B_net": 0.0},
 }
 THRUSTERS = ("lateral", "vertical", "port", "starboard")
+_REVERSE = {"thruster_asymmetry": {"reverse_loss": 0.2}}
+_GAINS = {"thruster_gain": {f"gain_error_{n}": 0.0 for n in THRUSTERS}}
 #: Models fitted by hand.
 BY_HAND: dict[str, Tables] = {
     "second look": SECOND,
-    "second look, thrusters free": {**SECOND, "thruster_gain": {f"gain_error_{n}": 0.0 for n in THRUSTERS}},
+    "with reverse loss": {**SECOND, **_REVERSE},
+    "with gains": {**SECOND, **_GAINS},
+    "with gains and reverse loss": {**SECOND, **_GAINS, **_REVERSE},
 }
 #: Time constant over which commands and motion are compared as steady, s.
 STEADY = 20.0
+_FEWEST = 6  # means that make a line
 
 
 def work(call: Caller, images: Path) -> Told:
@@ -50,16 +55,17 @@ def work(call: Caller, images: Path) -> Told:
         for name, way in zip(("six", "four"), WAYS, strict=True)
     }
     found = [call.diagnose(way) for way in (*WAYS, second_look(call.scratch))]
+    hand = [by_hand(call, name) for name in BY_HAND]
     from . import sf30k_pictures
 
-    models = [vehicle_of(WAYS[1].vehicle), vehicle_of(found[1][1])]
+    models = [vehicle_of(WAYS[1].vehicle), vehicle_of(hand[-1][1])]
     run = runs_of(WAYS[1], call.data, models[0])[0]
     before, after = (compare(model, [run]) for model in models)
     sf30k_pictures.draw(before, after, run, images)
     return {
         "compared": compared,
         "diagnoses": [telling.diagnosis_kept(told) for told, _ in found],
-        "by_hand": telling.rounded([by_hand(call, name) for name in BY_HAND]),
+        "by_hand": telling.rounded([told for told, _ in hand]),
         "checks": telling.rounded({"arm": lever_arm(run), "slopes": slopes(before)}),
     }
 
@@ -70,7 +76,7 @@ def second_look(scratch: Path) -> Judged:
     return replace(WAYS[1], title="four degrees of freedom, second look", vehicle=str(file))
 
 
-def by_hand(call: Caller, name: str) -> Told:
+def by_hand(call: Caller, name: str) -> tuple[Told, Path]:
     """A model fitted by the weak form: what its parameters are, before and after, and how it predicts."""
     stated = variant(FOUR, BY_HAND[name], call.scratch / "by-hand.toml")
     before, file = vehicle_of(stated), call.fit(replace(WAYS[1], vehicle=str(stated)))
@@ -78,7 +84,7 @@ def by_hand(call: Caller, name: str) -> Told:
     ahead = tomllib.loads(file.read_text(encoding="utf-8"))["history"][-1]["error_after"]
     free = [n for n, v in before.values.items() if v.estimate]
     values = {n: [before.values[n].value, after.values[n].value, after.values[n].sigma] for n in free}
-    return {"model": name, "ahead": ahead, "values": values}
+    return {"model": name, "ahead": ahead, "values": values}, file
 
 
 # --- evidence that needs no model -------------------------------------------------------------
@@ -135,6 +141,12 @@ def steady(comparison: Comparison, i: int) -> tuple[Array, Array]:
 
 
 def slopes(comparison: Comparison) -> dict[str, Told]:
-    """Share of the commanded force that the motion shows, 1 if all of it arrives."""
+    """Share of the commanded force that the motion shows, 1 if all of it arrives; also by its sign."""
     dofs = comparison.result.degrees_of_freedom
-    return {dof: _slope(*steady(comparison, i)) for i, dof in enumerate(dofs)}
+    return {dof: _by_side(*steady(comparison, i)) for i, dof in enumerate(dofs)}
+
+
+def _by_side(drive: Array, needed: Array) -> Told:
+    sides = {"all": np.isfinite(drive), "positive": drive > 0, "negative": drive < 0}
+    enough = {side: inside for side, inside in sides.items() if inside.sum() >= _FEWEST}
+    return {side: _slope(drive[inside], needed[inside]) for side, inside in enough.items()}

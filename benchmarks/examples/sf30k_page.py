@@ -74,9 +74,11 @@ def _found(entry: Sequence[float] | None) -> str:
 
 
 def _thrust(slopes: Told) -> str:
-    rows = [[dof, f"{s['value']:.2f} ± {s['standard_error']:.2f}"] for dof, s in slopes.items()]
+    sides = ("all", "positive", "negative")
+    rows = [[dof, *(_cell(s.get(side)) for side in sides)] for dof, s in slopes.items()]
+    head = ("needed over commanded", "all", "ahead, to starboard, down", "astern, to port, up")
     return (
-        f"Means over {STEADY:g} s, where inertia hardly counts: the force that the motion needs by the\n"
-        "published model, over the force that is commanded. 1 means that all of it arrives and that drag is\n"
-        "as published.\n\n" + table(("degree of freedom", "needed over commanded"), rows)
+        f"Means over {STEADY:g} s, where inertia hardly counts: slope of the force that the motion needs by\n"
+        "the published model over the force that is commanded. 1 means that all of it arrives and that drag is\n"
+        "as published.\n\n" + table(head, rows)
     )

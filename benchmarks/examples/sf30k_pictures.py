@@ -21,7 +21,7 @@ from .drawing import part
 
 NAMES = ("sf30k-thrust.png", "sf30k-run.png", "sf30k-map.png", "sf30k-doppler.png")
 _MINUTES = (1010.0, 1130.0)  # s
-_MODELS = ("as published", "after the diagnosis")
+_MODELS = ("as published", list(set_.BY_HAND)[-1])
 
 
 def draw(before: Comparison, after: Comparison, run: Run, images: Path) -> None:

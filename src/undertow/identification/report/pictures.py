@@ -127,7 +127,7 @@ def _heat(axis: Any, table: Array, errors: ErrorMap) -> Any:
         axis.text(
             j + 0.5,
             i + 0.5,
-            f"{value:.2g}" if there else "–",
+            (f"{value:.2g}" if value < 99.5 else f"{value:.0f}") if there else "–",
             ha="center",
             va="center",
             color=colour,
