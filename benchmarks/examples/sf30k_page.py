@@ -78,7 +78,7 @@ def _thrust(slopes: Told) -> str:
     rows = [[dof, *(_cell(s.get(side)) for side in sides)] for dof, s in slopes.items()]
     head = ("needed over commanded", "all", "ahead, to starboard, down", "astern, to port, up")
     return (
-        f"Means over {STEADY:g} s, where inertia hardly counts: slope of the force that the motion needs by\n"
-        "the published model over the force that is commanded. 1 means that all of it arrives and that drag is\n"
-        "as published.\n\n" + table(head, rows)
+        f"Means over {STEADY:g} s, where inertia hardly counts: slope of the force that the motion needs\n"
+        "by the published model over the force that is commanded. 1 means that all of it arrives and drag\n"
+        "is as published.\n\n" + table(head, rows)
     )

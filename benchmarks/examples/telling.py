@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from benchmarks.results.text import MISSING, listed, number, percent, table
+from benchmarks.results.text import chance as chance_of
 
 from .calls import Told
 
@@ -13,7 +14,7 @@ _CANDIDATES = 6
 _PARAMETERS = 4
 _KEPT = (
     "command", "title", "wall", "verdict", "headline", "effects", "steps", "indistinguishable", "warnings",
-    "remaining", "parameters", "false_alarm_rate", "seconds", "degrees_of_freedom",
+    "equivalent", "remaining", "parameters", "false_alarm_rate", "seconds", "degrees_of_freedom",
 )  # fmt: skip
 
 
@@ -108,7 +109,7 @@ def _verdict(d: Told) -> list[str]:
 
 def diagnosis(d: Told) -> str:
     """Everything a diagnosis said: headline, candidates, what remains, warnings."""
-    parts = [f"**{d['title']}**: {d['headline']}\n", ranking(d), remaining(d), alarms(d)]
+    parts = [f"**{d['title']}**: {d['headline']}\n", ranking(d), horizons(d), remaining(d), alarms(d)]
     return "\n".join(p for p in parts if p)
 
 
@@ -126,14 +127,31 @@ def ranking(d: Told) -> str:
             _values(r["parameters"]),
             f"{number(r['error_before'])} → {number(r['error_after'])}",
             f"{100 * r['explained']:.0f} %",
+            _chance(r.get("p_value")),
             "yes" if r["significant"] else "no",
         ]
         for r in helping
     ]
     rest = d["candidates"] - len(helping)
-    head = ("candidate", "parameters", "kept-aside error", "explains", "more than chance")
+    head = ("candidate", "parameters", "kept-aside error", "explains", "p", "more than chance")
     shown = table(head, rows, left=2) if rows else ""
     return shown + f"\n{rest} further candidates help less or not at all.\n"
+
+
+def _chance(p: float | None) -> str:
+    return MISSING if p is None else chance_of(p)
+
+
+def horizons(d: Told) -> str:
+    """Velocity error ahead over several times, with every effect that was tried."""
+    lengths = list(d["steps"][0].get("ahead") or {})
+    if not lengths:
+        return ""
+    rows = [
+        [" + ".join(["model", *s["added"]]), *(percent(s["ahead"].get(h)) for h in lengths)]
+        for s in d["steps"]
+    ]
+    return table(("velocity error on kept-aside data", *lengths), rows)
 
 
 def _values(parameters: Sequence[Told]) -> str:
@@ -161,8 +179,14 @@ def _left(r: Told) -> str:
 
 
 def alarms(d: Told) -> str:
-    """Warnings: parameters that make up for something absent."""
-    return "\n".join(f"- warning: {w}" for w in d["warnings"]) + ("\n" if d["warnings"] else "")
+    """Parameters that make up for something absent, and effects that act like changed parameters."""
+    told = [f"- warning: {w}" for w in d["warnings"]]
+    told += [
+        f"- {', '.join(e['parameters'])} moved far from what was stated, and {listed(e['effects'])} would do the "
+        f"same: {e['reason']}"
+        for e in d.get("equivalent", [])
+    ]
+    return "\n".join(told) + "\n" if told else ""
 
 
 def tally(diagnoses: Iterable[Told]) -> str:
