@@ -23,7 +23,7 @@ class ThrusterCurve(Actuation):
     signature = "thrust too small at small commands and too large at large ones, or the other way round"
     stage = 20
 
-    curve_linear = Parameter("1", "change of the part proportional to the command", (-2, 20))
+    curve_linear = Parameter("1", "change of the part proportional to the command", (-2, 20), alone=False)
     curve_square = Parameter("1/command", "part proportional to the command times its magnitude")
 
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
