@@ -65,9 +65,8 @@ def _acts_alike(candidate: Candidate, bench: Bench, moved: dict[str, float]) -> 
     shift = start.at.J[:, [names.index(n) for n in moved]] @ np.array(list(moved.values()))
     own = {p.name for p in candidate.parameters}
     columns = start.at.J[:, [k for k, n in enumerate(names) if n not in moved]]
-    effect = start.at.J[:, [k for k, n in enumerate(names) if n in own]]
-    left = _left(shift, columns)
-    return bool(left > _UNSEEN and _left(shift, np.hstack([columns, effect])) < _UNSEEN)
+    model = start.at.J[:, [k for k, n in enumerate(names) if n not in moved and n not in own]]
+    return _left(shift, model) > _UNSEEN > _left(shift, columns)
 
 
 def _left(change: Array, columns: Array) -> float:

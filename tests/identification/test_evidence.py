@@ -1,0 +1,125 @@
+"""Evidence: what chance does, what is superfluous, what stands up to simulation, what acts like another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.blocks import Blocks
+from undertow.identification.diagnosis.candidates import Candidate, candidates
+from undertow.identification.diagnosis.chance import Linear, best_by_chance, inclusion, p_value
+from undertow.identification.diagnosis.equivalents import equivalents, moved_parameters
+from undertow.identification.diagnosis.referee import clearly_worse
+from undertow.identification.diagnosis.trial import open_bench
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import fit_weak
+from undertow.model.catalogue import catalogue
+
+_ROWS, _PER_BLOCK = 600, 20
+
+
+def _candidates(rng: np.random.Generator, sizes: list[float]) -> list[Linear]:
+    """Candidates of two columns beside two of the model; `size` times the first is in the residual."""
+    base, r = rng.standard_normal((2 * _ROWS, 2)), rng.standard_normal(2 * _ROWS)
+    own = [rng.standard_normal((2 * _ROWS, 2)) for _ in sizes]
+    for size, columns in zip(sizes, own, strict=True):
+        r += size * columns[:, 0]
+    block = np.arange(_ROWS) // _PER_BLOCK
+    found = []
+    for columns in own:
+        J = np.hstack([base, columns])
+        halves = (slice(0, _ROWS), slice(_ROWS, 2 * _ROWS))
+        train, test = (Blocks.of(J[h], np.zeros(_ROWS), r[h], block) for h in halves)
+        found.append(Linear(train, test, 2, np.zeros(4)))
+    return found
+
+
+def _observed(candidate: Linear) -> float:
+    ones = [np.ones((1, b.count)) for b in (candidate.train, candidate.test)]
+    return float(candidate.falls(*ones)[0])
+
+
+def _best_p(rng: np.random.Generator, sizes: list[float]) -> float:
+    found = _candidates(rng, sizes)
+    return p_value(max(_observed(c) for c in found), best_by_chance(found))
+
+
+def test_tables_of_blocks_give_what_the_columns_give() -> None:
+    rng = np.random.default_rng(1)
+    J, shift, r = rng.standard_normal((60, 3)), rng.standard_normal(60), rng.standard_normal(60)
+    block = np.repeat(np.arange(6), 10)
+    signs, delta = rng.choice([-1.0, 1.0], (4, 6)), rng.standard_normal((4, 3))
+    found = Blocks.of(J, shift, r, block).squares(signs, delta)
+    direct = [np.sum((s[block] * r + shift + J @ d) ** 2) for s, d in zip(signs, delta, strict=True)]
+    np.testing.assert_allclose(found, direct, rtol=1e-12)
+
+
+def test_when_nothing_is_missing_the_best_of_ten_is_rarely_sure() -> None:
+    rng = np.random.default_rng(2)
+    chances = np.array([_best_p(rng, [0.0] * 10) for _ in range(60)])
+    # Uniform between 0 and 1 in the ideal case: 6 of 60 below 0.1, with 1 to 13 within chance.
+    assert np.count_nonzero(chances < 0.1) <= 13
+    assert np.count_nonzero(chances < 0.01) <= 3
+    assert np.median(chances) > 0.25
+
+
+def test_an_effect_that_is_there_is_sure() -> None:
+    rng = np.random.default_rng(3)
+    assert _best_p(rng, [0.0, 0.3, 0.0]) < 0.01
+
+
+def test_the_effect_that_is_there_is_the_best_one_in_nearly_all_resamples() -> None:
+    share = inclusion(_candidates(np.random.default_rng(4), [0.3, 0.0]))
+    assert share.sum() == pytest.approx(1.0)
+    assert share[0] > 0.95
+
+
+def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:
+    rng = np.random.default_rng(5)
+    squares = 1.0 + 0.1 * rng.standard_normal(20)
+    one_bad = squares.copy()
+    one_bad[3] += 5.0
+    assert not clearly_worse(one_bad, squares)
+    assert clearly_worse(squares + 0.5, squares)
+    assert clearly_worse(np.full(20, np.inf), squares)
+    assert not clearly_worse(squares, squares)
+
+
+def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surge_and_sway() -> None:
+    case = make_case("usv", (), 21, duration=40.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    true = {n: case.truth["parameters"][n] for n in ("X_udot", "Y_vdot")}
+    # Both stated 6 kg too small, and said to be known well.
+    stated = {n: replace(model.value_of(n), value=v + 6.0, sigma=0.5) for n, v in true.items()}
+    off = model.with_values(stated)
+    train = prepare(runs[:3], off)
+    bench = open_bench(off, train, prepare(runs[3:], off, sigma=train.sigma))
+    assert set(moved_parameters(off, bench.base)) == {"X_udot", "Y_vdot"}
+    possible = [Candidate(catalogue()[n], off) for n in ("entrained_water", "dry_friction", "lift")]
+    (found,) = equivalents(off, bench, possible)
+    assert found.effects == ["entrained_water"]
+    assert found.parameters == ["X_udot", "Y_vdot"]
+    right = open_bench(model, train, bench.test)
+    assert equivalents(model, right, possible) == []
+
+
+def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_to_blame() -> None:
+    case = make_case("usv", (), 22)
+    model, runs = vehicle_of(case), runs_of(case)
+    pose = [replace(r, channels={k: v for k, v in r.channels.items() if k not in "uvwpqr"}) for r in runs[:3]]
+    derived = [velocities_from_pose(r) for r in pose]
+    data = prepare(derived, model)
+    fit = fit_weak(model, data)
+    np.testing.assert_allclose(fit.mean_square()[:3], 1.0, atol=0.5)
+    for name in ("X_udot", "N_r"):
+        error = fit.standard_errors[name]
+        assert abs(fit.values[name] - case.truth["parameters"][name]) < 4 * error, name
+    assert data.velocities_derived
+    ids = {c.id for c in candidates(model, catalogue(), derived=True)}
+    assert ids.isdisjoint({"sensor_scale", "sensor_bias", "sensor_delay"})
+    assert "velocity_lever_arm" in ids
