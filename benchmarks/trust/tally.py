@@ -38,7 +38,7 @@ class Share:
         p, n, square = self.value, self.n, _Z**2
         middle = (p + square / (2 * n)) / (1 + square / n)
         half = _Z / (1 + square / n) * np.sqrt(p * (1 - p) / n + square / (4 * n * n))
-        return (max(0.0, float(middle - half)), min(1.0, float(middle + half)))
+        return (max(0.0, round(float(middle - half), 9)), min(1.0, round(float(middle + half), 9)))
 
     def __str__(self) -> str:
         if not self.n:
