@@ -39,14 +39,16 @@ BEST = "linear + quadratic, wall-sided"
 HORIZON = 20.0
 
 
-def judged(log: str, held: str, window: tuple[float, float] = WINDOW, own: bool = False) -> Judged:
+def judged(log: str, held: str, window: tuple[float, float] = WINDOW) -> Judged:
     """Identify on one test, judge on another."""
-    title = f"{log[-9:-4]} → {held[-9:-4]}" + (", with the effect of one's own" if own else "")
-    return Judged(title, VEHICLE, MAPPING, (log,), (held,), window, (OWN,) if own else ())
+    return Judged(f"{log[-9:-4]} → {held[-9:-4]}", VEHICLE, MAPPING, (log,), (held,), window)
 
 
-WAYS = (judged(AGAIN, STILL), judged(STILL, AGAIN))
-OWN_WAYS = (judged(AGAIN, STILL, own=True), judged(STILL, AGAIN, own=True))
+#: One test by itself: zero heel is the same throughout.
+ALONE = Judged("21338, stretches kept aside", VEHICLE, MAPPING, (AGAIN,), (), (25.0, 190.0))
+PAIRS = (judged(AGAIN, STILL), judged(STILL, AGAIN))
+WAYS = (*PAIRS, ALONE)
+OWN_WAYS = tuple(replace(way, effects=(OWN,)) for way in WAYS)
 SPEED_WAYS = (judged(AGAIN, UNDER_WAY, UNDER_WAY_WINDOW), judged(UNDER_WAY, AGAIN, UNDER_WAY_WINDOW))
 
 
@@ -68,7 +70,7 @@ def work(call: Caller, images: Path) -> Told:
 def by_hand(call: Caller) -> tuple[list[Told], dict[str, Vehicle]]:
     """Every model fitted to one test by output error and judged on the other, both ways."""
     rows, vehicles = [], {}
-    for way in WAYS:
+    for way in PAIRS:
         for name, tables in MODELS.items():
             fitted = _fitted(call, way, tables)
             rows.append(

@@ -21,7 +21,7 @@ _SHOWN = {"K_p": "K_p [N m s]", "K_pabsp": "K_p|p| [N m s²]", "K_ppp": "K_ppp [
 
 def blocks(n: Told) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `kvlcc2.work`."""
-    first, own, speed = n["diagnoses"][:2], n["diagnoses"][2:4], n["diagnoses"][4:]
+    first, own, speed = (n["diagnoses"][k : k + 3] for k in (0, 3, 6))
     return {
         "commands": telling.commands(_commands(n), "../shared/data/kvlcc2-rolldecay-sspa"),
         "compared": telling.compared(n["compared"]),
@@ -39,7 +39,7 @@ def blocks(n: Told) -> dict[str, str]:
 
 
 def _commands(n: Told) -> list[str]:
-    rest = n["diagnoses"][2]["command"].removeprefix("undertow diagnose ")
+    rest = n["diagnoses"][3]["command"].removeprefix("undertow diagnose ")
     by_hand = f"undertow add wall_sided {rest} --out better.toml"
     check = "undertow effects check examples/kvlcc2/wall_sided.py"
     return [*telling.typed(n), check, by_hand]

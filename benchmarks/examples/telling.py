@@ -182,7 +182,7 @@ def alarms(d: Told) -> str:
     """Parameters that make up for something absent, and effects that act like changed parameters."""
     told = [f"- warning: {w}" for w in d["warnings"]]
     told += [
-        f"- {', '.join(e['parameters'])} moved far from what was stated, and {listed(e['effects'])} would do the "
+        f"- {', '.join(e['parameters'])} moved far from what was stated; {listed(e['effects'])} would do the "
         f"same: {e['reason']}"
         for e in d.get("equivalent", [])
     ]
