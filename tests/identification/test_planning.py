@@ -1,0 +1,357 @@
+"""Planned manoeuvres: what they promise is what fits find, and limits hold whatever is planned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.identification.surge import surge_vehicle
+from undertow.errors import UndertowError
+from undertow.identification.logs import Run
+from undertow.identification.planning import (
+    Planned,
+    Request,
+    RivalSpec,
+    plan_parameters,
+    plan_separation,
+    suggest,
+)
+from undertow.identification.planning.families import Design
+from undertow.identification.planning.flight import Flight, Plant
+from undertow.identification.planning.flyable import command_csv
+from undertow.identification.planning.information import gram_along, stated, undetermined
+from undertow.identification.planning.limits import MotionLimits, extremes
+from undertow.identification.planning.rivals import rival_models
+from undertow.identification.planning.separation import Separations
+from undertow.identification.planning.setting import Ground
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import fit_weak, free_parameters
+from undertow.identification.weak.residual import WeakModel
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle_schema import VehicleTable
+
+SIGMA = 0.01
+SHORT = Request(duration=40.0, rate=10.0, limits={"": 1.0}, noise={"u": SIGMA, "x": np.inf}, tries=40)
+LINEAR_OR_QUADRATIC = [RivalSpec("linear_damping", {}), RivalSpec("quadratic_damping", {})]
+
+
+def _vehicle(dofs: list[str], effects: dict[str, dict[str, object]], forces: list[str]) -> Vehicle:
+    table = {
+        "schema": "undertow/vehicle/1",
+        "name": "body",
+        "degrees_of_freedom": dofs,
+        "signs": "magnitudes",
+        "generalised_forces": forces,
+        "effects": effects,
+    }
+    return vehicle_from_table(VehicleTable.model_validate(table), catalogue())
+
+
+def _free(value: float) -> dict[str, object]:
+    return {"value": value, "estimate": True}
+
+
+def _without_drag() -> Vehicle:
+    effects = {"rigid_body": {"m": 7.5}, "added_mass": {"X_udot": _free(1.6)}}
+    return _vehicle(["surge"], effects, ["tau_X"])
+
+
+def _log(flight: Flight, model: int, seed: int) -> Run:
+    """A flight in surge as it would be logged."""
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(len(flight.t))
+    channels = {"u": flight.y[model][:, 1] + noise, "tau_X": flight.u[:, 0]}
+    return Run(f"log{seed}", flight.t, channels, sha256=str(seed))
+
+
+def _errors(planned: Planned) -> dict[str, float]:
+    return {p.name: p.error_after or np.inf for p in planned.plan.parameters}
+
+
+@pytest.fixture(scope="module")
+def surge_plan() -> Planned:
+    return plan_parameters(surge_vehicle(), (), SHORT)
+
+
+# --- parameters -------------------------------------------------------------------------------------------
+
+
+def test_expected_errors_are_those_of_fits_to_the_flown_manoeuvre(surge_plan: Planned) -> None:
+    vehicle = surge_vehicle()
+    expected = np.array(list(_errors(surge_plan).values()))
+    fits = [fit_weak(vehicle, prepare([_log(surge_plan.flight, 0, seed)], vehicle)) for seed in range(16)]
+    told = np.mean([list(fit.standard_errors.values()) for fit in fits], axis=0)
+    np.testing.assert_allclose(told, expected, rtol=0.3)
+    truth = np.array([vehicle.value_of(n).value for n in _errors(surge_plan)])
+    scatter = np.sqrt(np.mean((np.array([list(f.values.values()) for f in fits]) - truth) ** 2, axis=0))
+    # 16 draws know a standard deviation to 18 %.
+    np.testing.assert_allclose(scatter, expected, rtol=0.5)
+
+
+def test_the_plan_beats_a_constant_step_and_a_weak_multisine(surge_plan: Planned) -> None:
+    vehicle = surge_vehicle()
+    plant = Plant.of(vehicle)
+    ground = Ground(SHORT, vehicle, [plant], ())
+    known = stated(vehicle, free_parameters(vehicle))
+    model = WeakModel(plant.functions, known.free)
+    t = ground.space.t
+    by_hand = [np.full((len(t), 1), 1.0), 0.3 * np.sin(2 * np.pi * t / 10.0)[:, None]]
+    planned = np.array(list(_errors(surge_plan).values()))
+    for flight in ground.space.flights(by_hand):
+        gram = gram_along(model, ground.space.data(flight, 0), plant.p)
+        assert gram is not None
+        assert np.prod(planned) < 0.3 * np.prod(known.errors(known.after(gram)))
+
+
+def test_drag_wants_different_speeds(surge_plan: Planned) -> None:
+    speed = np.abs(surge_plan.flight.y[0][:, 1])
+    assert np.quantile(speed, 0.9) > 2 * np.quantile(speed, 0.2)
+
+
+def test_information_adds_up(surge_plan: Planned) -> None:
+    vehicle = surge_vehicle()
+    flight = surge_plan.flight
+    model = WeakModel(Plant.of(vehicle).functions, free_parameters(vehicle))
+    p = np.array(model.functions.values())
+    noise = np.array([1.0, SIGMA])
+    runs = [_log(flight, 0, seed) for seed in range(2)]
+    grams = [gram_along(model, prepare(r, vehicle, sigma=noise), p) for r in ([runs[0]], [runs[1]], runs)]
+    assert all(g is not None for g in grams)
+    np.testing.assert_allclose(grams[0] + grams[1], grams[2], rtol=1e-9)  # type: ignore[operator]
+
+
+def test_logs_and_priors_count_before_the_manoeuvre(surge_plan: Planned) -> None:
+    vehicle = surge_vehicle()
+    assert all(p.error_now is None for p in surge_plan.plan.parameters)
+    log = _log(surge_plan.flight, 0, 1)
+    again = plan_parameters(vehicle, [log], replace(SHORT, noise={})).plan
+    fit = fit_weak(vehicle, prepare([log], vehicle))
+    for known in again.parameters:
+        assert known.error_now == pytest.approx(fit.standard_errors[known.name], rel=0.02)
+        assert known.error_after is not None
+        assert known.error_after < known.error_now
+    assert again.criterion > 1.3
+    assert again.noise[0].sigma is None
+    assert again.noise[1].sigma == pytest.approx(SIGMA, rel=0.2)
+    stated_error = vehicle.with_values({"X_u": replace(vehicle.value_of("X_u"), sigma=1e-4)})
+    sure = plan_parameters(stated_error, (), replace(SHORT, tries=8)).plan
+    assert sure.parameters[1].error_now == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_errors_of_a_fit_to_the_same_log_do_not_count_twice(surge_plan: Planned) -> None:
+    vehicle, log = surge_vehicle(), _log(surge_plan.flight, 0, 1)
+    fit = fit_weak(vehicle, prepare([log], vehicle))
+    values = {n: replace(fit.vehicle.value_of(n), source="fit to log1 on 2026-01-01") for n in fit.model.free}
+    plan = plan_parameters(fit.vehicle.with_values(values), [log], replace(SHORT, noise={}, tries=8)).plan
+    for known in plan.parameters:
+        assert known.error_now == pytest.approx(fit.standard_errors[known.name], rel=0.05)
+    assert any("do not count again" in line for line in plan.remarks)
+
+
+def test_what_matters_more_gets_better_known() -> None:
+    everything = plan_parameters(surge_vehicle(), (), replace(SHORT, tries=80))
+    inertia = plan_parameters(surge_vehicle(), (), replace(SHORT, tries=80), only=["X_udot"])
+    assert _errors(inertia)["X_udot"] < _errors(everything)["X_udot"]
+
+
+def test_a_seed_is_a_plan(surge_plan: Planned) -> None:
+    again = plan_parameters(surge_vehicle(), (), SHORT)
+    assert again.plan == surge_plan.plan
+    np.testing.assert_array_equal(again.flight.u, surge_plan.flight.u)
+    other = plan_parameters(surge_vehicle(), (), replace(SHORT, seed=1))
+    assert not np.array_equal(other.flight.u, surge_plan.flight.u)
+
+
+# --- what no manoeuvre determines -------------------------------------------------------------------------
+
+
+def test_sway_without_sway_thrust_is_named() -> None:
+    effects = {
+        "rigid_body": {"m": 7.5},
+        "linear_damping": {"X_u": _free(2.0), "Y_v": _free(3.0)},
+    }
+    vehicle = _vehicle(["surge", "sway"], effects, ["tau_X"])
+    plan = plan_parameters(vehicle, (), replace(SHORT, noise={}, tries=10)).plan
+    assert plan.undetermined == [["Y_v"]]
+    verdicts = {p.name: (p.verdict, p.error_after) for p in plan.parameters}
+    assert verdicts["Y_v"] == ("not determined", None)
+    assert verdicts["X_u"][0] == ""
+
+
+def test_mass_and_added_mass_are_one_number_in_surge() -> None:
+    effects = {
+        "rigid_body": {"m": _free(7.5)},
+        "added_mass": {"X_udot": _free(1.6)},
+        "linear_damping": {"X_u": _free(2.0)},
+    }
+    plan = plan_parameters(_vehicle(["surge"], effects, ["tau_X"]), (), replace(SHORT, tries=10)).plan
+    assert plan.undetermined == [["m", "X_udot"]]
+
+
+def test_groups_of_what_is_undetermined() -> None:
+    gram = np.zeros((5, 5))
+    gram[:2, :2] = [[4.0, 2.0], [2.0, 1.0]]
+    gram[3:, 3:] = [[2.0, 1.0], [1.0, 3.0]]
+    assert undetermined(gram, ["a", "b", "c", "d", "e"]) == [["a", "b"], ["c"]]
+
+
+# --- limits -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def auv() -> Ground:
+    vehicle = load_vehicle("mini-auv")
+    motion = MotionLimits(speed=0.8, rate=np.radians(45.0), depth=2.0, distance=6.0)
+    request = Request(duration=20.0, rate=10.0, limits={"": 9.0, "f2": 3.0}, motion=motion)
+    return Ground(request, vehicle, [Plant.of(vehicle)], ())
+
+
+def test_the_vehicle_is_held_against_its_weight(auv: Ground) -> None:
+    weight = -auv.vehicle.value_of("B_net").value
+    np.testing.assert_allclose(auv.trim.commands, [-weight / 2, 0.0, -weight / 2, 0.0], atol=1e-6)
+    assert not auv.trim.left
+    (still,) = auv.space.flights([np.tile(auv.trim.commands, (len(auv.space.t), 1))])
+    np.testing.assert_allclose(still.y[0], 0.0, atol=1e-6)
+
+
+def test_every_manoeuvre_stays_within_its_limits(auv: Ground) -> None:
+    rng = np.random.default_rng(3)
+    bounds, safe = auv.request.motion.as_dict(), 0
+    for family in auv.families:
+        for _ in range(3):
+            flight = auv.space.fly(Design(family, rng.random(family.size)))
+            assert np.all(np.abs(flight.u) <= auv.commands.value)
+            np.testing.assert_allclose(flight.u[[0, -1]], np.tile(auv.trim.commands, (2, 1)), atol=1e-9)
+            if flight.safe:
+                safe += 1
+                found = extremes(flight.y[0], auv.space.names)
+                assert all(found[what] <= bounds[what] for what in found)
+    assert safe > 2 * len(auv.families)
+
+
+def test_motions_and_actuators_are_driven(auv: Ground) -> None:
+    driven = {tuple(a.name for a in f.axes) for f in auv.families}
+    assert driven == {("surge", "heave", "yaw"), ("f1", "f2", "f3", "f4"), ("surge", "yaw")}
+
+
+def test_written_commands_do_not_pass_the_limits(surge_plan: Planned) -> None:
+    rows = command_csv(surge_plan).splitlines()
+    assert rows[0] == "t,tau_X"
+    table = np.array([[float(cell) for cell in row.split(",")] for row in rows[1:]])
+    np.testing.assert_allclose(np.diff(table[:, 0]), 0.1, rtol=1e-6)
+    assert np.max(np.abs(table[:, 1])) <= 1.0
+    np.testing.assert_allclose(table[:, 1], surge_plan.flight.u[:, 0], atol=1e-5)
+
+
+def test_a_sinking_vehicle_that_cannot_be_held_is_refused() -> None:
+    request = Request(duration=30.0, rate=10.0, limits={"": 3.0}, tries=5)
+    with pytest.raises(
+        UndertowError, match=r"--max-depth-change is exceeded.*cannot balance 8.61 N.* in heave"
+    ):
+        plan_parameters(load_vehicle("mini-auv"), (), request)
+
+
+# --- telling models apart ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drag_plan() -> Planned:
+    return plan_separation(_without_drag(), LINEAR_OR_QUADRATIC, (), SHORT)
+
+
+def test_linear_and_quadratic_drag_need_different_speeds(drag_plan: Planned) -> None:
+    vehicle = _without_drag()
+    ground = Ground(SHORT, vehicle, [Plant.of(vehicle)], ())
+    rivals = rival_models(vehicle, LINEAR_OR_QUADRATIC, catalogue(), (), (ground.space, ground.families))
+    between = Ground(SHORT, vehicle, [r.plant for r in rivals], ())
+    # At a constant speed one drag does what the other does: ahead at it, from a slow start.
+    slowly = np.minimum(between.space.t / 20.0, 1.0)[:, None]
+    (constant,) = between.space.flights([0.5 * slowly])
+    apart = Separations(rivals, 1.0, with_logs=False).careful(between.space, constant)
+    (planned,) = drag_plan.plan.separations
+    assert planned.chi_square > 4 * apart[0]
+    assert planned.deviations > 5
+
+
+def test_expected_distance_is_what_fits_find(drag_plan: Planned) -> None:
+    specs = [spec.candidate(_without_drag(), catalogue()) for spec in LINEAR_OR_QUADRATIC]
+    models = [WeakModel(Plant.of(c.vehicle).functions, c.free()) for c in specs if c]
+    found = []
+    for truth, rival in ((0, 1), (1, 0)):
+        excess = []
+        for seed in range(8):
+            log = _log(drag_plan.flight, truth, seed)
+            data = prepare([log], _without_drag(), sigma=np.array([1.0, SIGMA]))
+            p = np.array(models[truth].functions.values())
+            noise = models[truth].whitening(data, p)
+            fits = [fit_weak(m, data, whitening=noise, disturbance=np.zeros(2)) for m in models]
+            excess.append(fits[rival].cost - fits[truth].cost)
+        found.append(np.mean(excess))
+    assert min(found) == pytest.approx(drag_plan.plan.separations[0].chi_square, rel=0.3)
+
+
+def test_a_model_is_told_from_the_one_without_the_effect() -> None:
+    specs = [RivalSpec("cubic_damping", {"X_uuu": -20.0}), RivalSpec("none", {})]
+    plan = plan_separation(surge_vehicle(), specs, (), SHORT).plan
+    assert plan.separations[0].deviations > 5
+    assert plan.rivals[0].values == {"X_uuu": 20.0}
+    assert plan.rivals[0].source == "diagnosis"
+
+
+def test_what_is_the_same_thing_is_told_so() -> None:
+    effects = {"rigid_body": {"m": 7.5}, "linear_damping": {"Z_w": _free(3.0)}}
+    vehicle = _vehicle(["heave"], effects, ["tau_Z"])
+    specs = [RivalSpec("net_buoyancy", {"B_net": -0.2}), RivalSpec("constant_force", {"Z_0": 0.2})]
+    request = replace(SHORT, noise={}, tries=12)
+    plan = plan_separation(vehicle, specs, (), request).plan
+    assert plan.separations[0].deviations < 0.1
+    assert plan.remarks[0].startswith(
+        "no manoeuvre that was tried tells net_buoyancy and constant_force apart"
+    )
+
+
+def test_logs_count_in_the_distance(drag_plan: Planned) -> None:
+    log = _log(drag_plan.flight, 0, 5)
+    plan = plan_separation(
+        _without_drag(), LINEAR_OR_QUADRATIC, [log], replace(SHORT, noise={}, tries=12)
+    ).plan
+    (found,) = plan.separations
+    assert {r.source for r in plan.rivals} == {"fitted to the logs"}
+    assert found.chi_square_now is not None
+    assert found.chi_square_now == pytest.approx(drag_plan.plan.separations[0].chi_square, rel=0.5)
+    assert found.chi_square > found.chi_square_now
+
+
+def test_typical_sizes_are_physical(drag_plan: Planned) -> None:
+    linear, quadratic = drag_plan.plan.rivals
+    assert linear.source == quadratic.source == "typical size"
+    # The file prints magnitudes: positive is drag.
+    assert 0 < linear.values["X_u"] < 5
+    assert 0 < quadratic.values["X_uabsu"] < 20
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["cubic_damping"], "fewer than two"),
+        (["cubic_damping", "cubic_damping"], "fewer than two"),
+        (["cubic_damping", "none", "none"], "named twice"),
+        (["cubic_dampin", "none"], "did you mean 'cubic_damping'"),
+        (["quadratic_damping", "none"], "adds no parameter"),
+        (["thrusters", "none"], "comes with the actuators"),
+    ],
+)
+def test_rivals_that_make_no_sense_are_refused(names: list[str], words: str) -> None:
+    with pytest.raises(UndertowError, match=words):
+        plan_separation(surge_vehicle(), [RivalSpec(n, {}) for n in names], (), SHORT)
+
+
+def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
+    log = _log(drag_plan.flight, 0, 5).slice(0.0, 12.0)
+    said = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], [log], tries=10)
+    assert "linear_damping and quadratic_damping" in said
+    assert "standard deviations apart (these logs:" in said
+    assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")
