@@ -37,27 +37,34 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
 
 
 def _ranking(diagnosis: Diagnosis) -> Table:
+    before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     table = Table(
-        title="Candidates, judged on kept-aside data (error 1 = noise of the sensors)", title_justify="left"
+        title=f"Candidates by error on kept-aside data (model as it is: {before:.3g}, noise of the sensors: 1)",
+        title_justify="left",
+        caption_justify="left",
     )
     table.add_column("effect", no_wrap=True)
-    for name in ("before", "after", "explains"):
+    for name in ("error", "explains", "chance"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("sure", no_wrap=True)
     table.add_column("parameters")
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     for r in helping:
         text = ", ".join(_value(p) for p in r.parameters[:4]) + (" ..." if len(r.parameters) > 4 else "")
-        cells = (
-            f"{r.error_before:.3g}",
-            f"{r.error_after:.3g}",
-            f"{r.explained:.0%}",
-            "yes" if r.significant else "no",
+        sure = "yes" if r.significant else "no"
+        table.add_row(
+            r.effect, f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), sure, escape(text)
         )
-        table.add_row(r.effect, *cells, escape(text))
     rest = len(diagnosis.ranking) - len(helping)
-    table.caption = f"{rest} more effects were tried and do not help" if rest else ""
+    more = f"{rest} more effects were tried and do not help. " if rest else ""
+    table.caption = f"{more}Chance: that the best of all looks as good when nothing is missing."
     return table
+
+
+def _chance(p: float | None) -> str:
+    if p is None:
+        return ""
+    return "< 0.2%" if p < 0.002 else f"{p:.1%}"
 
 
 def _value(p: Estimate) -> str:
@@ -66,13 +73,18 @@ def _value(p: Estimate) -> str:
 
 
 def _steps(diagnosis: Diagnosis) -> Table:
-    table = Table(title="Error on kept-aside data against effects added", title_justify="left")
+    horizons = list(dict.fromkeys(h for step in diagnosis.steps for h in step.ahead))
+    table = Table(
+        title="Error on kept-aside data against effects added (noise floor 1); error of predicted velocities",
+        title_justify="left",
+    )
     table.add_column("model")
-    table.add_column("normalised error (noise floor 1)", justify="right")
-    table.add_column("velocity error 5 s ahead", justify="right")
+    for name in ("error", "simulated", *horizons):
+        table.add_column(name, justify="right", no_wrap=True)
     for step in diagnosis.steps:
-        ahead = "" if step.prediction is None else f"{step.prediction:.1%}"
-        table.add_row(" + ".join(["model", *step.added]), f"{step.error:.3g}", ahead)
+        simulated = "diverges" if step.simulation is None else f"{step.simulation:.3g}"
+        ahead = [f"{step.ahead[h]:.1%}" if h in step.ahead else "diverges" for h in horizons]
+        table.add_row(" + ".join(["model", *step.added]), f"{step.error:.3g}", simulated, *ahead)
     return table
 
 
