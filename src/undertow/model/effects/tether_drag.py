@@ -45,8 +45,9 @@ class TetherDrag(Wrench):
         x, y, z = (sum(ends) / 2 for ends in ranges)
         # Above the vehicle, since in the plane of the motion the height of a winch could not show.
         above = z - math.dist(*zip(*ranges, strict=True)) / 4
-        tail = dict.fromkeys(("x_tail", "y_tail", "z_tail"), 0.0)
-        return [{"x_winch": x, "y_winch": y, "z_winch": above} | tail]
+        start = {"x_winch": x, "y_winch": y, "z_winch": above, "y_tail": 0.0, "z_tail": 0.0}
+        # The moment gives a tether away, and only from an attachment on its own side of the origin.
+        return [start | {"x_tail": behind} for behind in (-1.0, -0.2, 0.2, 1.0)]
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([*_DRAG, *self.tail.cross(_DRAG)])

@@ -47,8 +47,9 @@ class TetherTension(Wrench):
         x, y, z = (sum(ends) / 2 for ends in ranges)
         # Above the vehicle, since in the plane of the motion the height of an anchor could not show.
         place = {"x_anchor": x, "y_anchor": y, "z_anchor": z - across / 4}
-        eye = dict.fromkeys(("x_eye", "y_eye", "z_eye"), 0.0)
-        return [place | eye | {"L_slack": share * across} for share in (0.0, 0.25, 0.5)]
+        start = place | {"y_eye": 0.0, "z_eye": 0.0}
+        shapes = (0.0, 0.0), (0.25, 0.0), (0.5, 0.0), (0.25, -0.4), (0.25, 0.4)
+        return [start | {"L_slack": slack * across, "x_eye": ahead} for slack, ahead in shapes]
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([*_PULL, *self.eye.cross(_PULL)])
