@@ -84,6 +84,7 @@ def load(
     window: tuple[float | None, float | None] = (None, None),
     fill: Fill | None = None,
     to_fit: bool = False,
+    in_any_order: bool = False,
 ) -> Loaded:
     """Read a vehicle and logs that are driven by its commands, with a progress bar.
 
@@ -104,6 +105,8 @@ def load(
     to_fit : bool
         Whether parameters are going to be fitted: logs with too many samples, or with a velocity that never
         changes in those to work on, are refused then.
+    in_any_order : bool
+        Whether rows that are out of order are dropped instead of refused.
 
     Raises
     ------
@@ -111,11 +114,13 @@ def load(
         If a file cannot be read or does not fit the vehicle, a log is given twice, or a fit would be
         in vain.
     """
-    from undertow.identification.logs import read_mapping
+    from undertow.identification.logs import Mapping, read_mapping
     from undertow.model.loading import load_vehicle, resolve_vehicle
 
     model = load_vehicle(vehicle, effect_files=effects or ())
-    mapping = None if map is None else read_mapping(map)
+    mapping = Mapping() if map is None else read_mapping(map)
+    if in_any_order:
+        mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
     paths = [*logs, *(holdout or ())]
     with progress("reading logs", total=len(paths)) as report:
         runs = _runs(paths, model, mapping, window, fill, MOST_SAMPLES if to_fit else None, report)
@@ -129,7 +134,7 @@ def load(
 def _runs(
     paths: list[Path],
     vehicle: Vehicle,
-    mapping: Mapping | None,
+    mapping: Mapping,
     window: tuple[float | None, float | None],
     fill: Fill | None,
     most: int | None,

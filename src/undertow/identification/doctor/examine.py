@@ -1,0 +1,201 @@
+"""The whole examination: sampling, the usual mistakes one after the other, consistency, excitation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from undertow import __version__
+from undertow.model.vehicle import Vehicle
+
+from ..logs import Mapping, Run
+from . import angles, consistency, excitation
+from .clocks import clock_findings
+from .deciding import decided
+from .dynamic_search import dynamic_mistakes
+from .dynamics import Dynamics, dynamics_of
+from .findings import Examination, Finding, most_serious_first
+from .kinematic_search import best_explanation
+from .kinematics import Kinematics
+from .mending import Edit, Edits, as_toml, edited
+from .mistake import Mistake
+from .model_mistakes import lost_signs, other_mass
+from .reading_mistakes import reading_mistakes
+from .sampling import sampling
+from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
+
+Report = Callable[[float, str], None]
+_MOST_MISTAKES = 3
+
+
+@dataclass(frozen=True)
+class Examined:
+    """An examination with what it was about.
+
+    Attributes
+    ----------
+    result : Examination
+        What is written to JSON.
+    given, mended : list of Run
+        The logs, and what they are once the mistakes found are undone.
+    edits : tuple of Edit
+        What to change in the mapping file.
+    """
+
+    result: Examination
+    given: list[Run]
+    mended: list[Run]
+    edits: Edits
+
+
+def examine(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    *,
+    mapping: Mapping | None = None,
+    report: Report = lambda done, words: None,
+) -> Examined:
+    """Look for what is wrong with logs before physics is blamed.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs with its velocities and commands.
+    mapping : Mapping, optional
+        How the logs were read; what the runs themselves know of it by default.
+    report : callable
+        Told what share is done, and what is being done.
+    """
+    began = time.perf_counter()
+    read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), Mapping())
+    case = _Case(vehicle, list(runs), read_by)
+    report(0.0, "looking at clock and samples")
+    case.look_at_samples()
+    report(0.1, "holding pose rates against velocities")
+    case.undo_reading_mistakes()
+    report(0.4, "holding motion against commands")
+    case.undo_model_mistakes()
+    report(0.9, "looking at sensors and excitation")
+    rows = excitation.excitation(vehicle, case.runs)
+    case.look_at_the_rest()
+    case.findings += excitation.findings(rows, vehicle, case.runs)
+    result = Examination(
+        undertow=__version__,
+        vehicle=vehicle.name,
+        runs=[r.name for r in runs],
+        findings=most_serious_first(case.findings),
+        excitation=rows,
+        seconds=time.perf_counter() - began,
+    )
+    return Examined(result, list(runs), case.runs, tuple(case.edits))
+
+
+class _Case:
+    """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
+
+    def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: Mapping) -> None:
+        self.vehicle, self.runs, self.mapping = vehicle, runs, mapping
+        self.findings: list[Finding] = []
+        self.edits: list[Edit] = []
+
+    def look_at_samples(self) -> None:
+        names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
+        self.findings += sampling(self.runs, names, self.mapping)
+        for mistake, count in angles.wrapped_angles(self.runs):
+            self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
+        self.findings += angles.halfway(self.runs)
+
+    def undo_reading_mistakes(self) -> None:
+        for _ in range(_MOST_MISTAKES):
+            kinematics = Kinematics(self.runs, self.vehicle)
+            if not kinematics or not self._undo_next(kinematics):
+                return
+
+    def _undo_next(self, kinematics: Kinematics) -> bool:
+        """Undo the mistake that explains most; False where there is none that is certain."""
+        fits = consistency.sensor_fits(kinematics, self.runs)
+        known = reading_mistakes(self.mapping, self.runs)
+        found = best_explanation(kinematics, self.runs, known, self.vehicle)
+        found = found or consistency.through_water(kinematics, kinematics.mismatch(self.runs), fits)
+        if found is None:
+            return False
+        others = [f.told() for f in consistency.as_good_as(found, fits)]
+        chosen, rivals = decided(self.vehicle, self.runs, found)
+        text, evidence = kinematic_text(kinematics, found, chosen)
+        if others:
+            self._doubt(chosen, text, evidence, others)
+            return False
+        self._undo(chosen, text, evidence, rivals)
+        return True
+
+    def undo_model_mistakes(self) -> None:
+        at: Dynamics | None = None
+        for _ in range(_MOST_MISTAKES):
+            at = dynamics_of(self.vehicle, self.runs)
+            if at is None or not at.unexplained:
+                break
+            kinematics = Kinematics(self.runs, self.vehicle)
+            found = dynamic_mistakes(self.vehicle, at, kinematics, self.runs, self.mapping)
+            if found is None:
+                break
+            text, evidence = dynamic_text(self.vehicle, found)
+            self._undo(found.mistake, text, evidence, found.rivals)
+        if at is not None:
+            self._look_at_numbers(at)
+
+    def _look_at_numbers(self, at: Dynamics) -> None:
+        """Mistakes in the vehicle file."""
+        if at.unexplained:
+            for lost in lost_signs(self.vehicle):
+                fit = at.refitted(vehicle=lost.vehicle)
+                if fit is not None and (gain := at.gain(fit)).decisive:
+                    self.findings.append(sign_finding(self.vehicle, lost, gain))
+        mass = other_mass(at)
+        if mass is not None:
+            self.findings.append(mass_finding(self.vehicle, mass))
+
+    def look_at_the_rest(self) -> None:
+        kinematics = Kinematics(self.runs, self.vehicle)
+        if kinematics:
+            self.findings += consistency.sensor_findings(kinematics, self.runs)
+            self.findings += clock_findings(kinematics, self.runs)
+            self.findings.append(consistency.agreement(kinematics, self.runs))
+
+    def _undo(
+        self, mistake: Mistake, text: str, evidence: dict[str, float], rivals: Sequence[Mistake] = ()
+    ) -> None:
+        edits = mistake.edits(self.mapping)
+        self.findings.append(
+            Finding(
+                id=mistake.id,
+                severity="mistake",
+                text=text,
+                evidence=evidence,
+                mapping=as_toml(edits),
+                vehicle=mistake.vehicle,
+                alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
+            )
+        )
+        self.runs = [mistake.undo(run) for run in self.runs]
+        self.mapping = edited(self.mapping, edits)
+        self.edits += edits
+
+    def _doubt(self, mistake: Mistake, text: str, evidence: dict[str, float], others: list[str]) -> None:
+        """Say what may be a mistake or a flaw of a sensor, and leave it."""
+        self.findings.append(
+            Finding(
+                id=mistake.id,
+                severity="warning",
+                text=f"perhaps {text}",
+                evidence=evidence,
+                mapping=as_toml(mistake.edits(self.mapping)),
+                alternatives=others,
+            )
+        )
+
+
+def _on_one_line(edits: Edits) -> str:
+    return "; ".join(f"[{e.table}] {as_toml([Edit('', e.key, e.value)])}" for e in edits)

@@ -1,0 +1,152 @@
+"""What happened in every degree of freedom, and what therefore cannot be identified from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undertow.model.vehicle import Vehicle
+
+from ..logs import Run
+from ..logs.run import UNITS
+from ..weak.data import channel_noise
+from .findings import Excited, Finding
+from .kinematics import Array
+
+_EXCITED = 5.0  # rms over noise below which a motion says nothing
+_TENTH = 0.1
+_OVER_NOISE = 3.0
+_ONE_WAY = 0.05
+_ALIKE = 0.985  # squared correlation of speed and its square beyond which drag laws cannot be told apart
+_FEW_REVERSALS = 2
+_HEADINGS = np.radians(60.0)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A velocity of all runs, its noise, and where it moves."""
+
+    parts: list[Array]
+    noise: float
+
+    @property
+    def all(self) -> Array:
+        data = np.concatenate(self.parts)
+        return data[np.isfinite(data)]
+
+    @property
+    def threshold(self) -> float:
+        return max(_OVER_NOISE * self.noise, _TENTH * float(np.quantile(np.abs(self.all), 0.98)))
+
+    @property
+    def moving(self) -> Array:
+        return self.all[np.abs(self.all) > self.threshold]
+
+    @property
+    def reversals(self) -> int:
+        """Changes of direction, of speeds that stand out only."""
+        return sum(_sign_changes(part[np.abs(part) > self.threshold]) for part in self.parts)
+
+
+def _sign_changes(values: Array) -> int:
+    return int(np.sum(np.diff(np.sign(values)) != 0))
+
+
+def excitation(vehicle: Vehicle, runs: Sequence[Run]) -> list[Excited]:
+    """What happened in each degree of freedom.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose degrees of freedom and thrusters matter.
+    runs : sequence of Run
+        Logs with its velocities.
+    """
+    names = vehicle.velocity_names
+    noise = channel_noise(runs, names)
+    return [
+        _excited(vehicle, i, _Motion([r.channels[n] for r in runs], float(noise[i])), runs)
+        for i, n in enumerate(names)
+    ]
+
+
+def _excited(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence[Run]) -> Excited:
+    name = vehicle.velocity_names[place]
+    moving = motion.moving
+    span = _command_range(vehicle, vehicle.dof_indices[place], runs)
+    return Excited(
+        degree_of_freedom=vehicle.degrees_of_freedom[place],
+        velocity=name,
+        unit=UNITS[name],
+        rms=float(np.sqrt(np.mean(motion.all**2))) if len(motion.all) else 0.0,
+        noise=motion.noise,
+        moving=len(moving) / max(len(motion.all), 1),
+        positive=float(np.mean(moving > 0)) if len(moving) else 0.0,
+        reversals=motion.reversals,
+        command_range=span,
+        cannot=list(_cannot(motion)),
+    )
+
+
+def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | None:
+    """Span of the commanded force over the largest span that limits allow."""
+    gains = {t.name: t.wrench[row] * t.thrust_per_command.value for t in vehicle.thrusters if t.wrench[row]}
+    limits = {t.name: t.limit for t in vehicle.thrusters}
+    largest = sum(abs(g) * (limits[n] or np.inf) for n, g in gains.items())
+    if not gains or not np.isfinite(largest):
+        return None
+    force = np.concatenate([sum(g * r.channels[n] for n, g in gains.items()) for r in runs])
+    return float((np.nanmax(force) - np.nanmin(force)) / (2 * largest))
+
+
+def _cannot(motion: _Motion) -> Iterator[str]:
+    moving, every = motion.moving, motion.all
+    if not len(every) or np.std(every) < _EXCITED * motion.noise or not np.ptp(every):
+        yield "anything: the motion does not stand out of its noise"
+        return
+    if min(np.mean(moving > 0), np.mean(moving < 0)) < _ONE_WAY:
+        yield "drag in the other direction"
+    speed = np.abs(moving)
+    if _alike(speed):
+        yield "linear and quadratic drag apart (one speed only)"
+    if motion.reversals < _FEW_REVERSALS:
+        yield "dead band and dry friction (hardly a reversal)"
+
+
+def _alike(speed: Array) -> bool:
+    """Whether a straight line through zero explains the square of the speed."""
+    square = speed**2
+    left = square - speed * (speed @ square) / (speed @ speed)
+    return bool(left @ left < (1 - _ALIKE) * (square @ square))
+
+
+def findings(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Degrees of freedom that were not moved, and what else the motion leaves open."""
+    for row in rows:
+        if row.cannot:
+            dead = row.cannot[0].startswith("anything")
+            yield Finding(
+                id="excitation",
+                severity="warning" if dead else "note",
+                text=f"{row.degree_of_freedom} ({row.velocity}: rms {row.rms:.3g}, noise {row.noise:.2g} "
+                f"{row.unit}; {row.reversals} reversals) cannot show {'; '.join(row.cannot)}",
+                evidence={"rms": row.rms, "noise": row.noise, "reversals": float(row.reversals)},
+            )
+    yield from _headings(vehicle, runs)
+
+
+def _headings(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    if not {"surge", "sway"} & set(vehicle.degrees_of_freedom) or not all(r.has("psi") for r in runs):
+        return
+    headings = np.concatenate([r.channels["psi"] for r in runs])
+    span = float(np.nanmax(headings) - np.nanmin(headings))
+    if span < _HEADINGS:
+        yield Finding(
+            id="headings",
+            severity="note",
+            text=f"headings span {np.degrees(span):.0f} degrees: a current cannot be told from a constant "
+            "force, nor a flaw of the velocity sensor from one of the compass",
+            evidence={"span": span},
+        )

@@ -1,0 +1,124 @@
+"""Which mistakes in reading a log would make pose rates and velocities agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from undertow.model.vehicle import Vehicle
+
+from ..logs import Run
+from .kinematics import Kinematics, Mismatch
+from .mistake import Array, Mistake, both
+
+# A mismatch below this share of the motion is left to the effects that describe real sensors.
+MATTERS = 0.02
+# ... and noise must not make a quarter of it.
+_OVER_NOISE = 4.0
+# Undoing a mistake must take this factor off the mean square.
+DECISIVE = 4.0
+# No other pose rate may get worse by more than this factor (and this much).
+_WORSE, _SLIGHTLY = 1.25, 0.01
+# Explanations that leave no more than this many times the best one's excess are as good as it.
+_AS_GOOD = 2.0
+# Pairs of mistakes are looked for only where pose rates and velocities hardly have anything in common.
+_GROSS = 0.3
+# Samples in which pairs are looked for.
+_FEW = 800
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A mistake with what undoing it does.
+
+    Attributes
+    ----------
+    mistake : Mistake
+        The best explanation.
+    rivals : list of Mistake
+        Others that leave as little.
+    before, after : Mismatch
+        Of the log with the mistake, and without.
+    """
+
+    mistake: Mistake
+    rivals: list[Mistake]
+    before: Mismatch
+    after: Mismatch
+
+
+def inconsistent(mismatch: Mismatch) -> np.ndarray:
+    """Blocks in which pose rates and velocities disagree by more than noise and small sensor errors."""
+    return (mismatch.excess > MATTERS) & (mismatch.share > _OVER_NOISE * mismatch.floor)
+
+
+def explains(before: Mismatch, after: Mismatch) -> bool:
+    """Whether a mismatch goes away decisively, and none appears elsewhere."""
+    wrong = inconsistent(before)
+    gone = after.excess <= before.excess / DECISIVE
+    worse = after.excess > _WORSE * before.excess + _SLIGHTLY
+    return bool(np.any(wrong & gone) and not np.any(worse))
+
+
+def best_explanation(
+    kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake], vehicle: Vehicle
+) -> Explained | None:
+    """The mistake that explains most of a mismatch; None where there is none, or nothing explains it.
+
+    Single mistakes are tried first; pairs only where none helps and the mismatch is gross.
+    """
+    before = kinematics.mismatch(runs)
+    if not np.any(inconsistent(before)):
+        return None
+    distinct = _distinct(kinematics, runs, known)
+    found = _decisive(kinematics, runs, before, distinct)
+    if not found and np.max(before.excess) > _GROSS:
+        found = _pairs(kinematics, runs, before, distinct, vehicle)
+    if not found:
+        return None
+    least = min(after.total for _, after in found)
+    # What the best leaves is mostly noise of the estimate: a small share of the mismatch counts as none.
+    limit = _AS_GOOD * least + 0.02 * before.total
+    equals = sorted((m.count, i) for i, (m, after) in enumerate(found) if after.total <= limit)
+    order = [found[i] for _, i in equals]
+    return Explained(order[0][0], [m for m, _ in order[1:]], before, order[0][1])
+
+
+def _pairs(
+    kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, distinct: list[Mistake], vehicle: Vehicle
+) -> list[tuple[Mistake, Mismatch]]:
+    """Pairs of mistakes that explain a mismatch, looked for in few samples and confirmed in all."""
+    pairs = [both(a, b) for a, b in combinations(distinct, 2) if a.id != b.id]
+    few = Kinematics(runs, vehicle, most=_FEW)
+    if not few:
+        return []
+    likely = _decisive(few, runs, few.mismatch(runs), pairs)
+    return _decisive(kinematics, runs, before, [m for m, _ in likely])
+
+
+def _decisive(
+    kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, known: Iterable[Mistake]
+) -> list[tuple[Mistake, Mismatch]]:
+    tried = ((m, kinematics.mismatch([m.undo(run) for run in runs])) for m in known)
+    return [(m, after) for m, after in tried if explains(before, after)]
+
+
+def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake]) -> list[Mistake]:
+    """Mistakes that change something that is looked at, each change once."""
+    seen: list[Array] = [_looked_at(kinematics, runs[0])]
+    result = []
+    for mistake in known:
+        now = _looked_at(kinematics, mistake.undo(runs[0]))
+        if not any(np.allclose(now, other, rtol=1e-9, atol=1e-12, equal_nan=True) for other in seen):
+            seen.append(now)
+            result.append(mistake)
+    return result
+
+
+def _looked_at(kinematics: Kinematics, run: Run) -> Array:
+    """A few samples of the channels that take part."""
+    step = max(1, len(run.t) // 50)
+    return np.array([run.channels[n][::step] for n in kinematics.channels])

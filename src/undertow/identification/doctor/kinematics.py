@@ -1,0 +1,262 @@
+"""The rate of the pose against the body velocities of a log: what needs no model of the forces.
+
+For test functions phi with compact support, the integral of phi d(eta)/dt + ... = 0 reads, by parts,
+-int phi' eta dt = int phi J(eta) nu dt. No signal is differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.model.vehicle import Vehicle
+
+from ..logs import Run
+from ..logs.frames import to_body
+from ..logs.run import POSE, VELOCITY
+from ..weak.noise import white_noise
+from ..weak.testfunctions import TestFunctions, knot_spacing, test_functions
+
+Array = NDArray[np.float64]
+BLOCKS = (("x", "y"), ("z",), ("phi",), ("theta",), ("psi",))
+"""Pose rates that are judged together: a mistake in a frame turns north into east."""
+# More samples would only cost time.
+_MOST = 4000
+_WIDTHS = (1, 2, 4, 8)
+# Share of the motion that wider test functions may average away.
+_KEPT = 0.7
+# Quadrature over samples is not exact: no log can be expected to agree better than this (mean square).
+_QUADRATURE = 1e-4
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples of a run without gaps, at times (n,), with test functions on them."""
+
+    run: int
+    piece: slice
+    times: Array
+    functions: TestFunctions
+
+    @property
+    def length(self) -> Array:
+        """Integral of every test function, s, shape (K,)."""
+        return np.asarray(self.functions.value.sum(axis=1)).ravel()
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Pose and velocity, (n, 6) each, and J(eta), (n, 6, 6)."""
+
+    pose: Array
+    velocity: Array
+    jacobian: Array
+
+    def variance(self, noise: Array) -> Array:
+        """Variance of J(eta) nu at every sample, (n, 6), from the noise of pose and velocity, (12,)."""
+        straight = np.einsum("nij,j->ni", self.jacobian**2, noise[6:] ** 2)
+        # An error of the attitude turns the velocity.
+        straight[:, :3] += np.sum(self.velocity[:, :3] ** 2, axis=1)[:, None] * np.max(noise[3:6] ** 2)
+        return straight
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Means over test functions, shape (K, n_rows): pose rate, J(eta) nu, and the variance that noise gives
+    their difference.
+    """
+
+    pose: Array
+    velocity: Array
+    variance: Array
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """How far pose rates and velocities are apart, for each block of `Kinematics.blocks`.
+
+    Attributes
+    ----------
+    share : (b,) array
+        Mean square of the difference over the sum of both mean squares: 0 where they agree, 1 where they have
+        nothing to do with each other, 2 where they are opposite.
+    floor : (b,) array
+        What noise makes of it.
+    """
+
+    share: Array
+    floor: Array
+
+    @property
+    def excess(self) -> Array:
+        """What noise does not explain, shape (b,)."""
+        return np.maximum(self.share - self.floor, 0.0)
+
+    @property
+    def total(self) -> float:
+        """Sum over the blocks."""
+        return float(np.sum(self.excess))
+
+
+class Kinematics:
+    """Where and how pose rates are held against velocities; the same for a log as given and as mended.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs as given.
+    vehicle : Vehicle
+        Whose degrees of freedom matter.
+    most : int
+        Samples of all runs together that are looked at: those in which velocities are largest.
+    """
+
+    def __init__(self, runs: Sequence[Run], vehicle: Vehicle, most: int = _MOST) -> None:
+        self.most = most
+        self.rows = _rows(runs, vehicle)
+        self.blocks = [found for b in BLOCKS if (found := [self.rows.index(n) for n in b if n in self.rows])]
+        self.channels = _channels(runs, vehicle, self.rows)
+        self.stretches: list[Stretch] = []
+        if self.rows:
+            self.stretches = self._widest(runs)
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to compare."""
+        return bool(self.stretches)
+
+    def _widest(self, runs: Sequence[Run]) -> list[Stretch]:
+        """Stretches with test functions as wide as the motion allows: they average noise away."""
+        found: list[Stretch] = []
+        reference = 0.0
+        for width in _WIDTHS:
+            wider = [s for i, run in enumerate(runs) for s in self._stretches(i, run, width, len(runs))]
+            if not wider:
+                break
+            trial = replace_stretches(self, wider)
+            power = float(np.mean(trial.rates(runs).velocity ** 2))
+            reference = reference or power
+            if power < _KEPT * reference:
+                break
+            found = wider
+        return found
+
+    def _stretches(self, index: int, run: Run, width: int, count: int) -> list[Stretch]:
+        result = []
+        lively = liveliest(run, self.channels, self.most // count)
+        for piece in run.segments(self.channels):
+            part = slice(max(piece.start, lively.start), min(piece.stop, lively.stop))
+            t = run.t[part]
+            functions = test_functions(t, width * knot_spacing(t)) if len(t) > 2 else None
+            if functions is not None:
+                result.append(Stretch(index, part, t, functions))
+        return result
+
+    def rates(self, runs: Sequence[Run]) -> Rates:
+        """Weak pose rates and velocities of runs, the given ones or what was made of them."""
+        parts = [self._rates(runs[s.run], s) for s in self.stretches]
+        return Rates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def samples(self, run: Run, s: Stretch) -> Samples:
+        """Pose, velocity and J(eta) at the samples of a stretch."""
+        pose = self._table(run, POSE, s.piece)
+        return Samples(pose, self._table(run, VELOCITY, s.piece), jacobian(pose))
+
+    @property
+    def places(self) -> list[int]:
+        """Places of the rows among the six."""
+        return [POSE.index(n) for n in self.rows]
+
+    def _rates(self, run: Run, s: Stretch) -> tuple[Array, Array, Array]:
+        at, f, places = self.samples(run, s), s.functions, self.places
+        moved = np.einsum("nij,nj->ni", at.jacobian, at.velocity)[:, places]
+        noise = self._noise(run)
+        shaken = np.broadcast_to(noise[places] ** 2, moved.shape)
+        variance = f.rate.power(2) @ shaken + f.value.power(2) @ at.variance(noise)[:, places]
+        length = s.length[:, None]
+        return -(f.rate @ at.pose[:, places]) / length, (f.value @ moved) / length, variance / length**2
+
+    def _table(self, run: Run, names: tuple[str, ...], piece: slice) -> Array:
+        """Six columns; what the run lacks, or does not matter, is zero."""
+        zero = np.zeros(len(run.t))
+        return np.column_stack([run.channels[n] if n in self.channels else zero for n in names])[piece]
+
+    def _noise(self, run: Run) -> Array:
+        return np.array(
+            [
+                run.sigma.get(n, white_noise(run.t, run.channels[n])) if n in self.channels else 0.0
+                for n in (*POSE, *VELOCITY)
+            ]
+        )
+
+    def mismatch(self, runs: Sequence[Run]) -> Mismatch:
+        """How far pose rates and velocities of runs are apart."""
+        return self.of_rates(self.rates(runs))
+
+    def of_rates(self, rates: Rates) -> Mismatch:
+        """The same for rates that are known."""
+        square = [np.mean(a, axis=0) for a in ((rates.pose - rates.velocity) ** 2, rates.variance)]
+        power = np.mean(rates.pose**2 + rates.velocity**2, axis=0)
+        total = [max(float(np.sum(power[b])), 1e-30) for b in self.blocks]
+        share, floor = (
+            np.array([np.sum(s[b]) / p for b, p in zip(self.blocks, total, strict=True)]) for s in square
+        )
+        return Mismatch(share, np.maximum(floor, _QUADRATURE))
+
+
+def replace_stretches(kinematics: Kinematics, stretches: list[Stretch]) -> Kinematics:
+    """The same comparison on other stretches."""
+    other = object.__new__(Kinematics)
+    other.__dict__.update(kinematics.__dict__, stretches=stretches)
+    return other
+
+
+def jacobian(pose: Array) -> Array:
+    """J(eta) with d(eta)/dt = J(eta) nu, from (n, 6) poses, shape (n, 6, 6) (Fossen 2021, chapter 2)."""
+    phi, theta, psi = pose[:, 3:].T
+    result = np.zeros((len(pose), 6, 6))
+    result[:, :3, :3] = to_body(phi, theta, psi).transpose(2, 1, 0)
+    (sf, cf), tan, cos = (np.sin(phi), np.cos(phi)), np.tan(theta), np.cos(theta)
+    result[:, 3, 3] = 1.0
+    result[:, 3, 4], result[:, 3, 5] = sf * tan, cf * tan
+    result[:, 4, 4], result[:, 4, 5] = cf, -sf
+    result[:, 5, 4], result[:, 5, 5] = sf / cos, cf / cos
+    return result
+
+
+def _measured(runs: Sequence[Run], name: str) -> bool:
+    """Whether every run has a channel of its own, and it changes in one of them."""
+    own = all(r.has(name) and name not in r.derived for r in runs)
+    return own and any(np.nanmax(r.channels[name]) > np.nanmin(r.channels[name]) for r in runs)
+
+
+def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
+    """Pose coordinates whose rate can be held against a velocity of its own."""
+    pairs = zip(vehicle.pose_names, vehicle.velocity_names, strict=True)
+    found = [p for p, v in pairs if _measured(runs, p) and _measured(runs, v)]
+    turns = "yaw" in vehicle.degrees_of_freedom and not all(r.has("psi") for r in runs)
+    return [n for n in found if not (turns and n in ("x", "y"))]
+
+
+def _channels(runs: Sequence[Run], vehicle: Vehicle, rows: list[str]) -> list[str]:
+    """Channels that take part: of the rows, velocities of the vehicle, and the attitude where it is whole."""
+    attitude = [
+        n
+        for n in ("phi", "theta", "psi")
+        if all(r.has(n) and bool(np.isfinite(r.channels[n]).all()) for r in runs)
+    ]
+    own = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
+    return [n for n in (*POSE, *VELOCITY) if n in {*rows, *own, *attitude}]
+
+
+def liveliest(run: Run, names: Sequence[str], most: int) -> slice:
+    """The `most` samples in a row in which velocities are largest."""
+    if len(run.t) <= most:
+        return slice(0, len(run.t))
+    moving = [np.nan_to_num(run.channels[n]) for n in names if n in VELOCITY]
+    power = sum(((m / (np.std(m) or 1.0)) ** 2 for m in moving), np.zeros(len(run.t)))
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    first = int(np.argmax(total[most:] - total[:-most]))
+    return slice(first, first + most)
