@@ -355,3 +355,26 @@ def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
     assert "linear_damping and quadratic_damping" in said
     assert "standard deviations apart (these logs:" in said
     assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")
+
+
+def test_two_effects_are_told_from_one_of_them() -> None:
+    specs = [RivalSpec("cubic_damping+dry_friction", {}), RivalSpec("cubic_damping", {})]
+    plan = plan_separation(surge_vehicle(), specs, (), replace(SHORT, tries=10)).plan
+    both, one = plan.rivals
+    assert set(both.values) == {"X_uuu", "X_signu"}
+    assert both.values["X_uuu"] == one.values["X_uuu"] > 0
+    assert plan.separations[0].deviations > 1
+
+
+def test_a_model_that_misses_the_logs_is_planned_with_as_stated(surge_plan: Planned) -> None:
+    vehicle = surge_vehicle()
+    flight = surge_plan.flight
+    pushed = {"u": flight.y[0][:, 1], "tau_X": flight.u[:, 0] + 0.3 * np.sin(flight.t)}
+    noise = SIGMA * np.random.default_rng(0).standard_normal(len(flight.t))
+    log = Run("pushed", flight.t, pushed | {"u": pushed["u"] + noise}, sha256="0")
+    plan = plan_parameters(vehicle, [log], replace(SHORT, noise={}, tries=8)).plan
+    assert "planned with the values of its file" in plan.remarks[0]
+    assert [p.value for p in plan.parameters] == [1.0, 0.3, 4.0]
+    fit = fit_weak(vehicle, prepare([log], vehicle))
+    for known in plan.parameters:
+        assert known.error_now == pytest.approx(fit.standard_errors[known.name], rel=0.1)

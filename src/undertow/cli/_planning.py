@@ -175,15 +175,25 @@ def show(done: Planned) -> None:
 
 
 def _best(plan: Plan) -> str:
-    ranked = sorted(((v, n) for n, v in plan.families.items() if v is not None), reverse=True)
-    others = "; ".join([f"{n} {v:.3g}" for v, n in ranked if n != plan.manoeuvre][:_FAMILIES])
-    what = (
-        "standard errors fall by a factor of"
-        if plan.goal == "parameters"
-        else "standard deviations between the models:"
-    )
-    mean = plan.families[plan.manoeuvre]
-    return f"{what} {mean:.3g}" + (f" ({'; '.join(others.split('; ')[:_FAMILIES])})" if others else "")
+    """What the manoeuvre brings on average, and how far behind other kinds are."""
+    value = plan.families[plan.manoeuvre] or plan.criterion
+    behind = sorted((value / v, n) for n, v in plan.families.items() if v and n != plan.manoeuvre)
+    ratio = "errors {:.2g} times as large" if plan.goal == "parameters" else "{:.2g} times less"
+    others = "; ".join(f"{n} {ratio.format(r)}" for r, n in behind[:_FAMILIES])
+    return _gain(plan, value) + (f" (next: {others})" if others else "")
+
+
+def _gain(plan: Plan, value: float) -> str:
+    from math import exp, log
+
+    if plan.goal == "separate":
+        return f"{value:.3g} standard deviations between the models on average"
+    shares = [p.error_after / abs(p.value) for p in plan.parameters if p.error_after and p.value]
+    if not shares:
+        return f"standard errors fall by a factor of {value:.3g}"
+    mean = f"standard errors {100 * exp(sum(map(log, shares)) / len(shares)):.2g} % of the values on average"
+    known = all(p.error_now is not None for p in plan.parameters)
+    return f"{mean}, {value:.3g} times smaller than now" if known else mean
 
 
 def _extremes(plan: Plan) -> str:

@@ -16,7 +16,7 @@ command stays within its limit, the predicted motion within --max-..., and the e
 The goal "parameters" minimises the volume of the confidence region of the parameters marked estimate = true
 (D-optimal). The goal "separate" maximises the difference between the predictions of rival models after each
 has been refitted to the other (T-optimal); their values come from a fit to the logs, from the diagnosis, or
-are of a typical size.
+are of a typical size. Both are best for the present values: fit to the new log, and plan again.
 
 The CSV has a column t in s and one for each command, named as in the vehicle file, in the unit of the command
 (N for a thruster unless its thrust_per_command says otherwise; N or N m for a known force). It is to be flown
@@ -66,7 +66,11 @@ _DEPTH = typer.Option(
     "--depth", metavar="M", help="Depth at the start.", show_default="median of the logs, or 0"
 )
 _TRIES = typer.Option(
-    "--tries", help="Manoeuvres to be judged.", min=1, max=100_000, show_default="some ten seconds of them"
+    "--tries",
+    help="Manoeuvres to be judged, at least one of each kind.",
+    min=1,
+    max=100_000,
+    show_default="some ten seconds of them",
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -97,9 +97,10 @@ def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Kno
     UndertowError
         If the logs do not fit the vehicle or are too short.
     """
-    return (
-        knowledge_of(fit_weak(vehicle, prepare(runs, vehicle), free), runs) if runs else stated(vehicle, free)
-    )
+    if not runs:
+        return stated(vehicle, free)
+    known = knowledge_of(fit_weak(vehicle, prepare(runs, vehicle), free), runs)
+    return replace(known, vehicle=vehicle) if known.misfit >= _MISFIT else known
 
 
 def stated(vehicle: Vehicle, free: Sequence[str]) -> Knowledge:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, lookup
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Vehicle
 
 from ..diagnosis.candidates import Candidate
 from ..diagnosis.trial import Bench, open_bench, scout
@@ -154,19 +154,21 @@ def rival_models(
     """
     bench = _bench(vehicle, runs) if runs else None
     scale = float(np.median(ground[0].limits)) / 2
+    before = free_parameters(vehicle)
     made = []
     for spec in specs:
-        candidate = spec.candidate(vehicle, known)
-        free = free_parameters(vehicle) if candidate is None else candidate.free()
-        own = tuple(n for n in free if n not in free_parameters(vehicle))
         if bench is not None:
+            candidate = spec.candidate(vehicle, known)
             fit = bench.base if candidate is None else _fitted(candidate, bench, spec.values)
             known_of, source = knowledge_of(fit, runs), "fitted to the logs"
         else:
-            valued, source = _valued(vehicle, candidate, spec.values, ground, scale)
-            known_of = stated(valued, free)
+            valued, source = _valued(vehicle, spec, known, ground, scale)
+            known_of = stated(valued, free_parameters(valued))
         plant = Plant.of(known_of.vehicle, compiled=compiled)
-        made.append(RivalModel(spec.name, plant, known_of, WeakModel(plant.functions, free), own, source))
+        own = tuple(n for n in known_of.free if n not in before)
+        made.append(
+            RivalModel(spec.name, plant, known_of, WeakModel(plant.functions, known_of.free), own, source)
+        )
     return made
 
 
@@ -189,26 +191,22 @@ def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> 
 
 def _valued(
     vehicle: Vehicle,
-    candidate: Candidate | None,
-    values: Mapping[str, float],
+    spec: RivalSpec,
+    known: Catalogue,
     ground: tuple[Airspace, Sequence[Family]],
     scale: float,
 ) -> tuple[Vehicle, str]:
-    if candidate is None:
-        return _with(
-            vehicle, {n: v for n, v in values.items() if n in vehicle.parameter_names}
-        ), "vehicle file"
-    own = [p.name for p in candidate.parameters]
-    if any(n in values for n in own):
-        kept = {n: v for n, v in values.items() if n in candidate.vehicle.parameter_names}
-        return _with(candidate.vehicle, beginning(candidate) | kept), "diagnosis"
-    sizes = typical_values(candidate, *ground, scale)
-    return _with(candidate.vehicle, sizes), "typical size"
+    """A rival without logs, and where its values come from."""
+    source = "vehicle file"
+    for effect in parts_of(spec.name):
+        candidate = _checked(effect, vehicle, known)
+        own = {p.name for p in candidate.parameters}
+        found = {n: v for n, v in spec.values.items() if n in own}
+        source = "diagnosis" if found else "typical size"
+        values = {**beginning(candidate), **found} if found else typical_values(candidate, *ground, scale)
+        vehicle = candidate.adopted(values)
+    return _with(vehicle, {n: v for n, v in spec.values.items() if n in vehicle.values}), source
 
 
 def _with(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    changed = {
-        n: replace(vehicle.value_of(n), value=v) if n in vehicle.values else Value(v, estimate=True)
-        for n, v in values.items()
-    }
-    return vehicle.with_values(changed)
+    return vehicle.with_values({n: replace(vehicle.value_of(n), value=v) for n, v in values.items()})

@@ -194,8 +194,8 @@ class _Separating:
         assumed = [r.name for r in self.rivals if r.source == "typical size"]
         if assumed:
             lines.append(
-                f"nothing is known of the size of {' and '.join(assumed)}: planned with one that changes "
-                "the velocities by 10 %; a diagnosis or logs would say more"
+                f"nothing is known of the size of {' and '.join(assumed)}: planned with a tenth of the "
+                "actuators' force, or of the velocities; a diagnosis or logs would say more"
             )
         if self.spread > 1.5:
             lines.append(

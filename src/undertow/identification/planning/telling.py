@@ -111,8 +111,8 @@ def safety_remarks(ground: Ground, flight: Flight, spread: float | None) -> list
     depth = extremes_of(ground, flight).get("depth", 0.0)
     if spread is not None and depth + spread > ground.request.motion.depth:
         lines.append(
-            f"flown open loop, the depth may be {spread:.2g} m off the prediction by the end (2 standard "
-            "deviations of what is known now): hold it by hand or with a controller, and log the commands"
+            f"flown open loop, the depth may be {spread:.2g} m off the prediction by the end, going by what "
+            "is known now: hold it by hand or with a controller, and log the commands"
         )
     return lines
 
