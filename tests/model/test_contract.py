@@ -63,7 +63,7 @@ import sympy as sm
 from undertow.model.effect import Actuation, Effect, Flow, Measurement, Wrench
 from undertow.model.effects.added_mass import AddedMass
 from undertow.model.kinematics import coriolis, rotation
-from undertow.model.parameter import Parameter, PerThruster
+from undertow.model.parameter import Parameter, PerThruster, Place
 """
 NOTES = """
     reference = "Hoerner (1965), Fluid-Dynamic Drag"
@@ -180,7 +180,27 @@ class LogScale(Measurement):
     def reported(self, eta, nu, s):
         return eta, sm.Matrix([nu[0] * (1 + self.log_gain), *nu[1:]])
 '''
-GOOD = {"keel": KEEL, "tank": TANK, "spin": SPIN, "share": SHARE, "shear": SHEAR}
+POST = f'''
+class RubbingPost(Wrench):
+    """A post that the hull rubs along."""
+    id = "rubbing_post"
+    family = "tether"
+{NOTES}
+    rubbing = Parameter("N s/m^2", "drag per speed and distance", (0, 1e6))
+    place = Place("post", "where it stands", "ned", 1e4)
+
+    @classmethod
+    def starts_near(cls, seen):
+        return [{{"x_post": seen.get("x", (0.0, 0.0))[0], "y_post": 0.0, "z_post": 0.0}}]
+
+    def wrench(self, s):
+        return sm.Matrix([-self.rubbing * s.nu[0] * sm.Symbol("gap_of_post", real=True), 0, 0, 0, 0, 0])
+
+    def abbreviations(self, s):
+        away = sum((sm.Abs(a - b) for a, b in zip(s.eta[:3], self.place)), sm.Integer(0))
+        return {{sm.Symbol("gap_of_post", real=True): away}}
+'''
+GOOD = {"keel": KEEL, "tank": TANK, "spin": SPIN, "share": SHARE, "shear": SHEAR, "post": POST}
 GOOD |= {"sluggish": SLUGGISH, "limit": LIMIT, "scale": SCALE}
 
 
@@ -215,6 +235,10 @@ BROKEN = [
     ("keel", "(0, 5)", "(5, 0)", "bounds", "bounds of 'C_keel' are 5 to 0"),
     ("keel", "default=0.1", "default=-0.1", "bounds", "default -0.1 of 'keel_area' is outside"),
     ("shear", "starts=(0.01,)", "starts=(2.0,)", "bounds", "start 2 of 'shear' is outside"),
+    ("post", '{"x_post"', '{"rubbing": 1.0, "x_post"', "bounds", "'rubbing', which is no shape parameter"),
+    ("post", '0.0, "z_post"', '1e5, "z_post"', "bounds", "100000 for 'y_post', outside"),
+    ("post", 'seen.get("x", (0.0, 0.0))[0]', 'seen["x"][0]', "bounds", "cannot be worked out: KeyError: 'x'"),
+    ("post", '"gap_of_post"', '"z_post"', "names", "abbreviation 'z_post' is also a parameter"),
     ("shear", ", starts=(0.01,)", "", "bounds", "neither starts nor a default"),
     ("keel", '"its area"', '""', "bounds", "'keel_area' has no meaning"),
     ("keel", '"m^2"', '"m^2^2"', "bounds", "'keel_area'.*not understood"),

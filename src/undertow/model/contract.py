@@ -18,6 +18,8 @@ from .statement import Statement, statement_of
 from .symbols import signal_units, signals
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+# Where a vehicle may have been, to see what an effect makes of it; one that only turns has been nowhere.
+_SOMEWHERE = {"x": (90.0, 130.0), "y": (-60.0, -40.0), "z": (7.0, 9.0), "psi": (-3.0, 3.0)}
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,10 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"'{name}' ends like one half of a sign-dependent parameter: choose another name"
         elif names.count(name) > 1:
             yield f"'{name}' is declared twice: rename one"
+    s = signals(specimen.thrusters)
+    for name in map(str, specimen.abbreviations(s)):
+        if name in names or name in map(str, signal_units(s)):
+            yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"
 
 
 def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
@@ -202,8 +208,15 @@ def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
 
 
 def _bounds_complaints(cls: type[Effect]) -> Iterator[str]:
-    for p in cls.specimen().parameters:
+    parameters = {p.name: p for p in cls.specimen().parameters}
+    for p in parameters.values():
         yield from _parameter_complaints(p)
+    points = [point for seen in (_SOMEWHERE, {}) for point in cls.starts_near(seen)]
+    for name, value in {entry for point in points for entry in point.items()}:
+        if name not in parameters or parameters[name].linear:
+            yield f"starts_near() gives '{name}', which is no shape parameter of the effect: leave it out"
+        elif not parameters[name].bounds[0] <= value <= parameters[name].bounds[1]:
+            yield f"starts_near() gives {value:g} for '{name}', outside its bounds: correct it"
 
 
 def _parameter_complaints(p: Parameter) -> Iterator[str]:
