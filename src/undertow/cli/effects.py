@@ -171,6 +171,8 @@ def _print_description(d: Description) -> None:
 
 def _remarks(d: Description) -> str:
     remarks = [f"shares parameters of {r}" for r in d.requires]
+    if d.shares:
+        remarks.append(f"shares those parameters of {', '.join(d.shares)} that the vehicle has")
     remarks += [{"dissipative": "never feeds power in", "workless": "does no work"}[c] for c in d.claims]
     if d.built_in:
         remarks.append("comes with the hardware of the vehicle")

@@ -86,6 +86,7 @@ class Description:
     parameters: tuple[ParameterNote, ...]
     also_in_files: dict[str, str]
     requires: tuple[str, ...]
+    shares: tuple[str, ...]
     claims: tuple[str, ...]
     built_in: bool
     reference: str
@@ -119,6 +120,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
         parameters=tuple(_note(p) for p in _as_declared(cls)),
         also_in_files=cls.file_units(),
         requires=cls.requires,
+        shares=cls.shares,
         claims=tuple(c for c in ("dissipative", "workless") if getattr(cls, c, False)),
         built_in=cls.built_in,
         reference=cls.reference,

@@ -14,7 +14,7 @@ from undertow.model.effects.quadratic_damping import QuadraticDamping
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals, symbol
 
-_GAP = symbol("gap")
+_AHEAD, _GAP = symbol("ahead"), symbol("gap")
 # Decay lengths in the range of the vehicle where a search begins.
 _FADES_OVER_RANGE = 4.0
 
@@ -82,6 +82,6 @@ class BoundaryProximity(Wrench):
 
     def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
         fade = sm.Matrix([self.fade_N, self.fade_E, self.fade_D])
-        ahead = self.fade_0 - fade.dot(sm.Matrix(s.eta[:3]))
         # Measured positions may lie a little beyond the boundary: the rise stays what it is there.
-        return {_GAP: (ahead + sm.Abs(ahead)) / 2}
+        gap = (_AHEAD + sm.Abs(_AHEAD)) / 2
+        return {_AHEAD: self.fade_0 - fade.dot(sm.Matrix(s.eta[:3])), _GAP: gap}
