@@ -39,7 +39,7 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
 def _ranking(diagnosis: Diagnosis) -> Table:
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     table = Table(
-        title=f"Candidates by error on kept-aside data (model as it is: {before:.3g}, noise of the sensors: 1)",
+        title=f"Candidates on kept-aside data (error of the model as it is {before:.3g}, noise 1)",
         title_justify="left",
         caption_justify="left",
     )
@@ -49,8 +49,10 @@ def _ranking(diagnosis: Diagnosis) -> Table:
     table.add_column("sure", no_wrap=True)
     table.add_column("parameters")
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
-    for r in helping:
-        text = ", ".join(_value(p) for p in r.parameters[:4]) + (" ..." if len(r.parameters) > 4 else "")
+    for i, r in enumerate(helping):
+        most = 4 if i == 0 else 1
+        more = " ..." if len(r.parameters) > most else ""
+        text = ", ".join(_value(p) for p in r.parameters[:most]) + more
         sure = "yes" if r.significant else "no"
         table.add_row(
             r.effect, f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), sure, escape(text)

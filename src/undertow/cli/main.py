@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -31,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done; 1 the answer is no (``codegen --check``), or a bug; 2 a mistake in the input; 130 interrupted.
     """
+    # Matrices are small here: threads of the linear algebra only get into each other's way.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return run(lambda: _root().main(_verbose_first(arguments), prog_name="undertow", standalone_mode=False))
 
 

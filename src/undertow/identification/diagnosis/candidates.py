@@ -48,7 +48,13 @@ class Candidate:
         known = {n.removesuffix("_forward").removesuffix("_backward") for n in self.base.values}
         names = set(self.vehicle.parameter_names)
         own = next(e for e in self.vehicle.effects if e.id == self.id).parameters
-        return tuple(p for p in own if p.name in names and p.name not in known and p.default is None)
+        return tuple(p for p in own if p.name in names and p.name not in known and self._open(p))
+
+    def _open(self, parameter: Parameter) -> bool:
+        """Whether a parameter has to be found: not what an effect that is there takes as known."""
+        if parameter.default is None:
+            return True
+        return parameter.default == parameter.neutral and all(e.id != self.id for e in self.base.effects)
 
     @property
     def adds_nothing(self) -> bool:

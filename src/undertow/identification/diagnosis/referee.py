@@ -19,12 +19,17 @@ from ..fitted import Fitted
 from ..logs import Run
 from ..output_error.fit import OutputErrorFit, channel_weights, fit_output_error
 from ..output_error.shooting import Shooting
+from ..weak.fit import WeakFit
 from .chain import Chain
 
 Array = NDArray[np.float64]
 # Windows of a free run diverge in heading even for the true model: short ones decide.
 HORIZONS = (1.0, 5.0, 20.0)
 DECIDING = 5.0
+THOROUGH = 20.0
+# Mean square of the simulation error, in units of the noise, that still counts as noise: in the worst channel
+# and over all of them. The noise of a channel is known to a few per cent.
+_ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
 _START_STEPS = 3
 _SURE = 0.01
 
@@ -81,15 +86,20 @@ class Referee:
 
     def squares(self, fit: Fitted) -> Array:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
-        functions, p = fit.model.functions, np.asarray(fit.p)
-        shooting = Shooting(functions, self.windows, (), channel_weights(self.windows), compiled=False)
+        shooting, starts = self._shot(fit, self.windows)
+        return shooting.mean_squares(np.asarray(fit.p), starts)
+
+    def _shot(self, fit: Fitted, windows: Windows) -> tuple[Shooting, Array]:
+        """A model in windows, and the best start of each."""
+        p = np.asarray(fit.p)
+        shooting = Shooting(fit.model.functions, windows, (), channel_weights(windows), compiled=False)
         starts = shooting.first_starts(p)
         for _ in range(_START_STEPS):
             at = shooting.linearise(p, starts)
             if not np.isfinite(at.cost):
                 break
             starts = starts + at.start_step
-        return shooting.mean_squares(p, starts)
+        return shooting, starts
 
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
@@ -106,17 +116,34 @@ class Referee:
 
     def contender(self, chain: Chain) -> Contender:
         """A chain fitted by output error from where the weak form left it, and judged."""
-        fit = self._refined(chain)
+        fit = self._refined(chain.fit)
         return Contender(chain, fit, self.squares(fit))
 
-    def _refined(self, chain: Chain) -> Fitted:
-        weak = chain.fit
+    def leaves_only_noise(self, weak: WeakFit) -> bool:
+        """Whether a model, fitted by output error, simulates the kept-aside runs to within the noise.
+
+        This is free of what the weak form adds of its own: the error of its quadrature where the noise is
+        next to nothing, and the bias of |v|v of a noisy v where the noise is large. Windows are long, in
+        which even a small force shows.
+        """
+        fit = self._refined(weak, THOROUGH)
+        if fit is weak:
+            return False
+        windows = cut(self._test, self._vehicle, min(THOROUGH, self.shortest), sigma=self._sigma)
+        shooting, starts = self._shot(fit, windows)
+        at = shooting.linearise(np.asarray(fit.p), starts)
+        used = at.counts > 0
+        taken_up = 1.0 - starts.size / max(float(at.counts.sum()), 1.0)
+        level = at.squares[used] / at.counts[used] / max(taken_up, 0.1)
+        return bool(np.max(level, initial=0.0) < _ANY_CHANNEL and np.mean(level) < _ALL_CHANNELS)
+
+    def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
         try:
             refined: OutputErrorFit = fit_output_error(
                 weak.model.functions.vehicle,
                 self._train,
                 weak.model.free,
-                min(DECIDING, self.shortest),
+                min(horizon, 0.9 * min(float(r.t[-1] - r.t[0]) for r in self._train)),
                 start=weak.values,
             )
         except UndertowError:  # the simulation of a poor model may diverge

@@ -27,6 +27,8 @@ Report = Callable[[float, str], None]
 MAX_EFFECTS = 3
 _PAIRS = 2
 _RIVALS = 5
+# Parameters more than the plainest of equally good effects from which one is none of them.
+_BENDABLE = 3
 
 
 @dataclass(frozen=True)
@@ -159,12 +161,19 @@ def _together(vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[
     chain = thinned(vehicle, fitted(vehicle, found, bench), bench)
     rivals: list[list[Chain]] = []
     for place in range(len(chain.findings)):
-        others = _rivals(vehicle, chain, place, rounds, bench)
-        if others and others[0].score.error < chain.score.error:
-            # The better one leads; what it replaces is a rival of it.
-            chain, others = others[0], [chain, *others[1:]]
+        equals = sorted([chain, *_rivals(vehicle, chain, place, rounds, bench)], key=lambda c: c.score.error)
+        # With enough parameters an effect can be bent into another: it is no rival of the plain one.
+        plainest = min(_size(c, place) for c in equals)
+        chain, *others = [c for c in equals if _size(c, place) <= plainest + _BENDABLE]
         rivals.append(others)
     return Search(vehicle, rounds, bench, chain, rivals)
+
+
+def _size(chain: Chain, place: int) -> int:
+    """Number of parameters that one effect of a chain brings in."""
+    trial = chain.findings[place].trial
+    own = {p.name for p in trial.candidate.parameters}
+    return sum(n in own for n in trial.fit.model.free)
 
 
 def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], bench: Bench) -> list[Chain]:

@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 from ..weak.fit import WeakFit, mean_square
 from ..weak.residual import whitened
 from .candidates import candidates
-from .chain import Chain
+from .chain import Chain, fitted
 from .compensation import Relief, absorbing, reliefs
 from .equivalents import equivalents
 from .estimates import estimate, estimates
@@ -60,7 +60,7 @@ class Story:
             found,
             (self.bench.judge(self.fits[0]), self.bench.judge(final)),
             self.bench.noise_level,
-            quiet=only_noise(noise_ratio(final, self.bench.test)),
+            quiet=only_noise(noise_ratio(final, self.bench.test)) or referee.leaves_only_noise(final),
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
         )
 
@@ -151,11 +151,13 @@ class Story:
 
 
 def decided(found: Search, referee: Referee) -> Search:
-    """The search with every set of equally good effects cut down to those that stand up to simulation.
+    """The search as far as it stands up to simulation.
 
-    All of a set are fitted by output error, started from the weak form, and simulate the kept-aside runs; the
-    best of them leads.
+    An effect goes when the model simulates the kept-aside runs to within the noise before it is added to
+    others. All of a set of equally good effects are fitted by output error, started from the weak form, and
+    simulate the kept-aside runs; the best of them leads.
     """
+    found = _without_surplus(found, referee)
     for place in range(len(found.rivals)):
         if found.rivals[place]:
             chains = [found.chain, *found.rivals[place]]
@@ -164,6 +166,19 @@ def decided(found: Search, referee: Referee) -> Search:
             rivals[place] = others
             found = replace(found, chain=best, rivals=rivals)
     return found
+
+
+def _without_surplus(found: Search, referee: Referee) -> Search:
+    for count in range(1, len(found.winners)):
+        shorter = fitted(found.vehicle, found.winners[:count], found.bench)
+        if referee.leaves_only_noise(shorter.fit):
+            rivals = [_cut(r, count) for r in found.rivals[:count]]
+            return replace(found, chain=shorter, rivals=rivals)
+    return found
+
+
+def _cut(rivals: list[Chain], count: int) -> list[Chain]:
+    return [replace(c, findings=c.findings[:count]) for c in rivals]
 
 
 def _either(equivalent: Equivalent) -> str:

@@ -30,6 +30,7 @@ _ROUGH = 1e-4
 _SHARPENING = 3
 # Of more starts than this, only the best are looked at more closely.
 _MANY_STARTS, _BEST_STARTS = 4, 2
+_CLOSER = 2
 
 
 @dataclass(frozen=True)
@@ -212,14 +213,24 @@ class Scouted(NamedTuple):
 
 
 def scout(candidate: Candidate, bench: Bench) -> Scouted:
-    """Take one Gauss-Newton step from every start of a candidate; the one that promises most."""
+    """What a candidate promises: one Gauss-Newton step from its start, some more where there are several.
+
+    A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
+    """
     starts = candidate.starts(bench.command_scale, bench.seen)
     if len(starts) > _MANY_STARTS:
         starts = _promising(candidate, bench, starts)
     noise = (bench.train_whitening, bench.base.disturbance)
     begin, model = bench.base.values, candidate.model()
-    steps = (Scouted(*promise(model, bench.train, begin | s, *noise)) for s in starts)
-    return min(steps, key=lambda step: step.cost)
+    steps = [Scouted(*promise(model, bench.train, begin | s, *noise)) for s in starts]
+    steps.sort(key=lambda step: step.cost)
+    if len(starts) == 1:
+        return steps[0]
+    closer = [
+        Scouted(*promise(model, bench.train, step.values, *noise, steps=_CLOSER))
+        for step in steps[:_BEST_STARTS]
+    ]
+    return min([*closer, *steps], key=lambda step: step.cost)
 
 
 def _promising(

@@ -238,9 +238,13 @@ def promise(
     start: Mapping[str, float],
     whitening: list[Whitening],
     disturbance: Array,
+    steps: int = 0,
 ) -> tuple[float, dict[str, float], WeakFit]:
-    """Sum of squares that one Gauss-Newton step promises, the parameters after it, and the model before."""
-    fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, 0)
+    """Sum of squares that one more Gauss-Newton step promises, the parameters after it, and the model before.
+
+    `steps` are taken beforehand.
+    """
+    fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, steps)
     places = list(model.places)
     bounds = bounds_of(model)
     step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
