@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -90,8 +91,13 @@ class Caller:
 
     def diagnose(self, what: Judged) -> tuple[Told, Path]:
         """Diagnose, and return what is said and the vehicle file that results."""
-        words, out, better = what.words("diagnose"), self._next("json"), self._next("toml")
-        seconds = self._run([*words, "--json", str(out), "--apply", str(better)])
+        words = what.words("diagnose")
+        name = hashlib.sha256(" ".join([str(self.data), *words]).encode()).hexdigest()[:16]
+        out, better = (self.scratch / f"{name}.{ending}" for ending in ("json", "toml"))
+        began = time.perf_counter()
+        if not (out.exists() and better.exists()):  # a long run that broke off goes on where it was
+            self._run([*words, "--json", str(out), "--apply", str(better)])
+        seconds = time.perf_counter() - began
         told = json.loads(out.read_text(encoding="utf-8"))
         line = shown(words).replace(f"{self.scratch}/", "")
         return {"command": line, "title": what.title, "wall": seconds, **told}, better
