@@ -50,6 +50,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, default=Path("docs/examples"), help="default: %(default)s")
     parser.add_argument("--only", action="append", choices=tuple(EXAMPLES), help="this page, not all of them")
     parser.add_argument(
+        "--scratch",
+        type=Path,
+        help="folder for intermediate files; diagnoses that it holds are not made again",
+    )
+    parser.add_argument(
         "--tell", action="store_true", help="write the pages from the numbers of the last time"
     )
     return parser
