@@ -78,10 +78,10 @@ def _worked(name: str, options: argparse.Namespace) -> Told:
     for folder in (images, options.out / "numbers"):
         folder.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
-    with TemporaryDirectory() as scratch:
-        call = Caller(
-            (options.data / set_.FOLDER).resolve(), Path(scratch), lambda w: print(w, file=sys.stderr)
-        )
+    with TemporaryDirectory() as passing:
+        scratch = options.scratch or Path(passing)
+        scratch.mkdir(parents=True, exist_ok=True)
+        call = Caller((options.data / set_.FOLDER).resolve(), scratch, _log)
         found: Told = set_.work(call, images)
     return {"made": {**versions(), "undertow": __version__, "cores": os.cpu_count()}, **found,
             "seconds": round(time.perf_counter() - began)}  # fmt: skip
