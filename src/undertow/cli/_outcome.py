@@ -25,6 +25,9 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
     console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
+    for equals in diagnosis.indistinguishable:
+        if equals.separated_by:
+            console.print(f"to tell {' and '.join(equals.effects)} apart: {escape(equals.separated_by)}")
     for left in diagnosis.remaining:
         console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):

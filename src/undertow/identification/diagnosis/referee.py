@@ -72,7 +72,7 @@ class Referee:
     """
 
     def __init__(self, vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], sigma: Array) -> None:
-        self._vehicle, self._train, self._test, self._sigma = vehicle, train, test, sigma
+        self._vehicle, self.train, self._test, self._sigma = vehicle, train, test, sigma
 
     @cached_property
     def shortest(self) -> float:
@@ -141,9 +141,9 @@ class Referee:
         try:
             refined: OutputErrorFit = fit_output_error(
                 weak.model.functions.vehicle,
-                self._train,
+                self.train,
                 weak.model.free,
-                min(horizon, 0.9 * min(float(r.t[-1] - r.t[0]) for r in self._train)),
+                min(horizon, 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.train)),
                 start=weak.values,
             )
         except UndertowError:  # the simulation of a poor model may diverge

@@ -81,10 +81,11 @@ class Step(Table):
 
 
 class Indistinguishable(Table):
-    """Effects that these data cannot tell apart, and why."""
+    """Effects that these data cannot tell apart, why, and which manoeuvre would."""
 
     effects: list[str]
     reason: str
+    separated_by: str = ""
 
 
 class Equivalent(Table):

@@ -10,25 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow import __version__
+from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
+from ..planning.suggest import suggest
 from ..weak.fit import WeakFit, mean_square
 from ..weak.residual import whitened
 from .candidates import candidates
-from .chain import Chain, fitted
+from .chain import Chain, fitted, with_effects
 from .compensation import Relief, absorbing, reliefs
 from .equivalents import equivalents
 from .estimates import estimate, estimates
 from .finding import Finding
 from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
-from .result import Diagnosis, Equivalent, Ranked, RunInfo, Step
+from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
 from .trial import Score, noise_ratio, only_noise
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
+_MANOEUVRES = 20
 
 
 class Story:
@@ -84,7 +87,7 @@ class Story:
             effects=unique_ids(self.judgement.effects),
             ranking=[self._ranked(f) for f in self.found.rounds[0].findings],
             steps=self._steps(),
-            indistinguishable=self.judgement.sets,
+            indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(),
             remaining=remaining(self.after, self.bench.test),
@@ -99,6 +102,30 @@ class Story:
             return []
         derived = self.bench.train.velocities_derived
         return equivalents(self.vehicle, self.bench, candidates(self.vehicle, self._known, derived=derived))
+
+    def _sets(self) -> list[Indistinguishable]:
+        """The sets, each with the manoeuvre that would tell its effects apart."""
+        places = [i for i, rivals in enumerate(self.found.rivals) if rivals]
+        return [
+            s.model_copy(update={"separated_by": self._separating(i, s)})
+            for i, s in zip(places, self.judgement.sets, strict=False)
+        ]
+
+    def _separating(self, place: int, equals: Indistinguishable) -> str:
+        others = [f for i, f in enumerate(self.found.winners) if i != place]
+        chains = [self.found.chain, *self.found.rivals[place]]
+        values = {c.findings[place].id: c.findings[place].trial.fit.values for c in chains}
+        try:
+            return suggest(
+                with_effects(self.vehicle, others),
+                equals.effects,
+                self.referee.train,
+                values,
+                known=self._known,
+                tries=_MANOEUVRES,
+            )
+        except UndertowError as error:
+            return f"No manoeuvre can be suggested: {error}"
 
     def _normalised(self, fit: WeakFit) -> float:
         r = whitened(fit.model.linearise(self.bench.test, fit.p), self._whitening).r
