@@ -53,7 +53,7 @@ def verdict(result: Examination) -> str:
     return f"{count} mistake{'s' * (count != 1)}{others}; first of all: {first} ({result.seconds:.1f} s)"
 
 
-_HEAD = ("motion", "rms", "noise", "moving", "one way", "reversals", "commands", "cannot show")
+_HEAD = ("motion", "rms", "noise", "moving", "one way", "reversals", "command range")
 
 
 def _row(e: Excited) -> tuple[str, ...]:
@@ -64,7 +64,6 @@ def _row(e: Excited) -> tuple[str, ...]:
         *numbers,
         str(e.reversals),
         span,
-        "; ".join(c.partition(" (")[0] for c in e.cannot),
     )
 
 

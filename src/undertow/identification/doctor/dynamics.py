@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
@@ -14,20 +15,25 @@ from ..logs import Run
 from ..logs.run import POSE, VELOCITY
 from ..weak.data import Segment, WeakData, prepare
 from ..weak.fit import WeakFit, fit_weak, free_parameters, mean_square
-from ..weak.residual import whitened
-from ..weak.step import bounded_step, bounds_of, prior_of
+from ..weak.residual import Linearised, whitened
+from ..weak.step import inverse_of, prior_of
 from .kinematics import Array, jacobian, liveliest
 from .mistake import Undo, with_channels
 
 # Samples that are looked at, all runs together, in three and in six degrees of freedom.
-_MOST, _MOST_OF_MANY = 1600, 800
+_MOST, _MOST_OF_MANY = 1600, 600
 _MANY = 4
 # Mean square, in units of the noise, beyond which a model that was refitted does not explain its log.
 _UNEXPLAINED = 2.0
-# Undoing a mistake must take this factor off what an equation leaves beyond the noise.
-DECISIVE = 4.0
+# Undoing a mistake must take this factor off what an equation leaves beyond the noise: less is enough where
+# noise is all that remains, since a feedback loop, too, makes a model with a wrong sign look better.
+DECISIVE, ENOUGH = 10.0, 4.0
+# Spread of a velocity over its noise from which its equation of motion is a witness.
+_MOVED = 5.0
 # No other equation may get worse by more than this factor.
 _WORSE = 1.25
+# Change of a channel's spread that only another unit explains.
+_UNIT = 5.0
 # Excess over the noise that cannot be told from none.
 _SMALL = 0.5
 
@@ -71,7 +77,7 @@ class Dynamics:
         model, size = self.fit.model, len(self.quiet)
         p = np.array([self.vehicle.value_of(n).value for n in self.vehicle.parameter_names], dtype=float)
         at = whitened(model.linearise(data, p), self.fit.whitening)
-        step = bounded_step(at, p[list(model.places)], bounds_of(model), prior_of(model))
+        step = _free_step(at, p[list(model.places)], prior_of(model))
         after = mean_square(at.r + at.J @ step, data)[:size]
         return float(np.exp(np.mean(np.log(self.fit.mean_square()[:size] / np.maximum(after, 1e-12)))))
 
@@ -104,8 +110,11 @@ class Dynamics:
         """The data with a mistake undone in every run; None where samples would go missing."""
         runs = tuple(rederived(run, undo) for run in self.runs)
         segments = tuple(self._segment(runs[s.run], s) for s in self.data.segments)
-        whole = all(np.isfinite(s.measured).all() and np.isfinite(s.u).all() for s in segments)
-        return replace(self.data, runs=runs, segments=segments) if whole else None
+        if not all(np.isfinite(s.measured).all() and np.isfinite(s.u).all() for s in segments):
+            return None
+        before, after = (np.concatenate([s.measured for s in of]) for of in (self.data.segments, segments))
+        sigma = self.data.sigma * _other_unit(np.std(before, axis=0), np.std(after, axis=0))
+        return replace(self.data, runs=runs, segments=segments, sigma=sigma)
 
     def _segment(self, run: Run, s: Segment) -> Segment:
         zero = np.zeros(len(run.t))
@@ -115,7 +124,13 @@ class Dynamics:
 
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
-        return Gain(self.quiet, quiet_mean_square(fit)[: len(self.quiet)])
+        return Gain(self.quiet, quiet_mean_square(fit)[: len(self.quiet)], self._moved)
+
+    @property
+    def _moved(self) -> NDArray[np.bool_]:
+        size = len(self.quiet)
+        spread = np.std(np.concatenate([s.measured[:, size:] for s in self.data.segments]), axis=0)
+        return np.asarray(spread > _MOVED * self.data.sigma[size:])
 
 
 @dataclass(frozen=True)
@@ -126,10 +141,13 @@ class Gain:
     ----------
     before, after : (n,) arrays
         Mean squares in units of the sensors' noise.
+    moved : (n,) bool array
+        Whether the velocity stands out of its noise.
     """
 
     before: Array
     after: Array
+    moved: NDArray[np.bool_]
 
     @property
     def factors(self) -> Array:
@@ -150,14 +168,28 @@ class Gain:
     @property
     def decisive(self) -> bool:
         """Whether the change explains at least one equation of motion and spoils none."""
-        wrong = self.before > _UNEXPLAINED
-        return bool(np.any(self.factors[wrong] >= DECISIVE) and np.all(self.factors > 1.0 / _WORSE))
+        needed = ENOUGH if self.explained else DECISIVE
+        wrong = (self.before > _UNEXPLAINED) & self.moved
+        return bool(np.any(self.factors[wrong] >= needed) and np.all(self.factors > 1.0 / _WORSE))
 
 
 def quiet_mean_square(fit: WeakFit) -> Array:
     """Mean square of what a fit leaves of every equation, in units of the sensors' noise, (2n,)."""
     quiet = fit.model.whitening(fit.data, fit.p)
     return mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
+
+
+def _free_step(at: Linearised, now: Array, prior: tuple[Array, Array]) -> Array:
+    """Least-squares step without bounds, which would cost more than all the rest of a first look."""
+    centre, stiffness = prior
+    slope = at.J.T @ at.r + stiffness**2 * (now - centre)
+    return -inverse_of(at.J.T @ at.J + np.diag(stiffness**2)) @ slope
+
+
+def _other_unit(before: Array, after: Array) -> Array:
+    """Factors of the noise where a channel is in another unit now: what is smaller is not better for that."""
+    ratio = after / np.where(before > 0, before, np.inf)
+    return np.where((ratio > 0) & ((ratio < 1 / _UNIT) | (ratio > _UNIT)), ratio, 1.0)
 
 
 def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
@@ -198,7 +230,11 @@ def rederived(run: Run, undo: Undo) -> Run:
     moved = with_channels(plain, {n: run.channels[n] + rate[:, POSE.index(n)] for n in POSE if run.has(n)})
     before, later = (_six(undo(r), POSE) for r in (plain, moved))
     velocity = np.linalg.solve(jacobian(before), (later - before)[..., None])
-    return with_channels(after, {VELOCITY[i]: np.asarray(velocity[:, i, 0]) for i in places})
+    new = {VELOCITY[i]: np.asarray(velocity[:, i, 0]) for i in places}
+    spread = [np.array([np.nanstd(of[n]) for n in new]) for of in (run.channels, new)]
+    noise = zip(new, _other_unit(*spread), strict=True)
+    sigma = {n: factor * run.sigma[n] for n, factor in noise if n in run.sigma}
+    return replace(with_channels(after, new), sigma={**run.sigma, **sigma})
 
 
 def _six(run: Run, names: tuple[str, ...]) -> Array:

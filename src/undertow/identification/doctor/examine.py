@@ -14,7 +14,7 @@ from . import angles, consistency, excitation
 from .clocks import clock_findings
 from .deciding import decided
 from .dynamic_search import dynamic_mistakes
-from .dynamics import Dynamics, dynamics_of
+from .dynamics import Dynamics, dynamics_of, rederived
 from .findings import Examination, Finding, most_serious_first
 from .kinematic_search import best_explanation
 from .kinematics import Kinematics
@@ -179,7 +179,7 @@ class _Case:
                 alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
             )
         )
-        self.runs = [mistake.undo(run) for run in self.runs]
+        self.runs = [rederived(run, mistake.undo) for run in self.runs]
         self.mapping = edited(self.mapping, edits)
         self.edits += edits
 

@@ -116,6 +116,7 @@ class Kinematics:
 
     def __init__(self, runs: Sequence[Run], vehicle: Vehicle, most: int = _MOST) -> None:
         self.most = most
+        self._known_noise: dict[bytes, float] = {}
         self.rows = _rows(runs, vehicle)
         self.blocks = [found for b in BLOCKS if (found := [self.rows.index(n) for n in b if n in self.rows])]
         self.channels = _channels(runs, vehicle, self.rows)
@@ -184,12 +185,17 @@ class Kinematics:
         return np.column_stack([run.channels[n] if n in self.channels else zero for n in names])[piece]
 
     def _noise(self, run: Run) -> Array:
-        return np.array(
-            [
-                run.sigma.get(n, white_noise(run.t, run.channels[n])) if n in self.channels else 0.0
-                for n in (*POSE, *VELOCITY)
-            ]
-        )
+        names = (*POSE, *VELOCITY)
+        return np.array([self._noise_of(run, n) if n in self.channels else 0.0 for n in names])
+
+    def _noise_of(self, run: Run, name: str) -> float:
+        """Noise of a channel; most channels stay as they are when a mistake is undone."""
+        if name in run.sigma:
+            return run.sigma[name]
+        key = run.channels[name].tobytes()
+        if key not in self._known_noise:
+            self._known_noise[key] = white_noise(run.t, run.channels[name])
+        return self._known_noise[key]
 
     def mismatch(self, runs: Sequence[Run]) -> Mismatch:
         """How far pose rates and velocities of runs are apart."""

@@ -18,8 +18,9 @@ from .dynamics import Dynamics, Gain
 _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 # Another mass is believed between these factors of the one in the file, and only from a tenth on.
 _LIGHTEST, _HEAVIEST, _LEAST = 0.6, 2.5, 0.1
-# Standard deviations of its prior: beyond, an added mass has moved; within, it is where it should be.
-_MOVED, _HOME = 3.0, 2.0
+_SURE = 3.0  # standard errors
+# Standard deviations of its prior: within two, an added mass is where it should be; one must be far beyond.
+_HOME, _FAR = 2.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def other_mass(at: Dynamics) -> OtherMass | None:
         return None
     found, error = fit.values["m"], fit.standard_errors["m"]
     ratio = found / known.value
-    sure = abs(found - known.value) > 5 * error and abs(ratio - 1) > _LEAST
+    sure = abs(found - known.value) > _SURE * error and abs(ratio - 1) > _LEAST
     if not (_LIGHTEST < ratio < _HEAVIEST and sure):
         return None
     gain = at.gain(fit)
@@ -67,9 +68,10 @@ def other_mass(at: Dynamics) -> OtherMass | None:
 def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:
     """Added masses that were several standard deviations off in the same sense, and no longer are."""
     off, home = (_standardised(f) for f in (before, after))
-    moved = {n: z for n, z in off.items() if abs(z) > _MOVED}
-    same_sense = len({np.sign(z) for z in moved.values()}) == 1
-    return moved if len(moved) >= 2 and same_sense and all(abs(z) < _HOME for z in home.values()) else {}
+    moved = {n: z for n, z in off.items() if abs(z) > _HOME}
+    same_sense = len(moved) >= 2 and len({np.sign(z) for z in moved.values()}) == 1
+    far = max(map(abs, moved.values()), default=0.0) > _FAR
+    return moved if same_sense and far and all(abs(z) < _HOME for z in home.values()) else {}
 
 
 def _standardised(fit: WeakFit) -> dict[str, float]:

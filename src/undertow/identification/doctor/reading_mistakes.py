@@ -37,7 +37,9 @@ def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
         Logs; channels that they lack, or that never change, are left out.
     """
     moving = {
-        n for n in (*POSE, *VELOCITY) if all(r.has(n) for r in runs) and any(_changes(r, n) for r in runs)
+        n
+        for n in (*POSE, *VELOCITY)
+        if all(r.has(n) and n not in r.derived for r in runs) and any(_changes(r, n) for r in runs)
     }
     return [mistake for kind in KINDS for mistake in kind(mapping, moving)]
 
@@ -94,7 +96,8 @@ def other_frames(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """ENU for NED and FLU for FRD, for position, attitude and body axes apart or together."""
     spec = mapping.frames
     now = {"position": spec.position, "body": spec.body, "attitude": attitude_of(mapping)}
-    choices = [c for c in product((False, True), repeat=3) if any(c)]
+    bodies = (False, True) if moving & {*frames.FLIPPED_BODY} else (False,)
+    choices = [c for c in product((False, True), bodies, (False, True)) if any(c)]
     for chosen in sorted(choices, key=sum):
         wrong = [key for key, yes in zip(now, chosen, strict=True) if yes]
         meant = {key: _OTHER[value] if key in wrong else value for key, value in now.items()}

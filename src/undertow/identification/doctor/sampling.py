@@ -67,7 +67,7 @@ def _disorder(run: Run, mapping: Mapping) -> Iterator[Finding]:
 
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     gaps, few = step[step > _LONG * usual], step[(step > 1.5 * usual) & (step <= _LONG * usual)]
-    lost = float(np.sum(np.round(step / usual) - 1.0))
+    lost = float(np.sum(np.round(step / usual)[step > 1.5 * usual] - 1.0))
     share = lost / (lost + len(run.t))
     if not len(gaps) and share < _MISSING:
         return

@@ -70,7 +70,7 @@ def mass_finding(vehicle: Vehicle, mass: OtherMass) -> Finding:
     known = not mass.moved
     which = "dry" if mass.found > mass.stated else "wrong"
     if known:
-        reason = f"refitted, {_gained(vehicle, mass.gain)}"
+        reason = f"with it, {_gained(vehicle, mass.gain)}"
     else:
         moved = ", ".join(f"{n} {z:+.1f}" for n, z in mass.moved.items())
         reason = f"with m as stated the added masses leave their stated values ({moved} standard deviations)"
