@@ -61,9 +61,9 @@ _MEANINGS: dict[Verdict, Meaning] = {
     ),
     "not_identifiable": Meaning(
         "These logs cannot say",
-        "The manoeuvres do not excite the motions that would tell the candidates apart, so no answer could "
-        "be trusted, neither that something is missing nor that nothing is.",
-        ("Whether the model is adequate.", *_LIMITS),
+        "The model fails by more than the noise, and so many effects repair it equally well that these logs "
+        "do not say what is missing.",
+        ("Which of the effects it is.", *_LIMITS),
     ),
 }
 
