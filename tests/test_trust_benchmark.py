@@ -169,6 +169,10 @@ def test_what_counts_as_the_truth() -> None:
     assert accepted("constant_force", upright, {"Z_0"}) == {"net_buoyancy", "constant_force"}
     assert accepted("constant_force", upright, {"Z_0", "X_0"}) == {"constant_force"}
     assert accepted("lift", upright) == {"lift"}
+    assert accepted("entrained_water", upright) == {"entrained_water", "added_mass_coupling"}
+    assert accepted("added_mass_coupling", upright, {"Y_rdot"}) == {"entrained_water", "added_mass_coupling"}
+    assert accepted("added_mass_coupling", upright, {"X_vdot"}) == {"added_mass_coupling"}
+    assert accepted("entrained_water", (*upright, "roll")) == {"entrained_water"}
 
 
 def test_named_and_nothing_else() -> None:

@@ -56,7 +56,9 @@ class Answer:
 def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = ()) -> set[str]:
     """An effect and those that are, for this vehicle, the very same equations.
 
-    Without roll and pitch the body's z axis is that of NED: net buoyancy is a constant heave force.
+    Without roll and pitch the body's z axis is that of NED: net buoyancy is a constant heave force. There, and
+    in still water, water in the hull (m_w at x_w) is the same inertia and Coriolis force as added mass with the
+    coupling Y_rdot = -m_w x_w, once X_udot, Y_vdot, Z_wdot and N_rdot are refitted.
 
     Parameters
     ----------
@@ -67,7 +69,13 @@ def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = 
     parameters : collection of str
         Names of the values that were hidden.
     """
-    upright = "heave" in motions and not {"roll", "pitch"} & set(motions)
+    level = not {"roll", "pitch"} & set(motions)
+    coupled = {"sway", "yaw"} <= set(motions)
+    if level and coupled and effect == "entrained_water":
+        return {effect, "added_mass_coupling"}
+    if level and effect == "added_mass_coupling" and set(parameters) == {"Y_rdot"}:
+        return {effect, "entrained_water"}
+    upright = "heave" in motions and level
     if upright and effect == "net_buoyancy":
         return {effect, "constant_force"}
     if upright and effect == "constant_force" and set(parameters) == {"Z_0"}:
