@@ -56,9 +56,9 @@ class Answer:
 def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = ()) -> set[str]:
     """An effect and those that are, for this vehicle, the very same equations.
 
-    Without roll and pitch the body's z axis is that of NED: net buoyancy is a constant heave force. There, and
-    in still water, water in the hull (m_w at x_w) is the same inertia and Coriolis force as added mass with the
-    coupling Y_rdot = -m_w x_w, once X_udot, Y_vdot, Z_wdot and N_rdot are refitted.
+    Without roll and pitch the body's z axis is that of NED: net buoyancy is a constant heave force. There,
+    and in still water, water in the hull (m_w at x_w) is the same inertia and Coriolis force as added mass
+    with the coupling Y_rdot = -m_w x_w, once X_udot, Y_vdot, Z_wdot and N_rdot are refitted.
 
     Parameters
     ----------
