@@ -176,7 +176,7 @@ class Vehicle:
         return {p.name: p for e in self.all_effects for p in e.parameters}
 
     def value_of(self, name: str) -> Value:
-        """Value of a parameter; thrust per command comes from the thruster, what is unsaid from the effect."""
+        """Value of a parameter; thrust per command is its thruster's, what is unsaid the effect's."""
         if name in self.values:
             return self.values[name]
         for thruster in self.thrusters:
