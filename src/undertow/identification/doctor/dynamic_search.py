@@ -10,7 +10,7 @@ import numpy as np
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Mapping, Run
-from ..weak.fit import WeakFit
+from ..weak.fit import WeakFit, settled
 from .command_mistakes import other_units, reversed_commands, swapped_commands, together
 from .dynamics import Dynamics, Gain
 from .kinematic_search import inconsistent
@@ -58,8 +58,9 @@ def _promising(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mist
 
 
 def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanation | None:
-    gains = [(m, at.gain(fit)) for m, fit in fitted]
-    found = [(m, g) for m, g in gains if g.decisive]
+    # Under the noise model of the wrong reading a fit stops early: those that help get their own.
+    helping = [(m, at.gain(settled(fit))) for m, fit in fitted if at.gain(fit).decisive]
+    found = [(m, g) for m, g in helping if g.decisive]
     if not found:
         return None
     most = max(g.overall for _, g in found)

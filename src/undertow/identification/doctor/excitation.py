@@ -15,7 +15,7 @@ from ..weak.data import channel_noise
 from .findings import Excited, Finding
 from .kinematics import Array
 
-_EXCITED = 5.0  # rms over noise below which a motion says nothing
+_EXCITED = 3.0  # rms over noise below which a motion says nothing
 _TENTH = 0.1
 _OVER_NOISE = 3.0
 _ONE_WAY = 0.05
@@ -103,9 +103,11 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 
 def _cannot(motion: _Motion) -> Iterator[str]:
     moving, every = motion.moving, motion.all
-    if not len(every) or np.std(every) < _EXCITED * motion.noise or not np.ptp(every):
+    if not len(every) or np.sqrt(np.mean(every**2)) < _EXCITED * motion.noise or not np.any(every):
         yield "anything: the motion does not stand out of its noise"
         return
+    if np.std(every) < _EXCITED * motion.noise or not np.ptp(every):
+        yield "added mass (the velocity hardly changes)"
     if min(np.mean(moving > 0), np.mean(moving < 0)) < _ONE_WAY:
         yield "drag in the other direction"
     speed = np.abs(moving)

@@ -23,7 +23,7 @@ DECISIVE = 4.0
 # No other pose rate may get worse by more than this factor (and this much).
 _WORSE, _SLIGHTLY = 1.25, 0.01
 # Explanations that leave no more than this many times the best one's excess are as good as it.
-_AS_GOOD = 2.0
+_AS_GOOD, _NOTHING = 2.0, 3e-3
 # Pairs of mistakes are looked for only where pose rates and velocities hardly have anything in common.
 _GROSS = 0.3
 # Samples in which pairs are looked for.
@@ -80,8 +80,7 @@ def best_explanation(
     if not found:
         return None
     least = min(after.total for _, after in found)
-    # What the best leaves is mostly noise of the estimate: a small share of the mismatch counts as none.
-    limit = _AS_GOOD * least + 0.02 * before.total
+    limit = _AS_GOOD * least + _NOTHING
     equals = sorted((m.count, i) for i, (m, after) in enumerate(found) if after.total <= limit)
     order = [found[i] for _, i in equals]
     return Explained(order[0][0], [m for m, _ in order[1:]], before, order[0][1])

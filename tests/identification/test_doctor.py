@@ -1,0 +1,287 @@
+"""The doctor: every usual mistake is told first and mended by its line; logs without one come out fine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import Case, make_case
+from tests.cli.bad import text_of
+from tests.identification import broken
+from tests.identification.broken import Break
+from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of
+from undertow.identification import Mapping, Run, read_log, velocities_from_pose
+from undertow.identification.doctor import Examined, Finding, examine
+from undertow.identification.doctor.angles import halfway, wrapped_angles
+from undertow.identification.doctor.kinematic_search import inconsistent
+from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.doctor.mending import Edit, edited
+from undertow.model.vehicle import Vehicle
+
+HEADING = {"columns": {"heading": {"channel": "psi"}}}
+Columns = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def usv() -> Case:
+    """A surface vehicle without anything hidden: 25 s of sines."""
+    return make_case("usv", (), 4, duration=25.0, runs=("multisine",))
+
+
+@pytest.fixture(scope="module")
+def auv() -> Case:
+    """An underwater vehicle with four thrusters, 25 s of steps."""
+    return make_case("mini-auv", (), 6, duration=25.0, runs=("steps",))
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Callable[..., Run]:
+    """Return a function that writes a log and reads it by a mapping."""
+
+    def reader(columns: Columns, vehicle: Vehicle, mapping: Mapping | None = None) -> Run:
+        path = tmp_path / "log.csv"
+        path.write_text(text_of(columns))
+        return read_log(path, mapping, vehicle.command_names)
+
+    return reader
+
+
+def _doctored(case: Case, wrong: Break, read: Callable[..., Run], mapping: Mapping | None = None) -> Examined:
+    vehicle = vehicle_of(case)
+    (columns,) = case.runs.values()
+    return examine(vehicle, [read(wrong(columns), vehicle, mapping)])
+
+
+def _mended_run(case: Case, wrong: Break, examined: Examined, read: Callable[..., Run]) -> Run:
+    (columns,) = case.runs.values()
+    before = examined.given[0].mapping or Mapping()
+    return read(wrong(columns), vehicle_of(case), edited(before, examined.edits))
+
+
+# --- mistakes in reading, seen in the kinematics ---------------------------------------------------------
+READING = [
+    (broken.in_degrees("psi"), "degrees_for_radians", ['psi = { channel = "psi", unit = "deg" }']),
+    (broken.in_degrees("r"), "degrees_for_radians", ['r = { channel = "r", unit = "deg/s" }']),
+    (
+        broken.in_degrees("psi", "r"),
+        "degrees_for_radians",
+        ['psi = { channel = "psi", unit = "deg" }', 'r = { channel = "r", unit = "deg/s" }'],
+    ),
+    (broken.enu_position, "frame", ["[frames]", 'position = "ENU"', 'attitude = "NED"']),
+    (broken.enu_attitude, "frame", ["[frames]", 'attitude = "ENU"']),
+    (broken.flu_body, "frame", ["[frames]", 'body = "FLU"', 'attitude = "NED"']),
+    (broken.scaled("v", by=-1), "flipped_axis", ["[columns]", 'v = { channel = "v", scale = -1.0 }']),
+    (broken.scaled("psi", by=-1), "flipped_axis", ['psi = { channel = "psi", scale = -1.0 }']),
+    (broken.scaled("psi", by=1, plus=np.pi / 2), "heading_offset", ["offset = -1.5708"]),
+    (broken.north_east_velocity, "velocity_in_ned", ["[frames]", 'velocity = "NED"']),
+    (broken.through_water(0.1, -0.07), "velocity_through_water", ["[water]", "velocity = [0.1", ", -0.0"]),
+]
+
+
+@pytest.mark.parametrize(("wrong", "kind", "lines"), READING, ids=[m[1] for m in READING])
+def test_a_mistake_in_reading_is_told_first_and_its_line_mends_it(
+    usv: Case, read: Callable[..., Run], wrong: Break, kind: str, lines: list[str]
+) -> None:
+    examined = _doctored(usv, wrong, read)
+    (mistake,) = examined.result.mistakes
+    assert examined.result.findings[0] is mistake
+    assert mistake.id == kind
+    assert all(line in mistake.mapping for line in lines), mistake.mapping
+    assert not mistake.alternatives
+    run = _mended_run(usv, wrong, examined, read)
+    kinematics = Kinematics([run], vehicle_of(usv))
+    assert not inconsistent(kinematics.mismatch([run])).any()
+    for name in ("psi", "u", "v", "r"):  # the line does what the doctor did
+        np.testing.assert_allclose(run.channels[name], examined.mended[0].channels[name], atol=1e-3)
+
+
+def test_velocities_through_the_water_give_the_velocity_of_the_water(
+    usv: Case, read: Callable[..., Run]
+) -> None:
+    examined = _doctored(usv, broken.through_water(0.1, -0.07), read)
+    (edit,) = examined.edits
+    np.testing.assert_allclose(edit.value, [0.1, -0.07, 0.0], atol=0.003)
+
+
+def test_a_mended_log_is_fine(usv: Case, read: Callable[..., Run]) -> None:
+    wrong = broken.both(broken.in_degrees("psi"), broken.scaled("v", by=-1))
+    examined = _doctored(usv, wrong, read)
+    assert [m.id for m in examined.result.mistakes] == ["degrees_for_radians", "flipped_axis"]
+    after = examine(vehicle_of(usv), [_mended_run(usv, wrong, examined, read)]).result
+    assert not after.mistakes
+    assert [f.id for f in after.findings if f.severity == "warning"] == []
+
+
+def test_the_line_is_for_the_column_of_the_mapping_in_use(usv: Case, read: Callable[..., Run]) -> None:
+    def wrong(columns: Columns) -> Columns:
+        found = broken.in_degrees("psi")(columns)
+        return {"heading" if n == "psi" else n: data for n, data in found.items()}
+
+    examined = _doctored(usv, wrong, read, Mapping.model_validate(HEADING))
+    (mistake,) = examined.result.mistakes
+    assert mistake.mapping == '[columns]\nheading = { channel = "psi", unit = "deg" }'
+
+
+def test_a_mapping_that_is_itself_the_mistake(usv: Case, read: Callable[..., Run]) -> None:
+    wrong = {
+        "frames": {"position": "ENU", "attitude": "NED"},
+        "columns": {"r": {"channel": "r", "unit": "deg/s"}},
+    }
+    examined = _doctored(usv, lambda columns: columns, read, Mapping.model_validate(wrong))
+    lines = "\n".join(m.mapping for m in examined.result.mistakes)
+    assert 'position = "NED"' in lines
+    assert 'r = { channel = "r", unit = "rad/s" }' in lines
+    assert len(examined.result.mistakes) == 2
+
+
+def test_height_for_depth(auv: Case, read: Callable[..., Run]) -> None:
+    (mistake,) = _doctored(auv, broken.scaled("z", by=-1), read).result.mistakes
+    assert "z counts upwards" in mistake.text
+    assert mistake.mapping == '[columns]\nz = { channel = "z", scale = -1.0 }'
+
+
+def test_an_angle_that_jumps_is_unwrapped() -> None:
+    t = np.arange(0.0, 30.0, 0.05)
+    phi = 0.4 * t
+    run = Run("roll", t, {"phi": np.angle(np.exp(1j * phi)), "theta": 0.1 * phi})
+    ((mistake, count),) = wrapped_angles([run])
+    assert count == 2
+    assert mistake.edits(Mapping()) == (Edit("columns", "phi", {"channel": "phi", "wrapped": True}),)
+    np.testing.assert_allclose(mistake.undo(run).channels["phi"], phi)
+
+
+def test_an_angle_that_was_averaged_across_its_jump() -> None:
+    t = np.arange(0.0, 30.0, 0.05)
+    psi = np.angle(np.exp(0.4j * t))
+    jumps = np.flatnonzero(np.abs(np.diff(psi)) > 6)
+    psi[jumps] = 0.1
+    (found,) = halfway([Run("yaw", t, {"psi": psi})])
+    assert found.severity == "warning"
+    assert f"psi takes a whole turn in two samples, {len(jumps)} times" in found.text
+
+
+# --- mistakes seen in the fit of the model ---------------------------------------------------------------
+COMMANDS = [
+    (broken.scaled("f1", by=-1), "reversed_thruster", 'f1 = { channel = "f1", scale = -1.0 }'),
+    (broken.swapped("f1", "f2"), "swapped_thrusters", 'f2 = { channel = "f1" }\nf1 = { channel = "f2" }'),
+    (broken.scaled("f1", "f2", "f3", by=50.0), "command_unit", 'f1 = { channel = "f1", scale = 0.02 }'),
+    (
+        broken.scaled("f1", "f2", "f3", by=200.0, plus=1500.0),
+        "command_unit",
+        "scale = 0.005, offset = -7.5 }",
+    ),
+]
+
+
+@pytest.mark.parametrize(("wrong", "kind", "line"), COMMANDS, ids=[m[1] for m in COMMANDS])
+def test_a_mistake_in_commands_is_told_and_its_line_mends_it(
+    usv: Case, read: Callable[..., Run], wrong: Break, kind: str, line: str
+) -> None:
+    examined = _doctored(usv, wrong, read)
+    (mistake,) = examined.result.mistakes
+    assert mistake.id == kind
+    assert line in mistake.mapping
+    (columns,) = usv.runs.values()
+    run = _mended_run(usv, wrong, examined, read)
+    for name in ("f1", "f2", "f3"):
+        np.testing.assert_allclose(run.channels[name], columns[name], atol=1e-9)
+
+
+def test_a_reversed_thruster_can_be_mended_in_the_vehicle_file(usv: Case, read: Callable[..., Run]) -> None:
+    (mistake,) = _doctored(usv, broken.scaled("f1", by=-1), read).result.mistakes
+    assert mistake.vehicle == "[[thrusters]] f1: direction (or wrench) with the opposite sign"
+    assert mistake.evidence["surge"] > 100 * mistake.evidence["surge_undone"]
+
+
+def test_a_mirrored_log_is_consistent_in_itself_and_given_away_by_the_commands(
+    usv: Case, auv: Case, read: Callable[..., Run]
+) -> None:
+    (mistake,) = _doctored(usv, broken.ros, read).result.mistakes
+    assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"'
+    # On this vehicle the same would follow from two reversed thrusters, and that is said.
+    assert any("f2, f3 are reversed" in other for other in mistake.alternatives)
+    (mistake,) = _doctored(auv, broken.ros, read).result.mistakes
+    assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"'
+
+
+def test_a_log_with_pose_only_shows_its_frame_by_the_model(usv: Case, read: Callable[..., Run]) -> None:
+    vehicle = vehicle_of(usv)
+    (columns,) = usv.runs.values()
+    kept = {
+        n: c for n, c in broken.enu_attitude(columns).items() if n in ("t", "x", "y", "psi", "f1", "f2", "f3")
+    }
+    run = velocities_from_pose(read(kept, vehicle), vehicle.degrees_of_freedom)
+    (mistake,) = examine(vehicle, [run]).result.mistakes
+    assert mistake.mapping == '[frames]\nattitude = "ENU"'
+
+
+# --- the vehicle file ------------------------------------------------------------------------------------
+def _with_mass(vehicle: Vehicle, factor: float) -> Vehicle:
+    known = vehicle.value_of("m")
+    return vehicle.with_values({"m": replace(known, value=factor * known.value)})
+
+
+def _finding(vehicle: Vehicle, case: Case, kind: str) -> Finding | None:
+    return next((f for f in examine(vehicle, runs_of(case)).result.findings if f.id == kind), None)
+
+
+def test_the_dry_mass_is_found_where_added_masses_are_known(usv: Case) -> None:
+    vehicle = true_vehicle(usv)
+    known = {n: replace(vehicle.value_of(n), estimate=False) for n in ("X_udot", "Y_vdot", "N_rdot")}
+    found = _finding(_with_mass(vehicle.with_values(known), 0.7), usv, "dry_mass")
+    assert found is not None
+    assert found.severity == "mistake"
+    assert "looks like the dry mass" in found.text
+    assert found.evidence["found"] == pytest.approx(23.8, abs=3 * found.evidence["error"])
+
+
+def test_a_mass_that_is_known_to_five_percent_is_no_mistake(usv: Case) -> None:
+    for factor in (0.95, 1.05):
+        assert _finding(_with_mass(vehicle_of(usv), factor), usv, "dry_mass") is None
+
+
+# --- logs without a mistake ------------------------------------------------------------------------------
+FINE = [
+    ("usv", ()),
+    ("usv", ("ocean_current",)),
+    ("usv", ("thruster_gain",)),
+    ("usv", ("thruster_lag",)),
+    ("mini-auv", ("velocity_lever_arm",)),
+    ("mini-auv", ("net_buoyancy",)),
+    ("mini-auv", ("sensor_bias",)),
+]
+
+
+@pytest.mark.parametrize(("vehicle", "hidden"), FINE, ids=[f"{v}-{'-'.join(h)}" for v, h in FINE])
+def test_hidden_physics_is_no_mistake(vehicle: str, hidden: tuple[str, ...]) -> None:
+    case = make_case(vehicle, hidden, 21, duration=25.0, runs=("multisine",))
+    assert not examine(vehicle_of(case), runs_of(case)).result.mistakes
+
+
+def test_a_misaligned_sensor_is_a_warning_and_no_frame() -> None:
+    case = make_case("usv", ("velocity_misalignment",), 3, duration=30.0, runs=("multisine",), strength=2.0)
+    result = examine(vehicle_of(case), runs_of(case)).result
+    assert not result.mistakes
+    (warning,) = [f for f in result.findings if f.id == "velocity_sensor"]
+    true = case.truth["values"]["velocity_misalignment"]["alpha"]
+    assert warning.evidence["alpha"] == pytest.approx(true, rel=0.1)
+    assert "undertow add velocity_misalignment" in warning.text
+
+
+# --- clocks ----------------------------------------------------------------------------------------------
+def test_velocities_that_are_late(auv: Case) -> None:
+    (columns,) = auv.runs.values()
+    result = examine(vehicle_of(auv), [run_of("late", broken.late(0.3)(columns))]).result
+    (found,) = [f for f in result.findings if f.id == "late_velocity"]
+    assert found.evidence["delay"] == pytest.approx(0.3, abs=0.02)
+
+
+def test_clocks_that_drift_apart(auv: Case) -> None:
+    (columns,) = auv.runs.values()
+    result = examine(vehicle_of(auv), [run_of("drifting", broken.late(0.1, drift=0.5)(columns))]).result
+    (found,) = [f for f in result.findings if f.id == "two_clocks"]
+    assert found.evidence["drift"] == pytest.approx(0.5, abs=0.06)

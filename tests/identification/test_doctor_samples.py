@@ -1,0 +1,182 @@
+"""The doctor on clock, samples and excitation, and the lines it writes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification import Mapping, Run
+from undertow.identification.doctor import excitation
+from undertow.identification.doctor.findings import Finding
+from undertow.identification.doctor.mending import (
+    Edit,
+    as_toml,
+    column_edit,
+    edited,
+    frames_edits,
+    into_file,
+    reassigned,
+)
+from undertow.identification.doctor.sampling import sampling
+
+RNG = np.random.default_rng(3)
+
+
+def _run(t: np.ndarray, **channels: np.ndarray) -> Run:
+    return Run("run", t, channels)
+
+
+def _found(run: Run, mapping: Mapping | None = None) -> dict[str, Finding]:
+    found = sampling([run], list(run.channels), mapping or Mapping())
+    return {f.id: f for f in found}
+
+
+# --- sampling --------------------------------------------------------------------------------------------
+def test_an_even_clock_is_not_worth_a_word() -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    assert not _found(_run(t, u=np.sin(t) + 0.01 * RNG.standard_normal(len(t))))
+
+
+def test_jitter_is_told_in_percent() -> None:
+    t = np.cumsum(0.05 * (1 + 0.2 * RNG.uniform(-1, 1, 500)))
+    found = _found(_run(t, u=RNG.standard_normal(500)))
+    assert found["jitter"].severity == "note"
+    assert found["jitter"].evidence["jitter"] == pytest.approx(0.2 / np.sqrt(3), rel=0.1)
+
+
+def test_missing_rows_are_counted() -> None:
+    t = np.arange(0.0, 50.0, 0.05)
+    kept = np.ones(len(t), dtype=bool)
+    kept[300:400] = False
+    kept[10:290:7] = False
+    found = _found(_run(t[kept], u=RNG.standard_normal(kept.sum())))["gaps"]
+    assert found.severity == "warning"
+    assert found.evidence["share"] == pytest.approx(np.mean(~kept), rel=0.02)
+    assert found.evidence["gaps"] == 1
+    assert "the longest of 5.05 s at t = 14.95 s" in found.text
+
+
+def test_missing_cells_are_told_for_the_worst_channel() -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    u, v = RNG.standard_normal((2, len(t)))
+    u[:100] = np.nan
+    v[:20] = np.nan
+    found = _found(_run(t, u=u, v=v))["missing_samples"]
+    assert "u has no value in 25.0% of the rows (missing samples also in v)" in found.text
+
+
+def test_a_sensor_slower_than_the_log_gets_a_line() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    slow = np.repeat(np.sin(0.3 * t[::5]) + 0.01 * RNG.standard_normal(120), 5)
+    found = _found(_run(t, u=slow, v=np.sin(t) + 0.01 * RNG.standard_normal(len(t))))["held_values"]
+    assert found.evidence == {"rows": 5.0, "seconds": pytest.approx(0.5)}
+    assert found.mapping == '[columns]\nu = { channel = "u", fresh = "u" }'
+
+
+def test_a_coarse_reading_is_not_a_slow_one() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    assert "held_values" not in _found(_run(t, z=np.round(0.5 * np.sin(0.1 * t), 2)))
+
+
+def test_rows_out_of_order_are_a_mistake_until_the_mapping_drops_them() -> None:
+    run = replace(_run(np.arange(0.0, 5.0, 0.1), u=RNG.standard_normal(50)), dropped=3)
+    found = _found(run)["disorder"]
+    assert found.severity == "mistake"
+    assert found.mapping == '[time]\ndisorder = "drop"'
+    known = Mapping.model_validate({"time": {"disorder": "drop"}})
+    assert _found(run, known)["disorder"].severity == "note"
+
+
+# --- excitation ------------------------------------------------------------------------------------------
+def test_excitation_tells_what_moved_and_what_the_commands_asked_for() -> None:
+    case = make_case("usv", (), 2, duration=40.0, runs=("multisine",))
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    rows = {e.degree_of_freedom: e for e in excitation.excitation(vehicle, runs)}
+    (columns,) = case.runs.values()
+    assert rows["surge"].rms == pytest.approx(np.sqrt(np.mean(columns["u"] ** 2)))
+    assert rows["surge"].noise == pytest.approx(0.01, rel=0.15)
+    assert rows["surge"].command_range == pytest.approx(np.ptp(columns["f1"]) / 4.0)
+    assert rows["yaw"].reversals >= 2
+    assert not rows["yaw"].cannot
+
+
+def test_a_motion_that_was_not_excited_is_a_warning() -> None:
+    case = make_case("usv", (), 2, duration=20.0, runs=("multisine",))
+    vehicle, (run,) = vehicle_of(case), runs_of(case)
+    still = replace(run, channels={**run.channels, "v": 0.01 * RNG.standard_normal(len(run.t))})
+    rows = excitation.excitation(vehicle, [still])
+    (warning,) = [f for f in excitation.findings(rows, vehicle, [still]) if f.severity == "warning"]
+    assert warning.text.startswith("sway (v: rms 0.0")
+    assert "cannot show anything" in warning.text
+
+
+def test_one_speed_in_one_direction_leaves_drag_open() -> None:
+    case = make_case("usv", (), 2, duration=20.0, runs=("multisine",))
+    vehicle, (run,) = vehicle_of(case), runs_of(case)
+    n = len(run.t)
+    steady = {"u": 0.5 + 0.01 * RNG.standard_normal(n), "psi": 0.1 + 0.003 * RNG.standard_normal(n)}
+    towed = replace(run, channels={**run.channels, **steady})
+    text = "\n".join(
+        f.text for f in excitation.findings(excitation.excitation(vehicle, [towed]), vehicle, [towed])
+    )
+    assert "added mass (the velocity hardly changes); drag in the other direction" in text
+    assert "linear and quadratic drag apart" in text
+    assert "a current cannot be told from a constant force" in text
+
+
+# --- lines for mapping files -----------------------------------------------------------------------------
+def test_a_column_edit_keeps_what_the_mapping_says_already() -> None:
+    mapping = Mapping.model_validate({"columns": {"hdg": {"channel": "psi", "unit": "rad", "wrapped": True}}})
+    edit = column_edit(mapping, "psi", unit="deg")
+    assert as_toml([edit]) == '[columns]\nhdg = { channel = "psi", unit = "deg", wrapped = true }'
+    assert edited(mapping, [edit]).columns["hdg"].unit == "deg"
+    flipped = column_edit(
+        Mapping.model_validate({"columns": {"a": {"channel": "u", "scale": 2, "offset": 1}}}), "u", times=-1.0
+    )
+    assert flipped.value == {"channel": "u", "scale": -2.0, "offset": -1.0}
+
+
+def test_a_channel_of_a_log_in_enu_is_found_under_its_name_there() -> None:
+    mapping = Mapping.model_validate(
+        {"frames": {"position": "ENU", "body": "FLU"}, "columns": {"e": "x", "n": "y"}}
+    )
+    assert column_edit(mapping, "x", times=-1.0).key == "n"  # north inside
+    (v, u) = reassigned(mapping, {"u": ("v", 1.0), "v": ("u", -1.0)})
+    assert (v.key, v.value) == ("v", {"channel": "u", "scale": -1.0})
+    assert (u.key, u.value) == ("u", {"channel": "v"})
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        (("ENU", "FRD", "NED"), {"position": "ENU", "attitude": "NED"}),
+        (("ENU", "FLU", "ENU"), {"position": "ENU", "body": "FLU"}),
+        (("NED", "FRD", "ENU"), {"attitude": "ENU"}),
+        (("NED", "FLU", "NED"), {"body": "FLU", "attitude": "NED"}),
+    ],
+)
+def test_frames_are_said_as_the_mapping_needs_them(
+    frames: tuple[str, str, str], said: dict[str, str]
+) -> None:
+    edits = frames_edits(Mapping(), *frames)
+    assert {e.key: e.value for e in edits} == said
+    again = edited(Mapping(), edits).frames
+    assert (again.position, again.body, again.attitude or again.position) == frames
+
+
+def test_a_mapping_file_keeps_comments_and_odd_names() -> None:
+    text = '# mine\nschema = "undertow/mapping/1"\n\n[columns]\n"my heading" = "psi" # the compass\nu = "u"\n'
+    edits = (
+        Edit("columns", "my heading", {"channel": "psi", "unit": "deg"}),
+        Edit("water", "velocity", [0.1, 0.0, 0.0]),
+    )
+    new = into_file(text, edits)
+    assert new.startswith("# mine\n")
+    assert '"my heading" = { channel = "psi", unit = "deg" }' in new
+    assert new.endswith("[water]\nvelocity = [0.1, 0.0, 0.0]\n")
+    whole = as_toml(edits, whole=True)
+    assert whole.startswith('schema = "undertow/mapping/1"\n[columns]\n"my heading" = ')
