@@ -152,12 +152,36 @@ def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str,
     converted = effect.from_file(plain)
     source = "; ".join(dict.fromkeys(e.source for e in aliases.values() if e.source))
     assumed = any(e.assumed for e in aliases.values())
-    new = {n: Value(v, source=source, assumed=assumed) for n, v in converted.items() if n not in values}
+    sigma = _carried_over(effect, plain, converted, values)
+    new = {
+        n: Value(v, estimate=n in sigma, sigma=sigma.get(n), source=source, assumed=assumed)
+        for n, v in converted.items()
+        if n not in values
+    }
     twice = [n for n, v in converted.items() if n in values and v != values[n].value]
     if twice:
         given = f"{twice[0]} and {', '.join(aliases)}"
         raise UndertowError(f"[effects.{effect.id}] says the same thing twice, by {given}: keep one of them")
     return new
+
+
+def _carried_over(
+    effect: Effect,
+    plain: Mapping[str, float],
+    converted: Mapping[str, float],
+    values: Mapping[str, Value],
+) -> dict[str, float]:
+    """Standard deviations of what a file tells by way of others.
+
+    A mass that is to be found, at a known place, leaves its static moment to be found, too.
+    """
+    found: dict[str, float] = {}
+    for name, value in values.items():
+        if value.estimate and value.sigma is not None:
+            moved = effect.from_file({**plain, name: value.value + value.sigma})
+            for n in set(converted) - set(values):
+                found[n] = math.hypot(found.get(n, 0.0), moved[n] - converted[n])
+    return {n: s for n, s in found.items() if s > 0.0}
 
 
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:

@@ -133,7 +133,7 @@ def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: 
     linears = [linear(t.fit, bench) for t in finalists]
     often = [*inclusion(linears).tolist(), *[float("nan")] * len(others)]
     findings = [
-        _finding(t, bench, chances.get(t.id, 1.0), share)
+        _finding(t, bench, chances.get(t.id, 1.0), share, len(often))
         for t, share in zip([*finalists, *others], often, strict=True)
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
@@ -147,9 +147,12 @@ def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: 
     return Round(bench, findings, rivals)
 
 
-def _finding(trial: Trial, bench: Bench, p: float, inclusion: float) -> Finding:
+def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int) -> Finding:
     evidence = compare_scores(bench.base_score, trial.score, bench.test)
-    strong = p < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
+    # The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
+    # other is blind to, and each gets half of the false alarms.
+    chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
+    strong = chance < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
     share = explained(bench.base_score, trial.score, bench.noise_level)
     better = trial.score.error < bench.base_score.error
-    return Finding(trial, evidence, share, p, strong and better, inclusion)
+    return Finding(trial, evidence, share, chance, strong and better, inclusion)
