@@ -5,7 +5,8 @@ INTRODUCTION = """\
 
 Vehicles from one to six degrees of freedom, simulated by a program that shares no code with undertow
 (`benchmarks/hidden_effects`), with something hidden, with nothing hidden, or with something that no
-catalogue lists. The seeds were not used while the program was developed. Every number comes with Wilson's
+catalogue lists. The seeds were not used while the measured program was developed (what was mended after
+a failure here is said beside it, and was then measured on other seeds). Every number comes with Wilson's
 95 % confidence interval, wrong answers stand in a list of their own, and this page is made by a program.
 """
 NO_PEERS = "Other methods were not run on these data.\n"
@@ -39,8 +40,8 @@ DEFINITIONS = """\
   error of the refitted model over that of the same vehicle, commands and noise with nothing hidden.
 - *Reported set*: all effects that the answer names, alone or as a set that the data cannot tell apart.
 - *Named and nothing else*: the reported set is the truth. Net buoyancy and a constant heave force are the
-  same equations for a vehicle without roll and pitch; there, and nowhere else, either or both of them count
-  as the truth.
+  same equations for a vehicle without roll and pitch, and so are, in still water, water in the hull and
+  added mass with the coupling Y_rdot; there, and nowhere else, either or both of them count as the truth.
 - *False alarm*: an effect is named for a complete model.
 - *Left out*: a dead band with a jump at its edge. The catalogue's is continuous, so that neither its name nor
   `unexplained` would be wrong.
