@@ -22,7 +22,7 @@ from .mending import Edit, Edits, as_toml, edited
 from .mistake import Mistake
 from .model_mistakes import lost_signs, other_mass
 from .reading_mistakes import reading_mistakes
-from .sampling import sampling
+from .sampling import DROP, sampling
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
 Report = Callable[[float, str], None]
@@ -104,6 +104,8 @@ class _Case:
     def look_at_samples(self) -> None:
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         self.findings += sampling(self.runs, names, self.mapping)
+        if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
+            self._write(DROP)
         for mistake, count in angles.wrapped_angles(self.runs):
             self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
         self.findings += angles.halfway(self.runs)
@@ -180,6 +182,9 @@ class _Case:
             )
         )
         self.runs = [rederived(run, mistake.undo) for run in self.runs]
+        self._write(edits)
+
+    def _write(self, edits: Edits) -> None:
         self.mapping = edited(self.mapping, edits)
         self.edits += edits
 

@@ -16,6 +16,7 @@ _LONG = 5.0  # steps of this many usual ones are gaps: nothing is integrated acr
 _MISSING = 0.02
 _HELD = 1.8  # rows per new value from which a sensor counts as slower than its log
 _REGULAR = 0.35
+DROP = (Edit("time", "disorder", "drop"),)
 
 
 def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: Mapping) -> list[Finding]:
@@ -53,7 +54,6 @@ def _of_run(run: Run, mapping: Mapping) -> Iterator[Finding]:
 
 def _disorder(run: Run, mapping: Mapping) -> Iterator[Finding]:
     if run.dropped:
-        edit = Edit("time", "disorder", "drop")
         known = mapping.time.disorder == "drop"
         yield Finding(
             id="disorder",
@@ -61,7 +61,7 @@ def _disorder(run: Run, mapping: Mapping) -> Iterator[Finding]:
             text=f"{run.name}: {run.dropped} of {run.dropped + len(run.t)} rows are not later than a row "
             "before (a repeated or backward time stamp); they were left out",
             evidence={"rows": float(run.dropped)},
-            mapping="" if known else as_toml([edit]),
+            mapping="" if known else as_toml(DROP),
         )
 
 

@@ -1,0 +1,115 @@
+"""`undertow doctor`: exit codes, what it prints, and the files it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.bad import contents, refusal
+from undertow.cli.main import main
+from undertow.identification.doctor import Examination
+
+LOG = ["doctor", "usv.toml", "train.csv"]
+
+
+def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return [line.strip() for line in capsys.readouterr().out.splitlines()]
+
+
+def _reverse_sway(case: Path) -> None:
+    """v with the opposite sign."""
+    head, *rows = (case / "train.csv").read_text().splitlines()
+    place = head.split(",").index("v")
+    cells = [row.split(",") for row in rows]
+    turned = [[*c[:place], repr(-float(c[place])), *c[place + 1 :]] for c in cells]
+    (case / "train.csv").write_text("\n".join([head, *(",".join(c) for c in turned)]) + "\n")
+
+
+def test_a_log_without_a_mistake_is_fine(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(case)
+    assert main(LOG) == 0
+    out = _lines(capsys)
+    assert out[-1].startswith("no mistake found in how the logs are read")
+    assert any(line.startswith("surge (u)") for line in out)
+    assert contents(case) == before
+
+
+def test_a_mistake_comes_first_with_the_line_that_mends_it(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _reverse_sway(case)
+    words = [*LOG, "--json", "out.json", "--mend", "mended.toml", "--plot", "rates.png"]
+    assert main(words) == 1
+    out = _lines(capsys)
+    assert out[0].startswith(
+        "mistake: v has the opposite sign: undone, the mismatch of pose rate and velocity"
+    )
+    assert out[2:4] == ["[columns]", 'v = { channel = "v", scale = -1.0 }']
+    assert any(line.startswith("1 mistake") and "v has the opposite sign" in line for line in out)
+    result = Examination.model_validate_json(Path("out.json").read_text())
+    assert result.findings[0] == result.mistakes[0]
+    assert (case / "rates.png").read_bytes().startswith(b"\x89PNG")
+    assert [line for line in out if line.startswith("wrote")] == [
+        "wrote out.json",
+        "wrote mended.toml",
+        "wrote rates.png",
+    ]
+    assert main([*LOG, "--map", "mended.toml"]) == 0
+    capsys.readouterr()
+
+
+def test_a_mapping_file_is_mended_with_its_comments(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _reverse_sway(case)
+    (case / "log.toml").write_text(
+        '# of the boat\nschema = "undertow/mapping/1"\n\n[columns]\nv = "v" # doppler\n'
+    )
+    assert main([*LOG, "--map", "log.toml", "--mend", "mended.toml"]) == 1
+    mended = (case / "mended.toml").read_text()
+    assert mended.startswith('# of the boat\nschema = "undertow/mapping/1"\n\n[columns]\n')
+    assert 'v = { channel = "v", scale = -1.0 }' in mended
+    assert "in log.toml:" in _lines(capsys)
+
+
+def test_rows_out_of_order_are_told_and_not_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    head, *rows = (case / "train.csv").read_text().splitlines()
+    (case / "train.csv").write_text("\n".join([head, *rows[:100], rows[50], rows[99], *rows[100:]]) + "\n")
+    assert main([*LOG, "--mend", "mended.toml"]) == 1
+    out = _lines(capsys)
+    assert out[0].startswith("mistake: train: 2 of 402 rows are not later than a row before")
+    assert (case / "mended.toml").read_text() == 'schema = "undertow/mapping/1"\n[time]\ndisorder = "drop"\n'
+    assert main(["compare", *LOG[1:], "--map", "mended.toml"]) == 0
+    assert main(["compare", *LOG[1:]]) == 2
+    capsys.readouterr()
+
+
+def test_a_part_of_the_log_and_several_logs(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*LOG, "holdout.csv", "--from", "5", "--to", "15", "--json", "out.json"]) == 0
+    assert json.loads(Path("out.json").read_text())["runs"] == ["train", "holdout"]
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["doctor", "usv.toml", "none.csv"], "none.csv does not exist"),
+        (["doctor", "none.toml", "train.csv"], "none"),
+        ([*LOG, "--map", "none.toml"], "mapping file none.toml"),
+        ([*LOG, "--json", "train.csv"], "'train.csv' is the input"),
+        ([*LOG, "--plot", "no/where.png"], "folder 'no' does not exist"),
+        ([*LOG, "train.csv"], "have the same content"),
+        ([*LOG, "--from", "100"], "no sample in the time window"),
+    ],
+)
+def test_bad_input_is_one_line(
+    case: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+) -> None:
+    assert told in refusal(words, capsys, case)
+
+
+def test_the_help_teaches_by_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--help"]) == 0
+    out = "\n".join(_lines(capsys))
+    assert "undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml" in out
+    assert 'heading = { channel = "psi", unit = "deg" }' in out
