@@ -24,14 +24,14 @@ def show(result: Examination, map: Path | None) -> None:
     console().print(text(verdict(result), "bold"), soft_wrap=True)
 
 
-def show_finding(finding: Finding, map: Path | None) -> None:
-    """Print one finding with what mends it."""
-    out = console()
+def show_finding(finding: Finding, map: Path | None, out: Any = None) -> None:
+    """Print one finding with what mends it; `map` is the mapping file in use."""
+    out = out or console()
     line = text(f"{finding.severity}: ", _STYLES[finding.severity])
     line.append(finding.text)
     out.print(line, soft_wrap=True)
     if finding.mapping:
-        where = f"in {map}" if map else "in a mapping file (--map; --mend OUT.toml writes it)"
+        where = f"in {map}" if map else "in a mapping file (--map; undertow doctor --mend writes it)"
         out.print(text(f"{_INDENT}{where}:", "green"), soft_wrap=True)
         for row in finding.mapping.splitlines():
             out.print(text(f"{2 * _INDENT}{row}"), soft_wrap=True)

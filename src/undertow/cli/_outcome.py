@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from undertow.cli._examination import show_finding
+
 if TYPE_CHECKING:
     from undertow.identification.diagnosis.diagnose import Outcome
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
@@ -22,6 +24,9 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
     """Print verdict, ranking, the falling error and warnings."""
     console = console or Console()
     diagnosis = outcome.diagnosis
+    for finding in diagnosis.doctor:
+        if finding.severity == "mistake":
+            show_finding(finding, None, console)
     console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
@@ -32,7 +37,8 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
         console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
         console.print("[dim]an effect made of it: undertow effects new ID --from (the file of --json)[/dim]")
-    for warning in diagnosis.warnings:
+    shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
+    for warning in (w for w in diagnosis.warnings if w not in shown):
         console.print(f"[yellow]warning[/yellow]: {escape(warning)}")
     console.print(
         f"[dim]{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms[/dim]"

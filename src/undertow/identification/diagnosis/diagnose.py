@@ -10,6 +10,7 @@ from typing import Literal
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 
+from ..doctor import Examination, examine
 from ..logs import Run
 from ..weak.data import prepare
 from ..weak.fit import WeakFit
@@ -81,14 +82,23 @@ def diagnose(
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
     check_excitation(vehicle, train_runs, train.sigma)
+    examined = examine(vehicle, [*runs, *holdout]).result
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     found = search(vehicle, train, test, known or catalogue(), lambda done, words: report(0.9 * done, words))
     report(0.9, "judging the result by simulation")
     story = Story(vehicle, found, Referee(vehicle, train_runs, test_runs, train.sigma), known or catalogue())
     roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
     infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
-    diagnosis = story.told(infos, time.perf_counter() - began)
+    diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined)
     return Outcome(diagnosis, story.base.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
+
+
+def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
+    """The diagnosis with what the doctor found; mistakes come first among the warnings."""
+    told = [f"{f.severity}: {f.text}" for f in examined.mistakes]
+    return diagnosis.model_copy(
+        update={"doctor": examined.findings, "warnings": [*told, *diagnosis.warnings]}
+    )
 
 
 def _info(run: Run, role: Role) -> RunInfo:

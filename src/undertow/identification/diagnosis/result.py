@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from ..doctor.findings import Finding
+
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]
 
@@ -182,6 +184,7 @@ class Diagnosis(Table):
     indistinguishable: list[Indistinguishable]
     equivalent: list[Equivalent] = []
     warnings: list[str]
+    doctor: list[Finding] = []
     remaining: list[Remaining]
     parameters: list[Estimate]
     false_alarm_rate: float

@@ -68,8 +68,15 @@ def examine(
         How the logs were read; what the runs themselves know of it by default.
     report : callable
         Told what share is done, and what is being done.
+
+    Raises
+    ------
+    UndertowError
+        If a run lacks a velocity or a command of the vehicle.
     """
     began = time.perf_counter()
+    for run in runs:
+        run.matrix([*vehicle.velocity_names, *vehicle.command_names])
     read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), Mapping())
     case = _Case(vehicle, list(runs), read_by)
     report(0.0, "looking at clock and samples")
