@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from undertow.identification.logs import Run, read_log, read_mapping
 
 from . import telling
 from .calls import ROOT, Caller, Judged, Told
+from .variants import Tables, variant, vehicle_of
 
 Array = NDArray[np.float64]
 FOLDER = "ntnu-cse1/freerun"
@@ -27,6 +30,17 @@ POSITIONING: Window = (375.0, 645.0)
 WAVES: Window = (275.0, 394.0)
 #: Of dptest3: before the waves, and in them.
 CALM_PART, WAVE_PART = (60.0, 225.0), (235.0, 394.0)
+_BAND, _DELAY = {"thruster_deadband": {"deadband_width": 0.1}}, {"actuation_delay": {"delay": 0.25}}
+_CURVE = {"thruster_curve": {"curve_square": 0.0}}
+#: Models fitted by hand: what the bollard tests of the propellers show, and a delay found by hand.
+MODELS: dict[str, Tables] = {
+    "model": {},
+    "+ delay": _DELAY,
+    "+ dead band": _BAND,
+    "+ dead band + delay": {**_BAND, **_DELAY},
+    "+ curve": _CURVE,
+    "+ curve + delay": {**_CURVE, **_DELAY},
+}
 #: Frequencies of waves and roll, Hz.
 BAND = (0.5, 1.5)
 CHANNELS = {"z": "m", "phi": "rad", "theta": "rad", "x": "m", "y": "m", "psi": "rad"}
@@ -47,6 +61,7 @@ WAYS = (
     *both(RANDOM_1, DP_1, POSITIONING, "joystick and positioning"),
     *both(DP_2, DP_3, WAVES, "positioning, calm and waves"),
 )
+HAND_WAYS = (*WAYS[:2], *WAYS[4:6])
 COMPARED: dict[str, tuple[str, Window]] = {
     "manual_run1": (RUN_1, (20.0, 223.0)),
     "manual_random_run1": (RANDOM_1, (45.0, 700.0)),
@@ -64,6 +79,7 @@ def work(call: Caller, images: Path) -> Told:
         name: Judged("", VEHICLE, MAPPING, (log,), (), window) for name, (log, window) in COMPARED.items()
     }
     compared = {name: telling.comparison_kept(call.compare(what)) for name, what in logs.items()}
+    hand = [by_hand(call, way, name) for way in HAND_WAYS for name in MODELS]
     found = [call.diagnose(way) for way in WAYS]
     spectra = {name: spectrum(read(call.data, DP_3, window)) for name, window in PARTS.items()}
     from . import cse1_pictures
@@ -72,11 +88,22 @@ def work(call: Caller, images: Path) -> Told:
     return {
         "compared": compared,
         "diagnoses": [telling.diagnosis_kept(told) for told, _ in found],
+        "by_hand": telling.rounded(hand),
         "waves": telling.rounded({name: bands(s) for name, s in spectra.items()}),
     }
 
 
 PARTS = {"calm": CALM_PART, "waves": WAVE_PART}
+
+
+def by_hand(call: Caller, way: Judged, name: str) -> Told:
+    """A model with effects of one's choice, fitted by the weak form and judged on the other log."""
+    file = variant(VEHICLE, MODELS[name], call.scratch / "by-hand.toml")
+    fitted = call.fit(replace(way, vehicle=str(file)))
+    ahead = tomllib.loads(fitted.read_text(encoding="utf-8"))["history"][-1]["error_after"]
+    after = vehicle_of(fitted).values
+    values = {n: [after[n].value, after[n].sigma] for table in MODELS[name].values() for n in table}
+    return {"way": way.title, "model": name, "ahead": ahead, "values": values}
 
 
 # --- waves ------------------------------------------------------------------------------------

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from benchmarks.results.text import number, table
+from collections.abc import Sequence
+
+from benchmarks.results.text import number, percent, table
 
 from . import telling
 from .calls import Told
@@ -20,9 +22,21 @@ def blocks(n: Told) -> dict[str, str]:
         "verdicts": telling.verdicts(found),
         "tally": telling.tally(found),
         "diagnoses": telling.diagnoses(found),
+        "by_hand": _by_hand(n["by_hand"]),
         "waves": _waves(n),
         "seconds": telling.seconds(n),
     }
+
+
+def _by_hand(rows: Sequence[Told]) -> str:
+    cells = [[r["way"], r["model"], percent(r["ahead"]), _values(r["values"])] for r in rows]
+    return table(("identified on → judged on", "model", "5 s ahead", "found"), cells, left=2)
+
+
+def _values(values: Told) -> str:
+    return ", ".join(
+        f"{n} = {number(v)}" + ("" if s is None else f" ± {s:.1g}") for n, (v, s) in values.items()
+    )
 
 
 def _waves(n: Told) -> str:
