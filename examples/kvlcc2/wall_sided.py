@@ -1,4 +1,4 @@
-"""Righting moment of a ship with vertical sides: an effect of one's own, for `undertow --effects wall_sided.py`."""
+"""Righting moment of a ship with vertical sides: an effect of one's own, for `--effects wall_sided.py`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from undertow.model.symbols import Signals
 
 
 class WallSided(Wrench):
-    """Righting moment in roll beyond that of small angles: the side that goes down gains width of waterline."""
+    """Righting moment in roll beyond that of small angles: the side that goes down gains waterline."""
 
     id = "wall_sided"
     family = "statics"
     reference = (
-        "wall-sided formula GZ = (GM + BM tan^2(phi) / 2) sin(phi); Rawson and Tupper, Basic Ship Theory, chapter 4"
+        "wall-sided formula GZ = (GM + BM tan^2(phi) / 2) sin(phi); "
+        "Rawson and Tupper, Basic Ship Theory, chapter 4"
     )
     signature = "the roll period is shorter at large amplitude"
     requires = ("restoring",)
