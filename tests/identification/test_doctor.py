@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sm
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
@@ -20,7 +21,10 @@ from undertow.identification.doctor.angles import halfway, wrapped_angles
 from undertow.identification.doctor.kinematic_search import inconsistent
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mending import Edit, edited
-from undertow.model.vehicle import Vehicle
+from undertow.model.effect import Wrench
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
+from undertow.model.vehicle import Value, Vehicle
 
 HEADING = {"columns": {"heading": {"channel": "psi"}}}
 Columns = dict[str, np.ndarray]
@@ -208,12 +212,10 @@ def test_a_mirrored_log_is_consistent_in_itself_and_given_away_by_the_commands(
     assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"'
 
 
-def test_a_log_with_pose_only_shows_its_frame_by_the_model(usv: Case, read: Callable[..., Run]) -> None:
-    vehicle = vehicle_of(usv)
-    (columns,) = usv.runs.values()
-    kept = {
-        n: c for n, c in broken.enu_attitude(columns).items() if n in ("t", "x", "y", "psi", "f1", "f2", "f3")
-    }
+def test_a_log_with_pose_only_shows_its_frame_by_the_model(read: Callable[..., Run]) -> None:
+    case = make_case("usv", (), 4, duration=60.0, runs=("multisine",))
+    vehicle, columns = vehicle_of(case), broken.enu_attitude(case.runs["multisine"])
+    kept = {n: columns[n] for n in ("t", "x", "y", "psi", "f1", "f2", "f3")}
     run = velocities_from_pose(read(kept, vehicle), vehicle.degrees_of_freedom)
     (mistake,) = examine(vehicle, [run]).result.mistakes
     assert mistake.mapping == '[frames]\nattitude = "ENU"'
@@ -242,6 +244,27 @@ def test_the_dry_mass_is_found_where_added_masses_are_known(usv: Case) -> None:
 def test_a_mass_that_is_known_to_five_percent_is_no_mistake(usv: Case) -> None:
     for factor in (0.95, 1.05):
         assert _finding(_with_mass(vehicle_of(usv), factor), usv, "dry_mass") is None
+
+
+class SquareDrag(Wrench):
+    """Drag as a table with X_uu has it: the square of the speed without its sign."""
+
+    id, family, reference = "square_drag", "damping", "a mistake"
+    X_uu = Parameter("N/(m/s)^2", "surge force per square of the surge velocity", bounds=(-np.inf, 0))
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return sm.Matrix([self.X_uu * s.nu_r[0] ** 2, 0, 0, 0, 0, 0])
+
+
+def test_a_square_without_its_sign_is_found_by_moving_astern(usv: Case) -> None:
+    vehicle = vehicle_of(usv).with_values({"X_uabsu": Value(0.0), "X_u": Value(-0.2)})
+    squared = vehicle.with_effect(SquareDrag, {"X_uu": Value(-1.3, estimate=True)})
+    found = _finding(squared, usv, "lost_sign")
+    assert found is not None
+    assert found.severity == "mistake"
+    assert "effect square_drag has a square without its sign (X: u^2)" in found.text
+    assert "sm.Abs(u) * u" in found.vehicle
+    assert _finding(vehicle_of(usv), usv, "lost_sign") is None
 
 
 # --- logs without a mistake ------------------------------------------------------------------------------

@@ -26,10 +26,11 @@ _HEADINGS = np.radians(60.0)
 
 @dataclass(frozen=True)
 class _Motion:
-    """A velocity of all runs, its noise, and where it moves."""
+    """A velocity of all runs, its noise, the samples of a second, and where it moves."""
 
     parts: list[Array]
     noise: float
+    rate: int
 
     @property
     def all(self) -> Array:
@@ -39,6 +40,16 @@ class _Motion:
     @property
     def threshold(self) -> float:
         return max(_OVER_NOISE * self.noise, _TENTH * float(np.quantile(np.abs(self.all), 0.98)))
+
+    @property
+    def means(self) -> Array:
+        """Means over a second: in them, noise is smaller by the root of the number of samples."""
+        whole = self.all[: len(self.all) // self.rate * self.rate]
+        return np.asarray(whole.reshape(-1, self.rate).mean(axis=1))
+
+    @property
+    def noise_of_means(self) -> float:
+        return float(self.noise / np.sqrt(self.rate))
 
     @property
     def moving(self) -> Array:
@@ -67,9 +78,15 @@ def excitation(vehicle: Vehicle, runs: Sequence[Run]) -> list[Excited]:
     names = vehicle.velocity_names
     noise = channel_noise(runs, names)
     return [
-        _excited(vehicle, i, _Motion([r.channels[n] for r in runs], float(noise[i])), runs)
+        _excited(vehicle, i, _Motion([r.channels[n] for r in runs], float(noise[i]), _rate(runs)), runs)
         for i, n in enumerate(names)
     ]
+
+
+def _rate(runs: Sequence[Run]) -> int:
+    """Samples of a second, at least one, and no more than a tenth of the shortest log has."""
+    usual = 1.0 / float(np.median(np.diff(runs[0].t)))
+    return int(np.clip(round(usual), 1, max(1, min(len(r.t) for r in runs) // 10)))
 
 
 def _excited(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence[Run]) -> Excited:
@@ -102,11 +119,11 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 
 
 def _cannot(motion: _Motion) -> Iterator[str]:
-    moving, every = motion.moving, motion.all
-    if not len(every) or np.sqrt(np.mean(every**2)) < _EXCITED * motion.noise or not np.any(every):
+    moving, means, noise = motion.moving, motion.means, motion.noise_of_means
+    if not len(moving) or np.sqrt(np.mean(means**2)) < _EXCITED * noise:
         yield "anything: the motion does not stand out of its noise"
         return
-    if np.std(every) < _EXCITED * motion.noise or not np.ptp(every):
+    if np.std(means) < _EXCITED * noise:
         yield "added mass (the velocity hardly changes)"
     if min(np.mean(moving > 0), np.mean(moving < 0)) < _ONE_WAY:
         yield "drag in the other direction"
