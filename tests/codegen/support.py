@@ -34,7 +34,9 @@ def vehicle_with(*ids: str, dofs: tuple[str, ...] = DOFS, thrusters: int = 6) ->
         for k in range(1, thrusters + 1)
     )
     names = tuple(t.name for t in hardware)
-    wanted = [*BASE, *(r for e in ids for r in catalogue()[e].requires), *ids]
+    # What the hardware brings in by itself (the thrusters) is there already.
+    required = [r for e in ids for r in catalogue()[e].requires if not catalogue()[r].built_in]
+    wanted = [*BASE, *required, *ids]
     effects = tuple(catalogue()[e](names) for e in dict.fromkeys(wanted))
     return Vehicle("test vehicle", dofs, effects, {}, hardware, force_channels=("tau_X", "tau_N"))
 
