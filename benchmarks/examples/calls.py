@@ -6,10 +6,9 @@ import hashlib
 import json
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -81,55 +80,53 @@ class Caller:
     data: Path
     scratch: Path
     tell: Callable[[str], None] = lambda words: None
-    _count: int = field(default=0, init=False)
 
     def compare(self, what: Judged) -> Told:
         """Compare a vehicle with the logs of `what`, and return the result."""
-        words, out = what.words("compare"), self._next("json")
-        seconds = self._run([*words, "--json", str(out)])
-        return {"command": shown(words), "wall": seconds, **json.loads(out.read_text(encoding="utf-8"))}
+        (out,) = self._once(what.words("compare"), {"--json": "json"})
+        return {"command": self._shown(what.words("compare")), **json.loads(out.read_text(encoding="utf-8"))}
 
     def diagnose(self, what: Judged) -> tuple[Told, Path]:
         """Diagnose, and return what is said and the vehicle file that results."""
         words = what.words("diagnose")
-        name = hashlib.sha256(" ".join([str(self.data), *words]).encode()).hexdigest()[:16]
-        out, better = (self.scratch / f"{name}.{ending}" for ending in ("json", "toml"))
-        began = time.perf_counter()
-        if not (out.exists() and better.exists()):  # a long run that broke off goes on where it was
-            self._run([*words, "--json", str(out), "--apply", str(better)])
-        seconds = time.perf_counter() - began
+        out, better = self._once(words, {"--json": "json", "--apply": "toml"})
         told = json.loads(out.read_text(encoding="utf-8"))
-        line = shown(words).replace(f"{self.scratch}/", "")
-        return {"command": line, "title": what.title, "wall": seconds, **told}, better
+        return {"command": self._shown(words), "title": what.title, **told}, better
 
     def add(self, effect: str, what: Judged) -> tuple[Told, Path]:
         """Add an effect by hand whatever it does, and return how the error changed, and the vehicle file."""
-        words, better = what.words("add", effect), self._next("toml")
-        seconds = self._run([*words, "--no-codegen", "--force", "--out", str(better)])
+        words = what.words("add", effect)
+        (better,) = self._once([*words, "--no-codegen", "--force"], {"--out": "toml"})
         history = tomllib.loads(better.read_text(encoding="utf-8"))["history"][-1]
         kept = {k: history[k] for k in ("added", "helps", "error_before", "error_after")}
-        return {"command": shown([*words, "--out", "better.toml"]), "wall": seconds, **kept}, better
+        return {"command": self._shown([*words, "--out", "better.toml"]), **kept}, better
 
     def fit(self, what: Judged, horizon: float | None = None) -> Path:
         """Fit a vehicle, by output error over a horizon (s) or by the weak form, and return the file."""
-        out = self._next("toml")
         how = [] if horizon is None else ["--method", "output-error", "--horizon", f"{horizon:g}"]
-        self._run([*what.words("fit"), *how, "--out", str(out)])
+        (out,) = self._once([*what.words("fit"), *how], {"--out": "toml"})
         return out
 
-    def _next(self, ending: str) -> Path:
-        self._count += 1
-        return self.scratch / f"{self._count:03d}.{ending}"
+    def _once(self, words: Sequence[str], outputs: Mapping[str, str]) -> list[Path]:
+        """Run a command, unless what it writes is there already: a long run that broke off goes on."""
+        written = [Path(w).read_text(encoding="utf-8") for w in words if w.startswith(str(self.scratch))]
+        key = hashlib.sha256("\n".join([str(self.data), *words, *written]).encode()).hexdigest()[:16]
+        paths = [self.scratch / f"{key}.{ending}" for ending in outputs.values()]
+        if not all(path.exists() for path in paths):
+            places = [w for option, path in zip(outputs, paths, strict=True) for w in (option, str(path))]
+            self._run([*words, *places])
+        return paths
 
-    def _run(self, words: Sequence[str]) -> float:
+    def _shown(self, words: Sequence[str]) -> str:
+        return shown(words).replace(f"{self.scratch}/", "")
+
+    def _run(self, words: Sequence[str]) -> None:
         self.tell(shown(words))
-        began = time.perf_counter()
         line = [sys.executable, "-m", "undertow", *(w.replace(DATA, str(self.data)) for w in words)]
         done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             why = done.stderr.strip().splitlines()[-1:] or done.stdout.strip().splitlines()[-1:]
             raise UndertowError(f"{shown(words)}: exit code {done.returncode}: {' '.join(why)}")
-        return time.perf_counter() - began
 
 
 def shown(words: Sequence[str]) -> str:

@@ -21,6 +21,7 @@ def blocks(n: Told) -> dict[str, str]:
         "verdicts": telling.verdicts(n["diagnoses"]),
         "diagnoses": telling.diagnoses(n["diagnoses"]),
         "by_hand": _by_hand(n["by_hand"]),
+        "doctor": telling.doctor(n),
         "seconds": telling.seconds(n),
     }
 

@@ -24,6 +24,7 @@ def blocks(n: Told) -> dict[str, str]:
         "diagnoses": telling.diagnoses(found),
         "by_hand": _by_hand(n["by_hand"]),
         "waves": _waves(n),
+        "doctor": telling.doctor(n),
         "seconds": telling.seconds(n),
     }
 

@@ -34,6 +34,7 @@ def blocks(n: Told) -> dict[str, str]:
         "truth": _truth(n["by_hand"]),
         "speed": _at_speed(n["speed"]),
         "speed_verdicts": telling.verdicts(speed),
+        "doctor": telling.doctor(n),
         "seconds": telling.seconds(n),
     }
 

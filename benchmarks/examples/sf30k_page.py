@@ -30,6 +30,7 @@ def blocks(n: Told) -> dict[str, str]:
         "by_hand": _by_hand(n["by_hand"]),
         "doppler": _doppler(n),
         "thrust": _thrust(n["checks"]["slopes"]),
+        "doctor": telling.doctor(n),
         "seconds": telling.seconds(n),
     }
 

@@ -13,7 +13,7 @@ from .calls import Told
 _CANDIDATES = 6
 _PARAMETERS = 4
 _KEPT = (
-    "command", "title", "wall", "verdict", "headline", "effects", "steps", "indistinguishable", "warnings",
+    "command", "title", "verdict", "headline", "effects", "steps", "indistinguishable", "warnings",
     "equivalent", "remaining", "parameters", "false_alarm_rate", "seconds", "degrees_of_freedom",
 )  # fmt: skip
 
@@ -25,6 +25,7 @@ def diagnosis_kept(told: Told) -> Told:
     kept["ranking"] = told["ranking"][: 2 * _CANDIDATES]
     kept["runs"] = [{k: r[k] for k in ("name", "role", "samples", "duration")} for r in told["runs"]]
     kept["candidates"] = len(told["ranking"])
+    kept["doctor"] = [{k: f[k] for k in ("severity", "text")} for f in told.get("doctor", [])]
     return rounded(kept)
 
 
@@ -32,7 +33,7 @@ def comparison_kept(told: Told) -> Told:
     """What a page needs of a comparison."""
     kept = {
         k: told[k]
-        for k in ("command", "wall", "headline", "prediction_error", "horizon", "channels", "worst")
+        for k in ("command", "seconds", "headline", "prediction_error", "horizon", "channels", "worst")
     }
     inputs = {d["degree_of_freedom"]: d["inputs"] for d in told["dofs"]}
     wanted = ("degree_of_freedom", "unit", "residual_rms", "noise_rms", "normalised")
@@ -209,6 +210,13 @@ def commands(words: Iterable[str], data: str) -> str:
     return "\n".join(["```sh", f"DATA={data}", *words, "```", ""])
 
 
+def doctor(n: Told) -> str:
+    """Mistakes and warnings about the logs, each once."""
+    found = {(f["severity"], f["text"]): None for d in n["diagnoses"] for f in d["doctor"]}
+    lines = [f"- {severity}: {text}" for severity, text in found if severity != "note"]
+    return "\n".join(lines or ["No mistake in how the logs are read, and no warning."]) + "\n"
+
+
 def typed(n: Told) -> list[str]:
     """The commands of all comparisons and diagnoses of a page."""
     return [told["command"] for told in (*n["compared"].values(), *n["diagnoses"])]
@@ -217,9 +225,9 @@ def typed(n: Told) -> list[str]:
 def seconds(n: Told) -> str:
     """Time taken."""
     slow = [d["seconds"] for d in n["diagnoses"]]
-    quick = [c["wall"] for c in n["compared"].values()]
+    quick = [c["seconds"] for c in n["compared"].values()]
     return (
-        f"Diagnoses took {number(min(slow), 2)} to {number(max(slow), 2)} s each; comparisons "
-        f"{number(min(quick), 2)} to {number(max(quick), 2)} s with the\nstart of the program. The machine "
-        "had two cores and other work, so these are upper limits.\n"
+        f"Diagnoses took {number(min(slow), 2)} to {number(max(slow), 2)} s each, comparisons "
+        f"{number(min(quick), 2)} to {number(max(quick), 2)} s.\nThe machine had two cores and other work, so these "
+        "are upper limits.\n"
     )
