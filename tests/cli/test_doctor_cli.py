@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.bad import contents, refusal
+from benchmarks.hidden_effects import make_case
+from benchmarks.hidden_effects.files import toml_text
+from tests.cli.bad import contents, refusal, text_of
 from undertow.cli.main import main
+from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.doctor import Examination
 
 LOG = ["doctor", "usv.toml", "train.csv"]
@@ -113,3 +116,20 @@ def test_the_help_teaches_by_an_example(capsys: pytest.CaptureFixture[str]) -> N
     out = "\n".join(_lines(capsys))
     assert "undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml" in out
     assert 'heading = { channel = "psi", unit = "deg" }' in out
+
+
+def test_diagnose_tells_the_mistake_before_it_blames_physics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    simulated = make_case("box", (), 4, duration=25.0, runs=("multisine",))
+    columns = simulated.runs["multisine"]
+    Path("box.toml").write_text(toml_text(simulated.vehicle))
+    Path("log.csv").write_text(text_of({**columns, "u": -columns["u"]}))
+    assert main(["diagnose", "box.toml", "log.csv", "--json", "out.json"]) == 0
+    out = _lines(capsys)
+    assert out[0].startswith("mistake: u has the opposite sign")
+    assert 'u = { channel = "u", scale = -1.0 }' in out[:5]
+    diagnosis = Diagnosis.model_validate_json(Path("out.json").read_text())
+    assert diagnosis.doctor[0].id == "flipped_axis"
+    assert diagnosis.warnings[0] == f"mistake: {diagnosis.doctor[0].text}"

@@ -97,13 +97,14 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
     step = float(np.median(np.diff(runs[0].t)))
     for one in shifts(kinematics, runs):
         names = ", ".join(one.names)
+        verb = "is" if len(one.names) == 1 else "are"
         evidence = {"delay": one.delay, "drift": one.drift}
         if abs(one.drift) > max(_SURE * one.drift_error, step):
             start, end = one.delay - one.drift / 2, one.delay + one.drift / 2
             yield Finding(
                 id="two_clocks",
                 severity="warning",
-                text=f"{names} and the pose are on two clocks: {names} are {start:+.2f} s late at the "
+                text=f"{names} and the pose are on two clocks: {names} {verb} {start:+.2f} s late at the "
                 f"beginning of a run and {end:+.2f} s at its end (drift {one.drift:+.2f} ± "
                 f"{one.drift_error:.1g} s); write both with the stamps of one clock",
                 evidence=evidence,
@@ -113,7 +114,7 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
             yield Finding(
                 id="late_velocity",
                 severity="warning",
-                text=f"{names} are {abs(one.delay):.3f} ± {one.delay_error:.1g} s {way} against the pose; "
+                text=f"{names} {verb} {abs(one.delay):.3f} ± {one.delay_error:.1g} s {way} against the pose; "
                 "the effect sensor_delay describes it",
                 evidence=evidence,
             )

@@ -157,7 +157,7 @@ def findings(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> 
 
 
 def _headings(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
-    if not {"surge", "sway"} & set(vehicle.degrees_of_freedom) or not all(r.has("psi") for r in runs):
+    if not {"surge", "yaw"} <= set(vehicle.degrees_of_freedom) or not all(r.has("psi") for r in runs):
         return
     headings = np.concatenate([r.channels["psi"] for r in runs])
     span = float(np.nanmax(headings) - np.nanmin(headings))

@@ -193,15 +193,22 @@ def _tested(kinematics: Kinematics, run: Run, s: Stretch, sensor: Sensor) -> Arr
 
 
 def clustered_least_squares(table: Array, target: Array, size: int) -> tuple[Array, Array]:
-    """Least squares with standard errors from clusters of `size` neighbouring rows (sandwich estimator)."""
+    """Least squares with standard errors from clusters of `size` neighbouring rows (sandwich estimator).
+
+    Rows are in units of their noise; errors are never less than independent rows of that noise would give,
+    since few clusters say little.
+    """
     scale = np.linalg.norm(table, axis=0)
     seen = scale > 0
     value, error = np.zeros(len(scale)), np.full(len(scale), np.inf)
     scaled = table[:, seen] / scale[seen]
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
     solution = inverse @ (scaled.T @ target)
-    scores = scaled * (target - scaled @ solution)[:, None]
+    left = target - scaled @ solution
+    scores = scaled * left[:, None]
     groups = np.add.reduceat(scores, np.arange(0, len(scores), size), axis=0)
     value[seen] = solution / scale[seen]
-    error[seen] = np.sqrt(np.diag(inverse @ (groups.T @ groups) @ inverse)) / scale[seen]
+    plain = max(1.0, float(left @ left) / max(len(left) - len(solution), 1)) * np.diag(inverse)
+    clustered = np.diag(inverse @ (groups.T @ groups) @ inverse)
+    error[seen] = np.sqrt(np.maximum(plain, clustered)) / scale[seen]
     return value, error
