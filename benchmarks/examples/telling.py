@@ -228,6 +228,6 @@ def seconds(n: Told) -> str:
     quick = [c["seconds"] for c in n["compared"].values()]
     return (
         f"Diagnoses took {number(min(slow), 2)} to {number(max(slow), 2)} s each, comparisons "
-        f"{number(min(quick), 2)} to {number(max(quick), 2)} s.\nThe machine had two cores and other work, so these "
-        "are upper limits.\n"
+        f"{number(min(quick), 2)} to {number(max(quick), 2)} s.\nThe machine had two cores and other work: "
+        "these are upper limits.\n"
     )
