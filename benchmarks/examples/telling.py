@@ -212,7 +212,12 @@ def commands(words: Iterable[str], data: str) -> str:
 
 def doctor(n: Told) -> str:
     """Mistakes and warnings about the logs, each once."""
-    found = {(f["severity"], f["text"]): None for d in n["diagnoses"] for f in d["doctor"]}
+    asked = [d for d in n["diagnoses"] if "doctor" in d]
+    if not asked:
+        return (
+            "The diagnoses of this page are older than that: `undertow doctor` tells it for the same logs.\n"
+        )
+    found = {(f["severity"], f["text"]): None for d in asked for f in d["doctor"]}
     lines = [f"- {severity}: {text}" for severity, text in found if severity != "note"]
     return "\n".join(lines or ["No mistake in how the logs are read, and no warning."]) + "\n"
 
@@ -225,7 +230,7 @@ def typed(n: Told) -> list[str]:
 def seconds(n: Told) -> str:
     """Time taken."""
     slow = [d["seconds"] for d in n["diagnoses"]]
-    quick = [c["seconds"] for c in n["compared"].values()]
+    quick = [c.get("seconds", c.get("wall", 0.0)) for c in n["compared"].values()]
     return (
         f"Diagnoses took {number(min(slow), 2)} to {number(max(slow), 2)} s each, comparisons "
         f"{number(min(quick), 2)} to {number(max(quick), 2)} s.\nThe machine had two cores and other work: "
