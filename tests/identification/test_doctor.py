@@ -308,3 +308,15 @@ def test_clocks_that_drift_apart(auv: Case) -> None:
     result = examine(vehicle_of(auv), [run_of("drifting", broken.late(0.1, drift=0.5)(columns))]).result
     (found,) = [f for f in result.findings if f.id == "two_clocks"]
     assert found.evidence["drift"] == pytest.approx(0.5, abs=0.06)
+
+
+def test_commands_on_a_clock_of_their_own(auv: Case) -> None:
+    (columns,) = auv.runs.values()
+    t = columns["t"]
+    then = t - 0.8 * (t - t[0]) / (t[-1] - t[0])
+    held = np.clip(np.searchsorted(t, then + 1e-9, side="right") - 1, 0, None)
+    shifted = {n: c[held] if n.startswith("f") else c for n, c in columns.items()}
+    result = examine(vehicle_of(auv), [run_of("shifted", shifted)]).result
+    (found,) = [f for f in result.findings if f.id == "two_clocks"]
+    assert found.evidence["drift"] == pytest.approx(-0.8, abs=0.3)
+    assert not result.mistakes

@@ -11,9 +11,10 @@ log; with it comes the line for the mapping file that mends it.
 might print
 
     mistake: psi is in degrees, read as radians: undone, the mismatch of pose rate and velocity of x, y
-             130 % -> 0.2 %, of psi 97 % -> 0.01 % of the motion (mean square; noise 0.1 %)
-      mapping file:  [columns]
-                     heading = { channel = "psi", unit = "deg" }
+             104 % → 0.02 %, of psi 97 % → < 0.01 % of the motion (mean square; noise 0.14 %)
+        in log.toml:
+            [columns]
+            heading = { channel = "psi", unit = "deg" }
 
 and `undertow diagnose rov.toml run1.csv run2.csv --map mended.toml` goes on from there. What else is found
 are warnings (a velocity sensor that is late or off the origin, a motion never excited) and notes.

@@ -66,6 +66,7 @@ def _in_water(current: Array) -> Mistake:
         f"{speeds[0]:+.3g} m/s north and {speeds[1]:+.3g} m/s east",
         turning(lambda channels: frames.over_ground(channels, speeds)),
         edits,
+        vehicle="[effects.water_speed_log] describes velocities through the water as they are",
     )
 
 

@@ -71,7 +71,7 @@ class Dynamics:
         """Factor by which one Gauss-Newton step from the file's values would explain the motion better once a
         mistake is undone; geometric mean over the equations of motion. None where it cannot be tried.
         """
-        data = self._undone(undo)
+        data = self.undone(undo)
         if data is None:
             return None
         model, size = self.fit.model, len(self.quiet)
@@ -95,7 +95,7 @@ class Dynamics:
         free : sequence of str
             Parameters that are fitted besides those that the vehicle marks.
         """
-        data = self.data if undo is None else self._undone(undo)
+        data = self.data if undo is None else self.undone(undo)
         if data is None:
             return None
         model = vehicle or self.vehicle
@@ -106,7 +106,7 @@ class Dynamics:
         except (UndertowError, np.linalg.LinAlgError):
             return None
 
-    def _undone(self, undo: Undo) -> WeakData | None:
+    def undone(self, undo: Undo) -> WeakData | None:
         """The data with a mistake undone in every run; None where samples would go missing."""
         runs = tuple(rederived(run, undo) for run in self.runs)
         segments = tuple(self._segment(runs[s.run], s) for s in self.data.segments)

@@ -12,6 +12,7 @@ from undertow.model.vehicle import Vehicle
 from ..logs import Mapping, Run
 from . import angles, consistency, excitation
 from .clocks import clock_findings
+from .command_clock import command_drift
 from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
@@ -156,8 +157,10 @@ class _Case:
             self._look_at_numbers(at)
 
     def _look_at_numbers(self, at: Dynamics) -> None:
-        """Mistakes in the vehicle file."""
+        """The clock of the commands, and mistakes in the vehicle file."""
         if at.unexplained:
+            drift = command_drift(at)
+            self.findings += [] if drift is None else [drift]
             for lost in lost_signs(self.vehicle):
                 fit = at.refitted(vehicle=lost.vehicle)
                 if fit is not None and (gain := at.gain(fit)).decisive:

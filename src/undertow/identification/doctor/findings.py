@@ -106,6 +106,13 @@ class Examination(_Table):
         return [f for f in self.findings if f.severity == "mistake"]
 
 
+def percent(share: float) -> str:
+    """A share in percent, with two digits where that says something."""
+    if share < 1e-4:
+        return "< 0.01 %"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
 def most_serious_first(findings: list[Finding]) -> list[Finding]:
     """Findings by severity; their order is kept otherwise."""
     return sorted(findings, key=lambda f: SEVERITIES.index(f.severity))

@@ -13,6 +13,7 @@ from undertow.model.vehicle import Vehicle
 from ..logs.run import UNITS
 from ..report.style import AFTER, BEFORE, FAINT, figure, look, plain
 from .examine import Examined
+from .findings import percent
 from .kinematics import Array, Kinematics
 
 _MOST = 1500
@@ -43,7 +44,7 @@ def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
             share = kinematics.of_rates(rates).share
             for row, name in enumerate(kinematics.rows):
                 block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
-                heading = f"{title}: mismatch {100 * share[block]:.2g} %"
+                heading = f"{title}: mismatch {percent(share[block])}"
                 _panel(axes[row, column], (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
     return picture
 

@@ -8,7 +8,7 @@ from undertow.model.vehicle import Vehicle
 
 from .dynamic_search import Explanation
 from .dynamics import Gain
-from .findings import Finding
+from .findings import Finding, percent
 from .kinematic_search import Explained, inconsistent
 from .kinematics import Kinematics
 from .mistake import Mistake
@@ -20,15 +20,11 @@ def kinematic_text(kinematics: Kinematics, found: Explained, chosen: Mistake) ->
     names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
-    parts = [f"of {names[i]} {_percent(before.share[i])} → {_percent(after.share[i])}" for i in rows]
+    parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
     text = f"{chosen.told}: undone, the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
-    return f"{text} (mean square; noise {_percent(float(np.max(before.floor[rows])))})", evidence
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"
+    return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
 
 
 def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:

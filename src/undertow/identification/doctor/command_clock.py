@@ -1,0 +1,82 @@
+"""Commands and motion on two clocks: commands that arrive later and later, or earlier and earlier."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..logs import Run
+from ..logs.run import POSE, VELOCITY
+from ..weak.residual import whitened
+from .dynamics import Dynamics
+from .findings import Finding
+from .kinematics import Array
+from .mistake import Undo, with_channels
+from .sensors import clustered_least_squares
+
+_ROUNDS = 8
+_SURE = 6.0  # standard errors
+_STEPS = 3.0  # sampling steps below which a drift does not matter
+_CLUSTER = 8  # neighbouring test functions that count as one
+_GAINED = 0.1  # share of the misfit that a drift must explain
+
+
+def command_drift(at: Dynamics) -> Finding | None:
+    """Tell whether the time from command to motion grows or shrinks along the logs; None where it does not.
+
+    A constant delay is an effect of its own (actuation_delay); a delay that drifts is one of the clocks.
+    """
+    step = float(np.median(np.diff(at.runs[0].t)))
+    found, error = np.zeros(2), np.full(2, np.inf)
+    start = left = float(np.sum(at.fit.at.r**2))
+    for _ in range(_ROUNDS):
+        change, error, left = _step(at, found, 2 * step)
+        found = found + np.clip(change, -1.0, 1.0)
+        if np.all(np.abs(change) < 0.2 * step):
+            break
+    drift, spread = float(found[1]), float(error[1])
+    if abs(drift) < max(_SURE * spread, _STEPS * step) or left > (1 - _GAINED) * start:
+        return None
+    begin, end = (found[0] - drift / 2, found[0] + drift / 2)
+    return Finding(
+        id="two_clocks",
+        severity="warning",
+        text=f"commands and motion are on two clocks: the motion follows the commands by {begin:+.2f} s at "
+        f"the beginning of a run and by {end:+.2f} s at its end (drift {drift:+.2f} ± {spread:.1g} s); write "
+        "both with the stamps of one clock",
+        evidence={"delay": float(found[0]), "drift": drift},
+    )
+
+
+def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float]:
+    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave."""
+    here, moved = (_residual(at, _later(*s)) for s in (shift, shift + np.array([small, 0.0])))
+    late = (moved - here) / small
+    table = np.column_stack([at.fit.at.J, late, late * _along(at)])
+    rows = len(at.data.rows)
+    value, error = clustered_least_squares(table, -here, _CLUSTER * rows)
+    return value[-2:], error[-2:], float(np.sum((here + table @ value) ** 2))
+
+
+def _residual(at: Dynamics, undo: Undo) -> Array:
+    data = at.undone(undo)
+    assert data is not None
+    return whitened(at.fit.model.linearise(data, at.fit.p), at.fit.whitening).r
+
+
+def _along(at: Dynamics) -> Array:
+    """Time of every residual as a share of its run, from -1/2 to 1/2."""
+    ends = np.array([(r.t[0], r.t[-1]) for r in at.runs])[at.data.run_of]
+    return (at.data.time - ends[:, 0]) / (ends[:, 1] - ends[:, 0]) - 0.5
+
+
+def _later(delay: float, drift: float) -> Undo:
+    """Commands as they would be logged that much later."""
+
+    def undo(run: Run) -> Run:
+        share = (run.t - run.t[0]) / (run.t[-1] - run.t[0]) - 0.5
+        then = run.t - delay - drift * share
+        held = np.clip(np.searchsorted(run.t, then + 1e-9, side="right") - 1, 0, len(run.t) - 1)
+        others = {*run.channels} - {*POSE, *VELOCITY}
+        return with_channels(run, {n: run.channels[n][held] for n in others})
+
+    return undo
