@@ -123,3 +123,33 @@ def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_
     ids = {c.id for c in candidates(model, catalogue(), derived=True)}
     assert ids.isdisjoint({"sensor_scale", "sensor_bias", "sensor_delay"})
     assert "velocity_lever_arm" in ids
+
+
+def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
+    case = make_case("usv", (), 23, duration=40.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    train = prepare(runs[:3], model)
+    bench = open_bench(model, train, prepare(runs[3:], model, sigma=train.sigma))
+    memory = Candidate(catalogue()["radiation_memory"], model)
+    # As slow as a log is long: its unknown first state could pass for a constant force.
+    slow = bench.fit(memory.model(()), start={"T_memory": 40.0, "X_memu": -20.0, "N_memr": -5.0})
+    won = bench.judge(slow).r - bench.base_score.r
+    assert np.linalg.norm(won) > 1.0
+    first = 0
+    for part, whitening in zip(slow.model.linearise(bench.test, slow.p), bench.test_whitening, strict=True):
+        start = whitening(part.start)
+        felt = start[:, np.linalg.norm(start, axis=0) > 0.0]
+        assert felt.shape[1] == 2
+        here, first = won[first : first + len(part.r)], first + len(part.r)
+        size = np.linalg.norm(felt) * np.linalg.norm(here)
+        np.testing.assert_allclose(felt.T @ here, 0.0, atol=1e-8 * size)
+
+
+def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:
+    usv = vehicle_of(make_case("usv", (), 24, duration=20.0))
+    towed = replace(usv, thrusters=())
+    ids = {c.id for c in candidates(towed, catalogue())}
+    assert "lift" in ids
+    actuation = {n for n, e in catalogue().items() if e.family == "actuation"}
+    assert actuation & {c.id for c in candidates(usv, catalogue())}
+    assert not actuation & ids

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import chain
-from math import isclose
+from math import isclose, isfinite
 from typing import Any
 
 import casadi as ca
@@ -90,7 +90,7 @@ class Manifest:
         hashes = {name: sha256(text) for name, text in files.items()}
         versions = {"undertow": undertow.__version__, "casadi": ca.__version__, "compiler": compiler}
         content = {"schema": SCHEMA, **versions, "model": hashes["model.c"], **asdict(self), "files": hashes}
-        return json.dumps(content, indent=1) + "\n"
+        return json.dumps(_in_json(content), indent=1, allow_nan=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> tuple[Manifest, dict[str, str]]:
@@ -111,13 +111,27 @@ class Manifest:
 
     @classmethod
     def _from_table(cls, content: dict[str, Any]) -> Manifest:
-        lists = {k: tuple(Entry(**e) for e in content[k]) for k in ("states", "inputs", "parameters")}
+        lists = {k: tuple(_entry(e) for e in content[k]) for k in ("states", "inputs", "parameters")}
         rows = {str(k): tuple(map(float, v)) for k, v in content["rows"].items()}
         # Code from before sensors could be late has none that are.
         late = {str(k): float(v) for k, v in content.get("output_delay", {}).items()}
         delay = float(content["input_delay"])
         effects = tuple(content["effects"])
         return cls(content["vehicle"], effects, **lists, input_delay=delay, output_delay=late, rows=rows)
+
+
+def _entry(table: dict[str, Any]) -> Entry:
+    value = table["value"]
+    return Entry(table["name"], table["unit"], None if value is None else float(value))
+
+
+def _in_json(content: Any) -> Any:
+    """Content without what JSON has no number for: a thrust without a limit is limited by the word "inf"."""
+    if isinstance(content, dict):
+        return {k: _in_json(v) for k, v in content.items()}
+    if isinstance(content, list | tuple):
+        return [_in_json(v) for v in content]
+    return str(content) if isinstance(content, float) and not isfinite(content) else content
 
 
 def sha256(text: str) -> str:

@@ -156,7 +156,9 @@ class Composition:
 
     @cached_property
     def dead_time(self) -> sm.Expr:
-        """Sum of the pure delays between command and thrust, s."""
+        """Sum of the pure delays between command and thrust, s; none where there is nothing to command."""
+        if not self.thrusters:
+            return sm.Integer(0)
         return sum((e.dead_time() for e in self.effects if isinstance(e, Actuation)), sm.Integer(0))
 
     @cached_property

@@ -17,7 +17,7 @@ def linear(at: WeakFit, bench: Bench) -> Linear:
     train = at.at
     if at.whitening is not bench.train_whitening:
         train = whitened(at.model.linearise(bench.train, at.p), bench.train_whitening)
-    test = whitened(at.model.linearise(bench.test, at.p), bench.test_whitening)
+    test = bench.on_test(at)
     return Linear(
         Blocks.of(train.J, train.r - base.at.r, base.at.r, bench.train.block),
         Blocks.of(test.J, test.r - bench.base_score.r, bench.base_score.r, bench.test.block),

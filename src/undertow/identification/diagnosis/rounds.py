@@ -155,4 +155,4 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     strong = chance < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
     share = explained(bench.base_score, trial.score, bench.noise_level)
     better = trial.score.error < bench.base_score.error
-    return Finding(trial, evidence, share, chance, strong and better, inclusion)
+    return Finding(trial, evidence, share, chance, strong and better and trial.known, inclusion)

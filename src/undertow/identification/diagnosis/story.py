@@ -15,7 +15,7 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
 from ..planning.suggest import suggest
-from ..weak.fit import WeakFit, mean_square
+from ..weak.fit import WeakFit
 from ..weak.residual import whitened
 from .candidates import candidates
 from .chain import Chain, fitted, with_effects
@@ -27,7 +27,7 @@ from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
-from .trial import Score, noise_ratio, only_noise
+from .trial import noise_ratio, only_noise, scored
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
@@ -128,12 +128,17 @@ class Story:
             return f"No manoeuvre can be suggested: {error}"
 
     def _normalised(self, fit: WeakFit) -> float:
-        r = whitened(fit.model.linearise(self.bench.test, fit.p), self._whitening).r
-        return Score(r, mean_square(r, self.bench.test)).error
+        parts = fit.model.linearise(self.bench.test, fit.p)
+        return scored(whitened(parts, self._whitening, self._left_before).r, self.bench.test).error
+
+    @cached_property
+    def _left_before(self) -> Array:
+        """What the model without effects leaves of the kept-aside data, in units of the noise."""
+        return whitened(self.base.model.linearise(self.bench.test, self.base.p), self._whitening).r
 
     @cached_property
     def _before(self) -> float:
-        return self._normalised(self.base)
+        return scored(self._left_before, self.bench.test).error
 
     def _steps(self) -> list[Step]:
         ids = [w.id for w in self.found.winners]
@@ -152,12 +157,12 @@ class Story:
 
     def _ranked(self, finding: Finding) -> Ranked:
         trial = finding.trial
-        helps = bool(trial.kept) or finding.significant
+        helps = finding.significant or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
             about=trial.candidate.effect.about(),
-            parameters=[estimate(trial.fit, n, self.vehicle) for n in _new_parameters(finding)],
+            parameters=[estimate(trial.fit, n, self.vehicle) for n in _new_parameters(finding) if helps],
             error_before=self._before,
             error_after=self._normalised(trial.fit) if helps else self._before,
             explained=finding.explained,

@@ -17,13 +17,14 @@ from undertow.model.vehicle import Vehicle
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, promise, settled
 from ..weak.noise import Whitening
-from ..weak.residual import WeakModel, whitened
+from ..weak.residual import Linearised, WeakModel, whitened
 from .beat import beat
 from .candidates import Candidate
 
 Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
+_T_KNOWN = 2.0
 _NOISE_EXPLAINS = 2.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
@@ -55,6 +56,11 @@ class Score:
         return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.mean_square, 1e-12)))))
 
 
+def scored(r: Array, data: WeakData) -> Score:
+    """Score of a whitened residual."""
+    return Score(r, mean_square(r, data))
+
+
 @dataclass(frozen=True)
 class Trial:
     """A candidate after its fit.
@@ -84,6 +90,17 @@ class Trial:
         """Id of the effect."""
         return self.candidate.id
 
+    @property
+    def known(self) -> bool:
+        """Whether any parameter of the effect is told from no effect by more than twice its error.
+
+        A curve bent freely along the path of a run can lower the error there without saying anything.
+        """
+        errors, neutral = self.fit.standard_errors, self.candidate.neutral
+        return not self.candidate.removable or any(
+            abs(self.fit.values[n] - neutral[n]) > _T_KNOWN * errors[n] for n in self.kept
+        )
+
 
 @dataclass(frozen=True)
 class Bench:
@@ -108,12 +125,17 @@ class Bench:
     @cached_property
     def base_score(self) -> Score:
         """How the model without any candidate does on the kept-aside data."""
-        return self.judge(self.base)
+        base = self.base
+        return scored(whitened(base.model.linearise(self.test, base.p), self.test_whitening).r, self.test)
 
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the kept-aside data."""
-        r = whitened(fit.model.linearise(self.test, fit.p), self.test_whitening).r
-        return Score(r, mean_square(r, self.test))
+        return scored(self.on_test(fit).r, self.test)
+
+    def on_test(self, fit: WeakFit) -> Linearised:
+        """A fitted model on the kept-aside data, where unknown first states win nothing over the base."""
+        parts = fit.model.linearise(self.test, fit.p)
+        return whitened(parts, self.test_whitening, self.base_score.r)
 
     def fit(
         self,

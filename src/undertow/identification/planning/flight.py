@@ -86,7 +86,7 @@ class Plant:
         p = self.p if p is None else p
         delay = float(self._dead_time(p))
         late = u if delay == 0.0 else np.stack([shifted_mean(t, one, delay) for one in u])
-        own = [np.array(self._rest(one[0], p)).ravel() for one in late]
+        own = [np.array(self._rest(one[0], p, 0.0)).ravel() for one in late]
         start = np.column_stack([np.tile(motion, (len(u), 1)), np.array(own)])
         with np.errstate(over="ignore", invalid="ignore"):
             return self.predictor.simulated(start, np.tile(t, (len(u), 1)), late, p)
@@ -100,7 +100,7 @@ class Plant:
     def _rest(self) -> ca.Function:
         f = self.functions
         memory = ca.DM.zeros(f.memory.numel())
-        return ca.Function("rest", [f.u, f.p], [ca.vertcat(memory, ca.densify(f.chain_rest))])
+        return ca.Function("rest", [f.u, f.p, f.t], [ca.vertcat(memory, ca.densify(f.chain_rest))])
 
 
 @dataclass(frozen=True)

@@ -141,16 +141,28 @@ def _cut(driven: Driven, s: Segment) -> Driven:
     return Driven(driven.value[s.samples], driven.slope[s.samples], driven.start[s.samples])
 
 
-def whitened(parts: list[Linearised], whitening: list[Whitening]) -> Linearised:
+def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
     """All segments together, in units of their noise, free of what the unknown first states of effects
     contribute.
+
+    Parameters
+    ----------
+    parts : list of Linearised
+        Residual of every segment.
+    whitening : list of Whitening
+        Noise of every segment.
+    beside : (m,) array, optional
+        Whitened residual of a model that this one is judged against. What the unknown first states take
+        from this one is taken over from there, so that having them wins nothing.
     """
-    tables = [_without_start(part, w) for part, w in zip(parts, whitening, strict=True)]
+    lengths = np.cumsum([len(part.r) for part in parts])[:-1]
+    others = [None] * len(parts) if beside is None else np.split(beside, lengths)
+    tables = [_without_start(*triple) for triple in zip(parts, whitening, others, strict=True)]
     table = np.vstack(tables)
     return Linearised(table[:, 0], table[:, 1:], np.zeros((len(table), 0)))
 
 
-def _without_start(part: Linearised, whitening: Whitening) -> Array:
+def _without_start(part: Linearised, whitening: Whitening, beside: Array | None) -> Array:
     """Project out the directions of the first states: the rest of the residual does not depend on them."""
     table = whitening(np.column_stack([part.r, part.J, part.start]))
     if part.known is not None:
@@ -165,4 +177,7 @@ def _without_start(part: Linearised, whitening: Whitening) -> Array:
     if not felt.any():
         return kept
     start = start[:, felt] / size[felt]
-    return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ kept)))
+    moved = kept.copy()
+    if beside is not None:
+        moved[:, 0] -= beside
+    return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ moved)))
