@@ -32,6 +32,8 @@ from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
 _MANOEUVRES = 20
+# Mean square of the simulation error from which a fit by output error cannot bring it down to the noise.
+_NEAR_NOISE = 4.0
 
 
 class Story:
@@ -216,14 +218,21 @@ def _without_surplus(found: Search, referee: Referee) -> Search:
 def _hidden_in_noise(found: Search, referee: Referee) -> bool:
     """Whether the model as it is leaves only noise, and simulates no worse than with what was found.
 
-    Where a motion is nearly as fast as the sampling, the weak form has an error of its own that an effect can
-    take up.
+    Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
+    of its own that an effect can take up.
     """
     base = found.bench.base
-    if not found.winners or not only_noise(noise_ratio(base, found.bench.test)):
+    if not found.winners or not _leaves_only_noise(base, found, referee):
         return False
     without = referee.contender(fitted(found.vehicle, [], found.bench))
     return not clearly_worse(without.squares, referee.contender(found.chain).squares)
+
+
+def _leaves_only_noise(base: WeakFit, found: Search, referee: Referee) -> bool:
+    if only_noise(noise_ratio(base, found.bench.test)):
+        return True
+    # The fit by output error is dear, and no help to a model that is far off.
+    return bool(np.mean(referee.squares(base)) < _NEAR_NOISE and referee.leaves_only_noise(base))
 
 
 def _only(chain: Chain, places: list[int]) -> Chain:
