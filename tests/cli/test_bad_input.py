@@ -140,7 +140,7 @@ def _without(*names: str) -> Change:
 LOGS: dict[str, tuple[Change, list[str]]] = {
     "one sample": (_rows(slice(0, 1)), ["one sample", "at least 2"]),
     "a header only": (_rows(slice(0, 0)), ["no sample", "at least 2"]),
-    "ten samples": (_rows(slice(0, 10)), ["25 are needed"]),
+    "ten samples": (_rows(slice(0, 10)), ["21 samples are needed"]),
     "no time": (_without("t"), ["'t'"]),
     "time is missing somewhere": (_at("t", 7, np.nan), ["'t'", "row 8"]),
     "time is infinite somewhere": (_at("t", 7, np.inf), ["'t'", "row 8"]),
@@ -153,7 +153,10 @@ LOGS: dict[str, tuple[Change, list[str]]] = {
     "Inf in a velocity": (_at("v", 40, np.inf), ["'v'", "infinite", "t = 2 s"]),
     "Inf in a command": (_at("f1", 40, -np.inf), ["'f1'", "infinite", "t = 2 s"]),
     "nothing but NaN": (_at("r", slice(None), np.nan), ["'r'", "no value"]),
-    "every other sample missing": (_at("u", slice(0, None, 2), np.nan), ["without gaps", "25 are needed"]),
+    "every other sample missing": (
+        _at("u", slice(0, None, 2), np.nan),
+        ["without gaps", "21 samples are needed"],
+    ),
 }
 
 

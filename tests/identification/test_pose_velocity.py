@@ -150,6 +150,14 @@ def test_surge_alone_needs_no_heading():
     np.testing.assert_allclose(run.channels["u"][5:-5], 0.5 * np.sqrt(t)[5:-5], atol=2e-3)
 
 
+def test_a_channel_that_stands_still_does_not_blur_the_others():
+    t = np.arange(0, 100, 0.05)
+    x = np.sin(0.5 * t) + 0.01 * np.random.default_rng(4).standard_normal(len(t))
+    still = {"y": np.zeros_like(t), "psi": np.full_like(t, 0.3)}
+    alone, beside = (velocities_from_pose(Run("tow", t, {"x": x, **more}), ["surge"]) for more in ({}, still))
+    assert 0.0 < beside.resolution == pytest.approx(alone.resolution)
+
+
 def test_a_pose_that_never_moves_has_no_velocity():
     t = np.arange(0, 10, 0.1)
     still = velocities_from_pose(Run("moored", t, dict.fromkeys(("x", "y", "psi"), np.ones_like(t))))

@@ -12,8 +12,8 @@ from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
 
-# A velocity that never exceeds this many standard deviations of its noise was not moved.
-_EXCITED = 5.0
+# Noise alone has a standard deviation of once its own; a velocity below this many times that was not moved.
+_EXCITED = 2.0
 
 
 def check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: NDArray[np.float64]) -> None:

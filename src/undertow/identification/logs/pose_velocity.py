@@ -15,6 +15,7 @@ from undertow.identification.logs.tracks import LOST, Track, track
 
 _DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _FEWEST = 10  # samples of a pose channel
+_STILL = 1e-9  # change of a channel, as a share of its size, that is rounding
 
 
 def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge", "sway", "yaw")) -> Run:
@@ -59,7 +60,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         channels={**run.channels, **pose, **found},
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
-        resolution=max(one.resolution for one in tracks.values()),
+        resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
     ).noted(_summary(tracks, sigma), *(_told(run, name, one) for name, one in tracks.items()))
 
 
@@ -91,6 +92,12 @@ def _tracked(run: Run, name: str) -> Track:
         return track(run.t, run.channels[name])
     except ValueError as error:
         raise UndertowError(f"run {run.name!r}: no velocity from channel {name!r}: {error}") from error
+
+
+def _moves(channel: Array) -> bool:
+    """Whether a channel changes; one that does not is smoothed without end, and hides no motion."""
+    size = float(np.nanmax(np.abs(channel)))
+    return bool(np.nanmax(channel) - np.nanmin(channel) > _STILL * max(size, 1.0))
 
 
 def _body_rates(run: Run, tracks: dict[str, Track]) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from undertow.model.vehicle import Vehicle
 
 from .noise import white_noise
 from .polynomial import smooth_rate
-from .testfunctions import TestFunctions, knot_spacing, test_functions
+from .testfunctions import DEGREE, TestFunctions, knot_spacing, test_functions
 
 Array = NDArray[np.float64]
 # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
@@ -162,16 +162,29 @@ def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -
     measured_pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
     segments = [s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle)]
     if not segments:
-        lengths = ", ".join(f"'{r.name}' {len(r.t)}" for r in runs)
-        raise UndertowError(
-            f"no stretch without gaps is long enough for the weak form (samples: {lengths}); 25 are needed"
-        )
+        raise UndertowError(_too_short(runs))
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
     kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
     noise = _floored(channel_noise(runs, names), runs, names) if sigma is None else sigma
     return WeakData(
         tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names
+    )
+
+
+def _too_short(runs: Sequence[Run]) -> str:
+    spacing = max((_spacing(r) for r in runs if len(r.t) > 1), default=0.0)
+    step = min((float(np.median(np.diff(r.t))) for r in runs if len(r.t) > 1), default=1.0)
+    lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
+    needed = int(np.ceil((DEGREE + 1) * spacing / step - 1e-6)) + 1 if spacing else 2
+    blurred = any(_spacing(r) > knot_spacing(r.t) * _WIDER_FOR_DERIVED for r in runs if len(r.t) > 1)
+    why = (
+        "; the velocities were taken from a pose that tells nothing of faster motion: "
+        "give longer runs, or measured velocities"
+    )
+    return (
+        f"no stretch without gaps is long enough for the weak form (of {lengths}): {needed} samples are "
+        f"needed without a gap{why if blurred else ''}"
     )
 
 
