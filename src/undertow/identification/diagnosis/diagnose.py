@@ -84,9 +84,13 @@ def diagnose(
     check_excitation(vehicle, train_runs, train.sigma)
     examined = examine(vehicle, [*runs, *holdout]).result
     test = prepare(test_runs, vehicle, sigma=train.sigma)
-    found = search(vehicle, train, test, known or catalogue(), lambda done, words: report(0.9 * done, words))
+    referee = Referee(vehicle, train_runs, test_runs, train.sigma)
+    effects = known or catalogue()
+    found = search(
+        vehicle, train, test, effects, lambda done, words: report(0.9 * done, words), referee.quiet
+    )
     report(0.9, "judging the result by simulation")
-    story = Story(vehicle, found, Referee(vehicle, train_runs, test_runs, train.sigma), known or catalogue())
+    story = Story(vehicle, found, referee, effects)
     roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
     infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
     diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined)

@@ -19,8 +19,10 @@ from ..fitted import Fitted
 from ..logs import Run
 from ..output_error.fit import OutputErrorFit, channel_weights, fit_output_error
 from ..output_error.shooting import Shooting
+from ..weak.data import WeakData
 from ..weak.fit import WeakFit
 from .chain import Chain
+from .trial import noise_ratio, only_noise
 
 Array = NDArray[np.float64]
 # Windows of a free run diverge in heading even for the true model: short ones decide.
@@ -30,6 +32,8 @@ THOROUGH = 20.0
 # Mean square of the simulation error, in units of the noise, that still counts as noise: in the worst channel
 # and over all of them. The noise of a channel is known to a few per cent.
 _ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
+# Mean square of the simulation error from which no fit by output error brings it down to the noise.
+_NEAR_NOISE = 2.0
 _START_STEPS = 3
 _SURE = 0.01
 
@@ -118,6 +122,13 @@ class Referee:
         """A chain fitted by output error from where the weak form left it, and judged."""
         fit = self._refined(chain.fit)
         return Contender(chain, fit, self.squares(fit))
+
+    def quiet(self, weak: WeakFit, test: WeakData) -> bool:
+        """Whether a model leaves only noise, by its weak residual or by simulation."""
+        if only_noise(noise_ratio(weak, test)):
+            return True
+        # The fit by output error is dear, and no help to a model that is far off.
+        return bool(np.mean(self.squares(weak)) < _NEAR_NOISE and self.leaves_only_noise(weak))
 
     def leaves_only_noise(self, weak: WeakFit) -> bool:
         """Whether a model, fitted by output error, simulates the kept-aside runs to within the noise.

@@ -26,8 +26,8 @@ _FULL_FITS = 10
 _FINALISTS = 6
 # Share of the sum of squares that a step must promise before the leading candidates are known.
 _FIRST_LOOK = 1e-2
-# Times the error of the best candidate from which another is no rival of it.
-_OUT_OF_REACH = 3.0
+# Times the mean square of the best candidate, under its noise model, from which another is no rival of it.
+_OUT_OF_REACH = 2.0
 # Candidates that one step cannot make better than this (chi-square) are not worth a full fit.
 _WORTH_A_FIT = 20.0
 
@@ -124,8 +124,9 @@ def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench,
 
 def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
     """A trial under the finer noise model; what is far behind is not fitted once more."""
-    if trial is not best and trial.score.error > _OUT_OF_REACH * best.score.error:
-        return replace(trial, score=sharp.judge(trial.fit))
+    score = sharp.judge(trial.fit)
+    if trial is not best and np.mean(score.r**2) > _OUT_OF_REACH * np.mean(sharp.judge(best.fit).r ** 2):
+        return replace(trial, score=score)
     return try_candidate(trial.candidate, sharp, trial.full.values)
 
 

@@ -24,6 +24,7 @@ __all__ = ["FALSE_ALARM_RATE", "Search", "search"]
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
+Quiet = Callable[[WeakFit, WeakData], bool]
 MAX_EFFECTS = 3
 _PAIRS = 2
 _RIVALS = 5
@@ -73,6 +74,7 @@ def search(
     test: WeakData,
     known: Catalogue,
     report: Report = lambda done, words: None,
+    quiet: Quiet = lambda fit, test: only_noise(noise_ratio(fit, test)),
 ) -> Search:
     """Look for missing effects until the noise floor or until nothing helps.
 
@@ -86,16 +88,18 @@ def search(
         Effects that may be missing.
     report : callable, optional
         Told the share done and what is going on.
+    quiet : callable, optional
+        Whether a model leaves only noise of the kept-aside data; the search ends with one that does.
     """
     report(0.0, "fitting the model as it is")
     opened = open_bench(vehicle, train, test)
-    rounds, chain = _stepwise(vehicle, opened, known, report)
+    rounds, chain = _stepwise(vehicle, opened, known, report, quiet)
     report(0.9, "looking at all effects together")
     return _together(vehicle, opened, rounds, chain)
 
 
 def _stepwise(
-    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report
+    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet
 ) -> tuple[list[Round], list[Finding]]:
     """Rounds of candidates, each on top of the effects found so far."""
     rounds: list[Round] = []
@@ -108,13 +112,13 @@ def _stepwise(
         chain.append(current.winner)
         fit = current.winner.trial.fit
         _log.info("adding %s: normalised error %.3f", current.winner.id, current.winner.trial.score.error)
-        if only_noise(noise_ratio(fit, bench.test)):
+        if quiet(fit, bench.test):
             break
         pair = _pair(current) if len(chain) == 1 else None
         if pair is not None:
             chain, fit = list(pair.findings), pair.fit
             _log.info("a pair: %s, normalised error %.3f", [f.id for f in chain], pair.score.error)
-            if only_noise(noise_ratio(fit, bench.test)):
+            if quiet(fit, bench.test):
                 break
         bench = _on_top(current.bench, vehicle, chain, fit)
     return rounds, chain

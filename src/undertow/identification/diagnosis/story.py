@@ -27,13 +27,11 @@ from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
-from .trial import noise_ratio, only_noise, scored
+from .trial import scored
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
 _MANOEUVRES = 20
-# Mean square of the simulation error from which a fit by output error cannot bring it down to the noise.
-_NEAR_NOISE = 4.0
 
 
 class Story:
@@ -65,7 +63,7 @@ class Story:
             found,
             (self.bench.judge(self.fits[0]), self.bench.judge(final)),
             self.bench.noise_level,
-            quiet=only_noise(noise_ratio(final, self.bench.test)) or referee.leaves_only_noise(final),
+            quiet=referee.quiet(final, self.bench.test),
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
         )
 
@@ -221,18 +219,10 @@ def _hidden_in_noise(found: Search, referee: Referee) -> bool:
     Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
     of its own that an effect can take up.
     """
-    base = found.bench.base
-    if not found.winners or not _leaves_only_noise(base, found, referee):
+    if not found.winners or not referee.quiet(found.bench.base, found.bench.test):
         return False
     without = referee.contender(fitted(found.vehicle, [], found.bench))
     return not clearly_worse(without.squares, referee.contender(found.chain).squares)
-
-
-def _leaves_only_noise(base: WeakFit, found: Search, referee: Referee) -> bool:
-    if only_noise(noise_ratio(base, found.bench.test)):
-        return True
-    # The fit by output error is dear, and no help to a model that is far off.
-    return bool(np.mean(referee.squares(base)) < _NEAR_NOISE and referee.leaves_only_noise(base))
 
 
 def _only(chain: Chain, places: list[int]) -> Chain:
