@@ -29,10 +29,13 @@ def added_mass_coupling(world: World, draw: Draw) -> Values:
 
 @hidden("added_mass_coriolis", TURNING)
 def added_mass_coriolis(world: World, draw: Draw) -> Values:
-    """C_A(nu_r) nu_r (with the Munk moment) acts on the hull; the prior model lacks it. Nothing is drawn."""
-    world.added_coriolis = draw.strength
+    """C_A(nu_r) nu_r (with the Munk moment) acts on the hull; the prior model lacks it.
+
+    Nothing is drawn, and no strength but zero changes it: it follows from the added mass.
+    """
+    world.added_coriolis = float(draw.strength > 0.0)
     world.left_out.add("added_mass_coriolis")
-    return {"share": draw.strength}
+    return {}
 
 
 @hidden("entrained_water")

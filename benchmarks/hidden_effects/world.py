@@ -49,7 +49,7 @@ class World:
 
     M_RB nu_dot + C_RB(nu) nu + M_A nu_r_dot + c C_A(nu_r) nu_r = D(nu_r) + G k + B f + wrenches + memories
     with D = L nu_r + Q |nu_r| nu_r + K nu_r^3 + T nu_r nu_r, k = unit vector downwards in body axes,
-    c = `added_coriolis`.
+    c = `added_coriolis`, 1 or 0.
 
     Commands become forces f: `command_delay`, `stages` (f, t), `lag` (first order), `inflow` (f, nu_r).
     States become readings: `velocity_delay` (u, v, w only), then `sensors` in their order, then noise.

@@ -317,6 +317,27 @@ def test_in_a_uniform_current_everything_is_as_in_still_water() -> None:
     assert np.abs(still.residual(eta, nu, nu_dot) - expected).max() > 1, "the current matters"
 
 
+def test_a_rolling_ship_without_heave_feels_a_current_as_it_feels_its_own_way() -> None:
+    hull = ("added_mass", "added_mass_coriolis", "linear_damping", "quadratic_damping", "lift")
+    values = any_values(*hull) | {"V_N": 0.7, "V_E": -0.4}
+    ship = ("surge", "sway", "roll", "yaw")
+    still = Numbers(vehicle_with(values, *hull, dofs=ship))
+    moved = Numbers(vehicle_with(values, *hull, "ocean_current", dofs=ship))
+    eta, nu, nu_dot = (
+        np.array([1.0, -2, 0.4, 0.9]),
+        np.array([0.5, -0.3, 0.6, -0.2]),
+        np.array([0.3, -0.4, 0.9, 0.7]),
+    )
+    water = turned(np.array([*eta[:2], 0, eta[2], 0, eta[3]])).T @ [0.7, -0.4, 0.0]
+    over = np.cross([nu[2], 0.0, nu[3]], water)
+    assert abs(water[2]) > 0.05, "a rolled hull has the current flowing along its mast"
+    relative = nu - np.array([*water[:2], 0, 0])
+    relative_dot = nu_dot + np.array([*over[:2], 0, 0])
+    assert moved.residual(eta, nu, nu_dot) == pytest.approx(
+        still.residual(eta, relative, relative_dot), rel=1e-10
+    )
+
+
 def test_place_and_heading_matter_to_those_alone_that_say_so() -> None:
     anywhere = [i for i in STILL if not _feels(i, "x y z psi")]
     assert {"restoring", "rigid_body_coriolis", "quadratic_damping"} <= set(anywhere)

@@ -90,7 +90,11 @@ class Composition:
 
     @cached_property
     def relative_motion(self) -> dict[sm.Symbol, sm.Expr]:
-        """Velocity through the water and its rate, in terms of motion over ground and the flow effects."""
+        """Velocity through the water and its rate, in terms of motion over ground and the flow effects.
+
+        A motion that the vehicle does not have is none through the water either: a ship whose heave is left
+        out would otherwise feel a beam current differently from its own sway when it rolls.
+        """
         s = self.signals
         back = rotation(sm.Matrix(s.eta[3:])).T
         flows = [e for e in self.effects if isinstance(e, Flow)]
@@ -99,7 +103,10 @@ class Composition:
         omega = sm.Matrix(s.nu[3:])
         velocity = sm.Matrix(s.nu[:3]) - water
         acceleration = sm.Matrix(s.nu_dot[:3]) + skew(omega) * water - rate
-        return dict(zip([*s.nu_r[:3], *s.nu_r_dot[:3]], [*velocity, *acceleration], strict=True))
+        seen = {i: pair for i, pair in enumerate(zip(velocity, acceleration, strict=True)) if i in self.dofs}
+        relative = [seen.get(i, (sm.Integer(0), sm.Integer(0))) for i in range(3)]
+        found = [*(v for v, _ in relative), *(a for _, a in relative)]
+        return dict(zip([*s.nu_r[:3], *s.nu_r_dot[:3]], found, strict=True))
 
     @cached_property
     def directional(self) -> dict[sm.Symbol, sm.Expr]:
