@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
+from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.codegen.functions import Functions
 from undertow.identification import read_log
 from undertow.identification.weak.data import prepare
@@ -198,3 +199,16 @@ def test_a_gap_in_the_commands_spoils_only_its_neighbourhood(tmp_path: Path) -> 
     parts = weak.linearise(data, np.array(weak.functions.values()))
     assert len(parts) == 2
     assert all(np.all(np.isfinite(p.r)) and np.all(np.isfinite(p.J)) for p in parts)
+
+
+def test_a_place_that_the_data_do_not_feel_stays_where_it_is() -> None:
+    case = make_case("float", ("tether_drag",), 31, duration=60.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    tethered = model.with_effect(catalogue()["tether_drag"], {"z_winch": Value(8.0, estimate=True)})
+    free = (*free_parameters(model), "c_tether", "x_winch", "z_winch")
+    fit = fit_weak(tethered, prepare(runs, model), free, start={"c_tether": 1.0})
+    # A float moves straight up and down below its winch: how far to the side that is cannot show.
+    assert fit.values["x_winch"] == 0.0
+    assert fit.values["c_tether"] == pytest.approx(case.truth["values"]["tether_drag"]["c"], rel=0.1)
+    assert fit.vehicle.value_of("x_winch").sigma is None
+    assert fit.vehicle.value_of("c_tether").sigma == fit.standard_errors["c_tether"]

@@ -39,6 +39,8 @@ def target_of(vehicle: str, out: Path | None, in_place: bool) -> Path | None:
 
 def show(addition: Addition) -> None:
     """Say what the effect does to the error, and with which values."""
+    from undertow.identification.weak.estimated import NOTHING_SAID
+
     console = Console(highlight=False)
     names = ("model as given", f"refitted without {addition.effect}", f"refitted with {addition.effect}")
     width = max(map(len, names))
@@ -49,7 +51,8 @@ def show(addition: Addition) -> None:
         console.print(f"[yellow]{addition.effect} does not help[/yellow]: no fall, or none beyond chance.")
     errors, units = addition.fit.standard_errors, addition.fit.vehicle.declared_parameters
     for name in addition.kept:
-        text = f"  {name} = {addition.fit.values[name]:.4g} ± {errors[name]:.1g} {units[name].unit}"
+        spread = f"± {errors[name]:.1g} " if errors[name] < NOTHING_SAID else ""
+        text = f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}"
         console.print(escape(text.rstrip()))
     if addition.dropped:
         console.print(f"left out, zero within their error: {', '.join(addition.dropped)}")

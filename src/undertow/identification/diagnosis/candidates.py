@@ -114,7 +114,8 @@ class Candidate:
         shaped = [p for p in self.parameters if p.starts]
         if seen and (near := self.effect.starts_near(seen)):
             wanted = {p.name for p in shaped}
-            return [{n: v for n, v in point.items() if n in wanted} for point in near]
+            points = ({n: v for n, v in point.items() if n in wanted} for point in near)
+            return [dict(one) for one in dict.fromkeys(tuple(p.items()) for p in points)]
         grids = [[_start(p, s, command_scale) for s in p.starts] for p in shaped]
         return [
             dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)

@@ -6,9 +6,8 @@ from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 
 from ..fitted import Fitted
+from ..weak.estimated import NOTHING_SAID
 from .result import Estimate
-
-_NOTHING_SAID = 1e12
 
 
 def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
@@ -44,4 +43,4 @@ def _unit(parameter: Parameter) -> str:
 
 def _known(standard_error: float) -> float | None:
     """A standard error, unless the data say nothing at all of the parameter."""
-    return standard_error if standard_error < _NOTHING_SAID else None
+    return standard_error if standard_error < NOTHING_SAID else None

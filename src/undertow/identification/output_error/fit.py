@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import Windows, cut
 from ..weak.data import prepare
+from ..weak.estimated import estimated
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import Linearised, WeakModel
 from ..weak.step import bounded_step, bounds_of, inverse_of, prior_of
@@ -67,14 +68,7 @@ class OutputErrorFit:
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with the fitted values and their standard errors."""
-        old = self.model.functions.vehicle
-        values = {
-            name: replace(
-                old.value_of(name), value=self.values[name], sigma=self.standard_errors[name], estimate=True
-            )
-            for name in self.model.free
-        }
-        return old.with_values(values)
+        return estimated(self.model.functions.vehicle, self.values, self.standard_errors)
 
     @property
     def values(self) -> dict[str, float]:

@@ -5,7 +5,7 @@ errors.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,9 +15,10 @@ from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
 
 from .data import WeakData
+from .estimated import estimated
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
-from .step import bounded_step, bounds_of, inverse_of, prior_of
+from .step import bounded_step, bounds_of, inverse_of, prior_of, within_reach
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -64,15 +65,7 @@ class WeakFit:
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with the fitted values and their standard errors."""
-        old = self.model.functions.vehicle
-        errors = self.standard_errors
-        values = {}
-        for name, place in zip(self.model.free, self.model.places, strict=True):
-            known = old.value_of(name)
-            values[name] = replace(
-                known, value=float(self.p[place]), sigma=float(errors[name]), estimate=True
-            )
-        return old.with_values(values)
+        return estimated(self.model.functions.vehicle, self.values, self.standard_errors)
 
     @cached_property
     def gram(self) -> Array:
@@ -246,7 +239,7 @@ def promise(
     """
     fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, steps)
     places = list(model.places)
-    bounds = bounds_of(model)
+    bounds = within_reach(model, fit.p[places], bounds_of(model))
     step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
     after = np.clip(fit.p[places] + step, *bounds)
     return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True)), fit
@@ -273,7 +266,7 @@ def _solved(
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for _ in range(max_iterations):
-        step = bounded_step(at, p[places], bounds, prior)
+        step = bounded_step(at, p[places], within_reach(model, p[places], bounds), prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break

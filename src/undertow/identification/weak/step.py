@@ -11,6 +11,10 @@ from .residual import Linearised, WeakModel
 Array = NDArray[np.float64]
 # A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
 _PRIOR_WIDTH = 5.0
+# Times its own size, and times its starts, that a parameter which is not linear moves in one step.
+_REACH = 10.0
+# Square of a derivative, in units of the noise per SI unit, below which there is none but rounding.
+_UNFELT = 1e-24
 
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
@@ -36,12 +40,31 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
     return centre, weight
 
 
+def within_reach(model: WeakModel, now: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Bounds of the next step: a parameter that is not linear moves no farther than its derivative can tell.
+
+    Where the data hardly feel one, a place far off say, the linearised problem would send it to its bound.
+    """
+    declared = model.functions.vehicle.declared_parameters
+    bare = [declared[n.removesuffix("_forward").removesuffix("_backward")] for n in model.free]
+    reach = np.array([np.inf if p.linear else _REACH * max(1.0, *map(abs, p.starts), 0.0) for p in bare])
+    reach = np.maximum(reach, _REACH * np.abs(now))
+    return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
+
+
 def bounded_step(
     at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]
 ) -> Array:
-    """Bounded least-squares step of the linearised problem."""
-    if not len(now):
-        return np.zeros(0)
+    """Bounded least-squares step of the linearised problem; what the data do not feel stays where it is."""
+    felt = np.sum(at.J**2, axis=0) + prior[1] ** 2 > _UNFELT
+    step = np.zeros(len(now))
+    if felt.any():
+        chosen = Linearised(at.r, at.J[:, felt], at.start)
+        step[felt] = _step(chosen, now[felt], *((a[felt], b[felt]) for a, b in (bounds, prior)))
+    return step
+
+
+def _step(at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]) -> Array:
     centre, stiffness = prior
     gram = at.J.T @ at.J + np.diag(stiffness**2)
     slope = at.J.T @ at.r + stiffness**2 * (now - centre)
