@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.results.hidden import CASES, CaseResult, run_case
+from benchmarks.results.summary import EMPTY, summary_of, with_summary
 from benchmarks.results.text import number, percent, table
 
 ROOT = Path(__file__).parents[1]
@@ -88,3 +89,17 @@ def test_numbers_and_tables() -> None:
     assert [number(v) for v in (1.0, 0.01234, 123.4, 1e-6, None)] == ["1", "0.0123", "123", "0.000001", "–"]
     assert [percent(v) for v in (0.0123, 0.456, None)] == ["1.2 %", "46 %", "–"]
     assert table(("a", "b"), [("x|y", "1")]) == "| a | b |\n| --- | ---: |\n| x\\|y | 1 |\n"
+
+
+def test_the_measured_goals_stand_in_the_page_and_stay_when_the_rest_is_made_anew() -> None:
+    old = f"# Results\n\n{EMPTY}\n## Simulated logs\n\nrows\n"
+    new = with_summary(old, "| strong | 9 of 9 |\n")
+    assert summary_of(old) == f"{EMPTY}\n"
+    assert "| strong | 9 of 9 |" in summary_of(new)
+    assert "rows" not in summary_of(new)
+    assert new.startswith("# Results\n")
+    assert new.endswith("\n## Simulated logs\n\nrows\n")
+    assert with_summary(new, "| strong | 8 of 9 |\n") == new.replace("9 of 9", "8 of 9")
+    assert summary_of("# Results\n") == EMPTY
+    with pytest.raises(ValueError, match="has no part"):
+        with_summary("# Results\n", "")

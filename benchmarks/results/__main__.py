@@ -17,6 +17,7 @@ from . import cfd, cse1, hidden
 from .basin import Basin
 from .pictures import NAMES, draw
 from .reading import Report
+from .summary import summary_of
 from .words import CFD, CSE1, HIDDEN, INTRODUCTION
 
 SECTIONS = ("hidden-effects", "ntnu-cse1", "cfd-surge")
@@ -39,7 +40,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.only:
         print("\n".join(parts))
     else:
-        write_whole(options.out, "\n".join([INTRODUCTION, *parts, _making()]))
+        known = options.out.read_text(encoding="utf-8") if options.out.exists() else ""
+        write_whole(options.out, "\n".join([INTRODUCTION, summary_of(known), *parts, _making()]))
     return int(any(_FAILED in p for p in parts))
 
 

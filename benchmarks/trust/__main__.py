@@ -13,12 +13,13 @@ import json
 import sys
 from pathlib import Path
 
+from benchmarks.results.summary import with_summary
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
-from .report import page
+from .report import goal_table, page
 from .run import LIMIT, records, run, worker
 
 PROGRAM = "python -m benchmarks.trust"
@@ -26,7 +27,7 @@ EXAMPLES = """\
 examples:
   # twenty minutes on two cores; the same command goes on where it was cut off
   python -m benchmarks.trust run --out trust.jsonl --minutes 20 --jobs 2
-  python -m benchmarks.trust report trust.jsonl --out docs/trust.md
+  python -m benchmarks.trust report trust.jsonl --out docs/trust.md --summary docs/results.md
   # one case with all that is known of it, its files kept
   python -m benchmarks.trust one usv:lift:x1:n1:open:plain:17 --keep cases/lift
 """
@@ -66,6 +67,9 @@ def _parser() -> argparse.ArgumentParser:
     telling = commands.add_parser("report", help="the tables of a run")
     telling.add_argument("source", type=Path, nargs="+", metavar="FILE.jsonl")
     telling.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    telling.add_argument(
+        "--summary", type=Path, metavar="RESULTS.md", help="page of results that gets the table of goals"
+    )
     return parser
 
 
@@ -135,7 +139,11 @@ def _report(options: argparse.Namespace) -> int:
     missing = [p for p in options.source if not p.is_file()]
     if missing:
         raise ValueError(f"{missing[0]} is not there: give the file that run wrote")
-    text = page({r["id"]: r for p in options.source for r in records(p)}.values())
+    kept = list({r["id"]: r for p in options.source for r in records(p)}.values())
+    text = page(kept)
+    if options.summary is not None:
+        results = options.summary.read_text(encoding="utf-8")
+        write_whole(options.summary, with_summary(results, goal_table(kept)))
     if options.out is None:
         print(text)
     else:

@@ -32,7 +32,7 @@ def page(records: Iterable[Record]) -> str:
         INTRODUCTION,
         _counts(kept, cases),
         "## Goals\n",
-        table(("", "measured (95 % interval)", "goal", ""), [g.row for g in goals(cases)]),
+        goal_table(kept),
         "## One hidden effect, by how much it shows\n",
         _by_grade(kept),
         "## Complete models\n",
@@ -51,6 +51,11 @@ def page(records: Iterable[Record]) -> str:
         DEFINITIONS,
     ]
     return "\n".join(parts)
+
+
+def goal_table(records: Iterable[Record]) -> str:
+    """Goals beside what was measured."""
+    return table(("", "measured (95 % interval)", "goal", ""), [g.row for g in goals(scored(records))])
 
 
 def _counts(records: Sequence[Record], cases: Sequence[Scored]) -> str:

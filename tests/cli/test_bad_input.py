@@ -179,7 +179,7 @@ FILES = {
     "text of zeros": (b"\0" * 4096, "bad.csv"),
     "a picture": (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "UTF-8"),
     "a page": (b"<!doctype html><title>404</title>", "'t'"),
-    "a damaged gzip file": (gzip.compress(b"t,u\n0,1\n" * 500)[:40], "damaged gzip"),
+    "a damaged gzip file": (gzip.compress(b"t,u\n0,1\n" * 500, mtime=0)[:40], "damaged gzip"),
     "a damaged Parquet file": (b"PAR1" + b"\0" * 100 + b"PAR1", "bad.csv"),
     "rows of different length": (b"t,u\n0,1\n1,2,3,4\n2\n", "bad.csv"),
     "words": (b"t,u,v,r,f1,f2,f3\n0,fast,0,0,0,0,0\n1,slow,0,0,0,0,0\n", "'fast'"),
