@@ -540,9 +540,9 @@ def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
     code = (
         "import sys, undertow.identification.diagnosis.diagnose as d; from undertow.cli.main import main\n"
         "search = d.search\n"
-        "def told(vehicle, train, test, known, report):\n"
+        "def told(*words):\n"
         "    print('searching', flush=True)\n"
-        "    return search(vehicle, train, test, known, report)\n"
+        "    return search(*words)\n"
         "d.search = told\n"
         "raise SystemExit(main(['diagnose', 'usv.toml', 'train.csv', '--json', 'o', '--apply', 'o.toml']))"
     )
