@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -22,6 +22,7 @@ MOST_SAMPLES = 300_000
 """Samples that a fit takes: four hours at 20 Hz. In surge alone, 10^6 take five minutes and 1.4 GB."""
 
 Fill = Literal["refuse", "hold", "gap"]
+Window = tuple[float | None, float | None]
 VehicleArgument = Annotated[
     str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
 ]
@@ -81,10 +82,11 @@ def load(
     *,
     map: Path | None = None,
     effects: Sequence[Path] | None = None,
-    window: tuple[float | None, float | None] = (None, None),
+    window: Window = (None, None),
     fill: Fill | None = None,
     to_fit: bool = False,
     in_any_order: bool = False,
+    one_motion: bool = False,
 ) -> Loaded:
     """Read a vehicle and logs that are driven by its commands, with a progress bar.
 
@@ -107,6 +109,8 @@ def load(
         changes in those to work on, are refused then.
     in_any_order : bool
         Whether rows that are out of order are dropped instead of refused.
+    one_motion : bool
+        Whether a log may hold some of the motions and commands only, as one of a towing tank does.
 
     Raises
     ------
@@ -123,7 +127,9 @@ def load(
         mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
     paths = [*logs, *(holdout or ())]
     with progress("reading logs", total=len(paths)) as report:
-        runs = _runs(paths, model, mapping, window, fill, MOST_SAMPLES if to_fit else None, report)
+        most = MOST_SAMPLES if to_fit else None
+        read = _any_motion if one_motion else _all_motions
+        runs = _runs(paths, lambda path: read(path, model, mapping, window, fill), most, report)
     _refuse_twins(runs)
     if to_fit:
         _refuse_dead(runs[: len(logs)], model)
@@ -131,24 +137,26 @@ def load(
     return Loaded(model, resolve_vehicle(vehicle), runs[: len(logs)], runs[len(logs) :])
 
 
-def _runs(
-    paths: list[Path],
-    vehicle: Vehicle,
-    mapping: Mapping,
-    window: tuple[float | None, float | None],
-    fill: Fill | None,
-    most: int | None,
-    report: Report,
-) -> list[Run]:
-    from undertow.identification.logs import read_log, velocities_from_pose
-
+def _runs(paths: list[Path], read: Callable[[Path], Run], most: int | None, report: Report) -> list[Run]:
     runs: list[Run] = []
     for done, path in enumerate(paths):
         report(done, f"reading {path.name}")
-        run = read_log(path, mapping, vehicle.command_names, window=window, missing_commands=fill)
-        _refuse_too_many(sum(len(r.t) for r in (*runs, run)), most, path)
-        runs.append(velocities_from_pose(run, vehicle.degrees_of_freedom))
+        runs.append(read(path))
+        _refuse_too_many(sum(len(r.t) for r in runs), most, path)
     return runs
+
+
+def _all_motions(path: Path, vehicle: Vehicle, mapping: Mapping, window: Window, fill: Fill | None) -> Run:
+    from undertow.identification.logs import read_log, velocities_from_pose
+
+    run = read_log(path, mapping, vehicle.command_names, window=window, missing_commands=fill)
+    return velocities_from_pose(run, vehicle.degrees_of_freedom)
+
+
+def _any_motion(path: Path, vehicle: Vehicle, mapping: Mapping, window: Window, fill: Fill | None) -> Run:
+    from undertow.identification.logs import read_log
+
+    return read_log(path, mapping, also=vehicle.command_names, window=window, missing_commands=fill)
 
 
 def _refuse_too_many(samples: int, most: int | None, path: Path) -> None:

@@ -82,16 +82,13 @@ class Functions:
         composition = self.vehicle.composition
         states = [x for e in composition.effects for x in e.state_symbols]
         parameters = [symbol(n) for n in self.vehicle.declared_parameters]
-        kept = {
-            *self._memory,
-            *self._chain_rates,
-            *map(symbol, self.parameter_names),
-            *composition.directional,
-        }
+        known = {symbol(n) for n in self.parameter_names}
+        directional = {x: e for x, e in composition.directional.items() if e.free_symbols & known}
+        kept = {*self._memory, *self._chain_rates, *known, *directional}
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
         self.convert.define(composition.relative_motion)
-        self.convert.define(composition.directional)
+        self.convert.define(directional)
 
     # --- expressions --------------------------------------------------------------------------
     @cached_property

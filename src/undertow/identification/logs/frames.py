@@ -19,7 +19,9 @@ _LINEAR, _ANGLES = ("u", "v", "w"), ("phi", "theta", "psi")
 _SWAPPED = {"x": "y", "y": "x"}
 # Forward stays forward; left becomes starboard and up becomes down, so every second and third component
 # turns.
-FLIPPED_BODY = ("v", "w", "q", "r", "tau_Y", "tau_Z", "tau_M", "tau_N")
+FLIPPED_BODY = (
+    "v", "w", "q", "r", "v_dot", "w_dot", "q_dot", "r_dot", "tau_Y", "tau_Z", "tau_M", "tau_N"
+)  # fmt: skip
 
 
 def swap_position(channels: Mapping[str, NDArray[np.float64]]) -> Channels:

@@ -36,6 +36,7 @@ def read_log(
     *,
     window: tuple[float | None, float | None] = (None, None),
     missing_commands: CommandPolicy | None = None,
+    also: Iterable[str] = (),
 ) -> Run:
     """Read a log.
 
@@ -51,6 +52,8 @@ def read_log(
         Keep samples of this time only, in s on the clock of the run; None: no limit.
     missing_commands : "refuse", "hold" or "gap", optional
         What to do where a command has no sample; the mapping says it otherwise, and refusing is the default.
+    also : iterable of str
+        Names of commands that are read where the log has them.
 
     Returns
     -------
@@ -66,7 +69,8 @@ def read_log(
     where = f"log {path}"
     data = file_bytes(path)
     table = read_table(data, mapping, where).gather_every(mapping.time.every)
-    commands = list(dict.fromkeys(channels))
+    there = {c.channel for n, c in mapping.columns.items() if n in table.columns}.union(table.columns)
+    commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     table, t, notes = _time(table, mapping, where)
     run = Run(

@@ -18,10 +18,18 @@ if TYPE_CHECKING:
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 VELOCITY = ("u", "v", "w", "p", "q", "r")
 FORCES = ("tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N")
+ACCELERATION = tuple(f"{name}_dot" for name in VELOCITY)
 UNITS = dict(
     zip(
-        POSE + VELOCITY + FORCES,
-        ["m"] * 3 + ["rad"] * 3 + ["m/s"] * 3 + ["rad/s"] * 3 + ["N"] * 3 + ["N m"] * 3,
+        POSE + VELOCITY + FORCES + ACCELERATION,
+        ["m"] * 3
+        + ["rad"] * 3
+        + ["m/s"] * 3
+        + ["rad/s"] * 3
+        + ["N"] * 3
+        + ["N m"] * 3
+        + ["m/s^2"] * 3
+        + ["rad/s^2"] * 3,
         strict=True,
     )
 )
@@ -39,7 +47,8 @@ class Run:
     t : (n,) array
         Time in s, strictly increasing, in general not evenly spaced.
     channels : dict of (n,) arrays
-        SI values by channel name (``x y z phi theta psi u v w p q r``, thruster names, ``tau_X`` …);
+        SI values by channel name (``x y z phi theta psi u v w p q r``, ``u_dot`` …, thruster names,
+        ``tau_X`` …);
         NED and forward-starboard-down axes; NaN where a sample is missing. Arrays are read-only.
     source, sha256 : str
         The file the run was read from, and the hash of its bytes.

@@ -1,0 +1,34 @@
+"""Check the paper's printed tables of estimates for numbers that cannot stand together.
+
+Tables A1 to A6 of the paper on the mini-AUV come with undertow as they were printed, with what its Table 4
+took from them. Found are repeated rows, values that change their sign on the way, values far from the trend
+of the other cases, digits of another table, a case that its own rule does not take, sums that do not add up,
+values within their error of zero, and estimates that are not physical.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+_JSON = typer.Option("--json", help="Print JSON instead of text.")
+
+
+def audit_tables(json: Annotated[bool, _JSON] = False) -> None:
+    from dataclasses import asdict
+
+    from undertow.cli._show import console, print_json, section, text
+    from undertow.identification.published import KINDS, appendix, audit
+
+    found = audit(appendix())
+    if json:
+        print_json([asdict(remark) for remark in found])
+        return
+    for kind, meaning in KINDS.items():
+        own = [remark for remark in found if remark.kind == kind]
+        if own:
+            section(meaning)
+            for remark in own:
+                console().print(text(f"  {remark.where}: {remark.text}"), soft_wrap=True)
+    console().print(text(f"{len(found)} remarks on {len(appendix().tables)} tables"))

@@ -1,0 +1,75 @@
+"""Estimate added mass and damping from forced motion by the paper's chain: filters, then least squares.
+
+Each log holds one motion (surge, heave, yaw ...) that a known force drives, as a towing tank or a flow
+solver gives it: a velocity, the force tau_X (Y, Z, K, M, N) or the thrusters, and if possible the
+acceleration u_dot (v_dot ...), else velocities are differentiated. Velocity and acceleration are smoothed by
+Savitzky-Golay filters in eleven ways (--cases, Tables 1 to 3 of the paper), and added mass and damping follow
+by least squares for each of them. A vehicle with values for forward and backward motion gets each from the
+logs that go that way.
+
+    undertow identify mini-auv surge.csv heave.csv yaw.csv --cases all --out identified.toml
+
+Of the cases whose estimates are all physical, the one with the least residual variance is taken.
+
+This is the baseline that others are held against: filtering the motion and not the force biases the
+estimates, and the errors that it states take smoothed samples as independent. `undertow fit` has neither
+fault.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from undertow.cli._vehicle_and_logs import (
+    EffectsOption,
+    FillOption,
+    FromOption,
+    LogsArgument,
+    MapOption,
+    ToOption,
+    VehicleArgument,
+)
+
+_METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squares.")
+_CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
+_EDGES = typer.Option("--edges", help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
+_JSON = typer.Option("--json", metavar="FILE.json", help="Write all numbers.")
+_OUT = typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
+_IN_PLACE = typer.Option("--in-place", help="Change the vehicle file itself.")
+
+
+def identify(
+    vehicle: VehicleArgument,
+    logs: LogsArgument,
+    method: Annotated[Literal["sg-ls"], _METHOD] = "sg-ls",
+    cases: Annotated[str, _CASES] = "all",
+    edges: Annotated[Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"], _EDGES] = "interp",
+    json: Annotated[Path | None, _JSON] = None,
+    out: Annotated[Path | None, _OUT] = None,
+    in_place: Annotated[bool, _IN_PLACE] = False,
+    map: MapOption = None,
+    effects: EffectsOption = None,
+    since: FromOption = None,
+    until: ToOption = None,
+    fill: FillOption = None,
+) -> None:
+    from undertow.cli._adding import target_of
+    from undertow.cli._identifying import identified, show, write, written
+    from undertow.cli._vehicle_and_logs import load
+    from undertow.files import check_writable, write_whole
+
+    target = target_of(vehicle, out, in_place)
+    read: list[str | Path] = [*logs, *(effects or []), *([map] if map else [])]
+    check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
+    loaded = load(vehicle, logs, map=map, effects=effects, window=(since, until), fill=fill, one_motion=True)
+    done = identified(loaded.vehicle, loaded.train, cases, edges)
+    show(done)
+    if json is not None:
+        write_whole(json, written(done))
+    if target is None:
+        typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
+    else:
+        write(done, loaded.path, target)

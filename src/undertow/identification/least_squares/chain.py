@@ -1,0 +1,202 @@
+"""Ordinary least squares on smoothed samples, (16) and (17) of the paper, for each motion and direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+from undertow.model.vehicle import Vehicle
+
+from ..logs import Run
+from .axis import Axis, axis_of, moving
+from .cases import Case, Edges
+from .rows import Regression
+
+Array = NDArray[np.float64]
+# Condition number of the scaled regressor from which rounding alone decides the estimates.
+_CONDITION = 1e8
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Logs of one motion in one direction.
+
+    Attributes
+    ----------
+    axis : Axis
+        The motion.
+    runs : tuple of Run
+        The logs.
+    """
+
+    axis: Axis
+    runs: tuple[Run, ...]
+
+    @cached_property
+    def regression(self) -> Regression:
+        """Its regressor, generated from the model."""
+        return Regression(self.axis)
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """Least squares after one case of smoothing.
+
+    Attributes
+    ----------
+    case : Case
+        How the motion was smoothed.
+    names : tuple of str
+        Parameters.
+    theta : (k,) array
+        Their estimates, SI and SNAME signs; (16) of the paper.
+    covariance : (k, k) array
+        Residual variance times the inverse of H'H; (17) of the paper. It takes samples as independent, which
+        smoothed ones are not: the errors it gives are too small.
+    residual_variance : float
+        Sum of squares of the residual over samples less parameters, N^2 or (N m)^2; (17) of the paper, which
+        calls it a standard deviation.
+    samples : int
+        Rows of the regression.
+    condition : float
+        Condition number of H with its columns scaled to unit length.
+    inertia : (float, float)
+        Mass with added mass, and its standard error.
+    inertial : tuple of str
+        Parameters that are part of it.
+    impossible : tuple of str
+        Parameters that lie outside what is physical: added mass or damping of the wrong sign.
+    """
+
+    case: Case
+    names: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    residual_variance: float
+    samples: int
+    condition: float
+    inertia: tuple[float, float]
+    inertial: tuple[str, ...]
+    impossible: tuple[str, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimates by name."""
+        return dict(zip(self.names, self.theta.tolist(), strict=True))
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors by name; (16) of the paper, which calls them variances."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def t_values(self) -> dict[str, float]:
+        """Magnitude of each estimate over its standard error."""
+        errors = self.standard_errors
+        return {n: abs(v) / errors[n] if errors[n] > 0 else float("inf") for n, v in self.values.items()}
+
+    @property
+    def valid(self) -> bool:
+        """Whether all estimates are physical: the mass exceeds that of the body, damping takes energy."""
+        return not self.impossible
+
+
+def experiments(vehicle: Vehicle, runs: Sequence[Run]) -> list[Experiment]:
+    """Sort logs by the motion and the direction that they hold.
+
+    Raises
+    ------
+    UndertowError
+        If a log holds no motion of the vehicle with its force, or more than one.
+    """
+    found: dict[tuple[str, str], Experiment] = {}
+    for run in runs:
+        axis = axis_of(vehicle, _motion(vehicle, run), run)
+        key = (axis.motion, axis.direction)
+        known = found[key].runs if key in found else ()
+        found[key] = Experiment(found[key].axis if key in found else axis, (*known, run))
+    order = list(vehicle.degrees_of_freedom)
+    return sorted(found.values(), key=lambda e: (order.index(e.axis.motion), e.axis.direction == "backward"))
+
+
+def _motion(vehicle: Vehicle, run: Run) -> str:
+    motions = moving(vehicle, run)
+    if len(motions) == 1:
+        return motions[0]
+    forces = ", ".join(f"tau_{f}" for f in "XYZKMN")
+    if not motions:
+        raise UndertowError(
+            f"run '{run.name}' holds no velocity of '{vehicle.name}' that changes with the force that drives "
+            f"it ({forces}, or every thruster); it has {', '.join(run.channels)}: name its columns in a "
+            "mapping file (--map)"
+        )
+    raise UndertowError(
+        f"run '{run.name}' moves in {' and '.join(motions)}, but the paper's chain takes one motion at a "
+        "time: give logs of forced motion in one of them, or use undertow fit"
+    )
+
+
+def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Estimation:
+    """Estimates of one motion after one case of smoothing.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Motion and logs.
+    case : Case
+        How velocity and acceleration are smoothed; the force is left as it is, as in the paper.
+    edges : str
+        What the filters do at the ends of a log.
+
+    Raises
+    ------
+    UndertowError
+        If there are fewer samples than parameters, or the samples leave a combination of them open.
+    """
+    regression = experiment.regression
+    parts = [regression.rows(run, case, edges) for run in experiment.runs]
+    H, target = np.concatenate([p.H for p in parts]), np.concatenate([p.target for p in parts])
+    size = np.linalg.norm(H, axis=0)
+    _determined(experiment.axis, regression.free, H, size, case)
+    scaled = H / size
+    theta = np.linalg.lstsq(scaled, target, rcond=None)[0] / size
+    residual = target - H @ theta
+    variance = float(residual @ residual) / (len(target) - len(theta))
+    inverse = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
+    covariance = variance * inverse
+    return Estimation(
+        case=case,
+        names=regression.free,
+        theta=theta,
+        covariance=covariance,
+        residual_variance=variance,
+        samples=len(target),
+        condition=float(np.linalg.cond(scaled)),
+        inertia=regression.inertia(theta, covariance),
+        inertial=regression.inertial,
+        impossible=_impossible(experiment.axis, dict(zip(regression.free, theta.tolist(), strict=True))),
+    )
+
+
+def _determined(axis: Axis, names: Sequence[str], H: Array, size: Array, case: Case) -> None:
+    silent = [n for n, length in zip(names, size, strict=True) if length == 0.0]
+    if silent:
+        raise UndertowError(
+            f"these logs do not feel {silent[0]} of {axis} (case {case.name}): state it as known, or log a "
+            "motion that does"
+        )
+    if len(H) <= len(names) or np.linalg.cond(H / size) > _CONDITION:
+        raise UndertowError(
+            f"{len(H)} samples of {axis} leave a combination of {', '.join(names)} open (case {case.name}): "
+            "give longer logs at different speeds, or state one of them as known"
+        )
+
+
+def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:
+    declared = axis.vehicle.declared_parameters
+    return tuple(n for n, v in values.items() if not declared[n].bounds[0] <= v <= declared[n].bounds[1])

@@ -1,0 +1,92 @@
+"""The chosen estimates of all motions, as one set of values of the whole vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from undertow.model.vehicle import Vehicle
+
+from ..weak.estimated import estimated
+from .axis import Axis
+from .chain import Estimation, Experiment
+
+Array = NDArray[np.float64]
+# Standard deviations between two estimates of one parameter from which they contradict each other.
+_APART = 3.0
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Values for a vehicle file.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters of the whole vehicle.
+    values : (k,) array
+        SI and SNAME signs.
+    covariance : (k, k) array
+        Of the values; zero between motions, which were logged apart.
+    contradictions : tuple of str
+        What forward and backward logs say differently of a parameter that both share, one line each.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    contradictions: tuple[str, ...]
+
+    def vehicle(self, stated: Vehicle) -> Vehicle:
+        """The vehicle with these values and their standard errors."""
+        errors = np.sqrt(np.diag(self.covariance)).tolist()
+        return estimated(
+            stated,
+            dict(zip(self.names, self.values.tolist(), strict=True)),
+            dict(zip(self.names, errors, strict=True)),
+        )
+
+
+def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> Chosen:
+    """Put the estimates of several motions together.
+
+    What forward and backward motion share is weighted by the inverse of its variances.
+
+    Parameters
+    ----------
+    stated : Vehicle
+        The whole vehicle.
+    found : sequence of (Experiment, Estimation)
+        The chosen estimate of each motion and direction.
+    """
+    labels = [_whole_name(stated, e.axis, n) for e, estimation in found for n in estimation.names]
+    theta = np.concatenate([estimation.theta for _, estimation in found])
+    covariance = block_diag(*(estimation.covariance for _, estimation in found))
+    names = tuple(dict.fromkeys(labels))
+    weights = np.array([[float(label == n) for label in labels] for n in names]) / np.diag(covariance)
+    weights /= weights.sum(axis=1, keepdims=True)
+    told = [line for n in names if (line := _apart(n, labels, theta, covariance))]
+    return Chosen(names, weights @ theta, weights @ covariance @ weights.T, tuple(told))
+
+
+def _whole_name(stated: Vehicle, axis: Axis, name: str) -> str:
+    own = axis.name_of(name)
+    return own if own in stated.values else name
+
+
+def _apart(name: str, labels: Sequence[str], theta: Array, covariance: Array) -> str | None:
+    places = [i for i, label in enumerate(labels) if label == name]
+    if len(places) < 2:
+        return None
+    i, j = places[:2]
+    distance = abs(theta[i] - theta[j]) / np.sqrt(covariance[i, i] + covariance[j, j])
+    if distance <= _APART:
+        return None
+    return (
+        f"{name} is {theta[i]:.6g} forward and {theta[j]:.6g} backward, {distance:.1f} standard deviations "
+        "apart: one value cannot stand for both"
+    )

@@ -1,0 +1,161 @@
+"""Rows of the regression at the samples of a log, generated from the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+
+from ..logs import Run
+from ..weak.fit import free_parameters
+from ..weak.mapping import mapped
+from .axis import Axis, known_states
+from .cases import Case, Edges
+
+Array = NDArray[np.float64]
+# Share of the sampling interval by which the clock may waver for a filter that counts samples.
+_EVEN = 0.02
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A regression H theta = target.
+
+    Attributes
+    ----------
+    H : (n, k) array
+        Regressor, one row for each sample.
+    target : (n,) array
+        What theta does not contribute: commanded force less that of the known parameters, N or N m.
+    """
+
+    H: Array
+    target: Array
+
+
+class Regression:
+    """The regressor of one motion.
+
+    Parameters
+    ----------
+    axis : Axis
+        The motion.
+
+    Raises
+    ------
+    UndertowError
+        If nothing is to be estimated, a parameter is not linear, or an effect has states of its own.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self.functions = Functions(axis.vehicle)
+        vehicle = axis.vehicle
+        known_states(vehicle, self.functions.state_names, (*vehicle.pose_names, *vehicle.velocity_names))
+        self.free = free_parameters(vehicle)
+        _must_be_linear(axis, self.free)
+        self._places = [self.functions.parameter_names.index(n) for n in self.free]
+
+    def rows(self, run: Run, case: Case, edges: Edges) -> Rows:
+        """Rows of a run whose velocity and acceleration were smoothed as a case says."""
+        parts = [self._part(run, piece, case, edges) for piece in _pieces(self.axis, run, case)]
+        return Rows(np.concatenate([p.H for p in parts]), np.concatenate([p.target for p in parts]))
+
+    def _part(self, run: Run, piece: slice, case: Case, edges: Edges) -> Rows:
+        vehicle, t = self.axis.vehicle, run.t[piece]
+        rate_name = f"{self.axis.velocity}_dot"
+        logged = run.channels[rate_name][piece] if run.has(rate_name) else None
+        velocity, rate = case.smoothed(
+            run.channels[self.axis.velocity][piece], logged, _step(run, piece), edges
+        )
+        used = np.isfinite(velocity) & np.isfinite(rate)
+        pose = _pose(run, vehicle.pose_names[0], piece)
+        commands = run.matrix(vehicle.command_names)[piece]
+        x, nu_dot = np.column_stack([pose, velocity])[used], rate[used, None]
+        residual, slope = mapped(self._at, [x, nu_dot, commands[used]], self._still, t[used])
+        return Rows(slope[:, 0, :], -residual[:, 0, 0])
+
+    @property
+    def _still(self) -> Array:
+        """Parameters with those that are sought at zero."""
+        p = np.array(self.functions.values(), dtype=float)
+        p[self._places] = 0.0
+        return p
+
+    @property
+    def _at(self) -> ca.Function:
+        f = self.functions
+        inputs = [f.x, f.nu_dot, f.u, f.p, f.t]
+        driven = ca.substitute(f.residual, f.actuation, f.chain_output)
+        slope = ca.jacobian(driven, f.p)[:, self._places]
+        return ca.Function("rows", inputs, [ca.densify(driven), ca.densify(slope)])
+
+    def inertia(self, theta: Array, covariance: Array) -> tuple[float, float]:
+        """Mass with added mass and its standard error at an estimate."""
+        f = self.functions
+        mass = ca.Function("mass", [f.p], [f.mass_matrix, ca.jacobian(f.mass_matrix, f.p)])
+        p = self._still
+        p[self._places] = theta
+        value, slope = (np.asarray(v, dtype=float) for v in mass(p))
+        slope = slope[0, self._places]
+        return float(value[0, 0]), float(np.sqrt(slope @ covariance @ slope))
+
+    @property
+    def inertial(self) -> tuple[str, ...]:
+        """Sought parameters that are part of the inertia."""
+        f = self.functions
+        felt = ca.jacobian_sparsity(f.mass_matrix, f.p)
+        places = set(felt.get_col())
+        return tuple(n for n, k in zip(self.free, self._places, strict=True) if k in places)
+
+
+def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
+    declared = axis.vehicle.declared_parameters
+    if not free:
+        raise UndertowError(
+            f"no parameter of the {axis.motion} of '{axis.vehicle.name}' is to be estimated: write, for "
+            "instance, X_u = { value = ..., estimate = true }"
+        )
+    shaped = [n for n in free if not declared[n].linear]
+    if shaped:
+        raise UndertowError(
+            f"{shaped[0]} does not enter the equations linearly, which least squares on samples needs: state "
+            "it as known, or use undertow fit"
+        )
+
+
+def _pieces(axis: Axis, run: Run, case: Case) -> list[slice]:
+    """Stretches without gaps that are long enough for the filters."""
+    names = [axis.velocity, *axis.vehicle.command_names]
+    rate = f"{axis.velocity}_dot"
+    pieces = run.segments([*names, *([rate] if run.has(rate) else [])])
+    long = [p for p in pieces if p.stop - p.start >= max(case.longest, 2)]
+    if not long:
+        raise UndertowError(
+            f"run '{run.name}': no stretch of {axis.velocity} without gaps has the {case.longest} samples "
+            f"that case {case.name} needs: fill the gaps, or choose other cases (--cases)"
+        )
+    return long
+
+
+def _step(run: Run, piece: slice) -> float:
+    steps = np.diff(run.t[piece])
+    step = float(np.median(steps))
+    worst = float(np.max(np.abs(steps - step)))
+    if worst > _EVEN * step:
+        raise UndertowError(
+            f"run '{run.name}' is sampled unevenly (steps of {step:g} s, off by up to {worst:g} s), but "
+            "Savitzky-Golay filters count samples: resample it on an even clock, or use undertow fit"
+        )
+    return step
+
+
+def _pose(run: Run, name: str, piece: slice) -> Array:
+    pose = run.channels[name][piece] if run.has(name) else np.zeros(piece.stop - piece.start)
+    return np.nan_to_num(pose)

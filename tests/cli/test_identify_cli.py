@@ -1,0 +1,104 @@
+"""`undertow identify` and `undertow audit-tables` on the command line."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.identification.test_least_squares import profile_p
+from undertow.cli.main import main
+from undertow.model.loading import load_vehicle
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    for name, sign in (("ahead", 1.0), ("astern", -1.0)):
+        run = profile_p(0.2, sign)
+        pl.DataFrame({"t": run.t, **run.channels}).write_csv(tmp_path / f"{name}.csv")
+    return tmp_path
+
+
+def test_all_cases_of_both_directions_in_tables(logs: Path, capsys: Capture) -> None:
+    assert main(["identify", "mini-auv", "ahead.csv", "astern.csv", "--cases", "2,8,10,11"]) == 0
+    out = capsys.readouterr().out
+    assert out.index("surge, forward (ahead; 150 samples)") < out.index(
+        "surge, backward (astern; 150 samples)"
+    )
+    assert "m_x, kg (|t|)" in out
+    assert "X_uabsu, kg/m (|t|)" in out
+    rows = [line.split() for line in out.splitlines() if line.startswith("  8 ")]
+    assert len(rows) == 2
+    for row in rows:
+        assert float(row[1]) == pytest.approx(9.866323, abs=6e-6)
+        assert float(row[5]) == pytest.approx(-0.102889, abs=6e-7)
+        assert " ".join(row[-2:]) == "no: X_u"
+    assert (
+        out.count("taken: case 2 (velocity (1, 3), acceleration (1, 3)); of the cases whose estimates are")
+        == 2
+    )
+    assert out.count("X_u is not determined by this experiment: |t| = 0.") == 2
+    assert "nothing was written" in out
+    assert sorted(p.name for p in logs.iterdir()) == ["ahead.csv", "astern.csv"]
+
+
+def test_the_chosen_set_goes_into_a_vehicle_file_with_its_covariance(logs: Path, capsys: Capture) -> None:
+    words = ["identify", "mini-auv", "ahead.csv", "astern.csv", "--cases", "2,10", "--out", "new.toml"]
+    assert main([*words, "--json", "all.json"]) == 0
+    new, old = load_vehicle("new.toml"), load_vehicle("mini-auv")
+    assert new.value_of("X_udot_forward").value == pytest.approx(7.5 - 9.276339, abs=1e-6)
+    assert new.value_of("X_uabsu_backward").value == pytest.approx(-5.349356, abs=1e-6)
+    assert new.value_of("Z_w_forward") == old.value_of("Z_w_forward")
+    (history,) = tomllib.loads((logs / "new.toml").read_text())["history"]
+    found = {c["case"]: c for c in json.loads((logs / "all.json").read_text())["motions"][0]["cases"]}
+    assert list(found) == ["2", "10"]
+    matrix = np.array(history["covariance"]["matrix"])
+    assert matrix.shape == (6, 6)
+    np.testing.assert_allclose(matrix[:3, :3], found["2"]["covariance"], rtol=1e-5)
+    errors = found["2"]["standard_errors"]
+    assert new.value_of("X_u_forward").sigma == pytest.approx(errors["X_u"])
+    assert [entry["name"] for entry in history["logs"]] == ["ahead", "astern"]
+    assert "surge, backward: case 2" in history["command"]
+
+
+def test_mistakes_are_one_line(logs: Path, capsys: Capture) -> None:
+    (logs / "still.csv").write_text("t,u,tau_X\n0,0,1\n0.2,0,1\n0.4,0,1\n")
+    for words, said in (
+        (["ahead.csv", "--cases", "12"], "'12' is no case"),
+        (["still.csv"], "holds no velocity of 'mini-auv' that changes"),
+        (["missing.csv"], "missing.csv"),
+        (["ahead.csv", "--cases", "8", "--out", "new.toml"], "no case of any motion is physical"),
+    ):
+        assert main(["identify", "mini-auv", *words]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith("error: ")
+        assert said in err
+        assert len(err.splitlines()) == 1
+    assert not (logs / "new.toml").exists()
+
+
+def test_the_audit_prints_every_kind_of_remark(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["audit-tables"]) == 0
+    out = capsys.readouterr().out
+    for said in (
+        "A6, cases 5 and 9: all 5 numbers",
+        "A2, case 11, X_uabsu: -5.153776644 in the table, 5.153776 in Table 4",
+        "17.7 standard deviations away",
+        "case 6 has 0.006110739",
+        "0.023659776, but Table 4 has 0.0240417",
+        "t = 0.47",
+        "A2: 11 of 11 cases as printed",
+        "22 remarks on 6 tables",
+    ):
+        assert said in out
+    assert main(["audit-tables", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)) == 22
