@@ -79,9 +79,8 @@ def try_all(bench: Bench, known: Catalogue, report: Report) -> Round:
         report(0.5 + 0.3 * i / len(worth), f"fitting {s.candidate.id}")
         trials.append(try_candidate(s.candidate, bench, s.values, _FIRST_LOOK))
     chances = {t.id: p_value(_fall(bench.base_score, t.score), by_chance) for t in trials}
-    finalists = sorted(
-        (t for t in trials if t.kept or not t.candidate.removable), key=lambda t: t.score.error
-    )
+    able = (t for t in trials if (t.kept or not t.candidate.removable) and t.known)
+    finalists = sorted(able, key=lambda t: t.score.error)
     bench, finalists = _final(bench, finalists[:_FINALISTS], report)
     tried = {t.id for t in finalists}
     others = [rejected(c, bench) for c in possible if c.id not in tried]

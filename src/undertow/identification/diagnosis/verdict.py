@@ -95,7 +95,7 @@ def _unexplained(winners: list[Finding], share: float, confirmed: bool) -> Judge
         if confirmed
         else "makes the simulation of the kept-aside runs worse, so it is not what is missing"
     )
-    text = f"Unexplained: {names} lowers the kept-aside error but {reason}."
+    text = f"Unexplained: adding {names} fits the kept-aside data better by more than chance, but {reason}."
     return Judgement("unexplained", text, [], [], share)
 
 
