@@ -286,5 +286,15 @@ def test_a_motion_at_one_speed_leaves_combinations_open(runs: dict[float, Run]) 
     u = 0.2 + 1e-12 * np.sin(t)
     run = Run("steady", t, {"u": u, "u_dot": np.sin(3 * t), "tau_X": np.ones_like(t)})
     (surge,) = experiments(surge_vehicle(), [run])
-    with pytest.raises(UndertowError, match="leave a combination of X_udot, X_u, X_uabsu open"):
+    with pytest.raises(
+        UndertowError, match=r"do not determine X_udot, .* only X_u \+ 0.2 X_uabsu: log other speeds"
+    ):
+        estimate(surge, CASES["1"])
+
+
+def test_mass_and_added_mass_are_one_number(runs: dict[float, Run]) -> None:
+    vehicle = surge_vehicle()
+    both = vehicle.with_values({"m": replace(vehicle.value_of("m"), estimate=True)})
+    (surge,) = experiments(both, [runs[0.2]])
+    with pytest.raises(UndertowError, match="only m - X_udot: log other speeds"):
         estimate(surge, CASES["1"])

@@ -14,7 +14,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification import velocities_from_pose
 from undertow.identification.compare.cutting import cut
-from undertow.identification.fitted import remarks, t_values
+from undertow.identification.fitted import correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.output_error import OutputErrorFit, fit_output_error
 from undertow.identification.output_error.shooting import Shooting
 from undertow.identification.weak.data import prepare
@@ -73,6 +73,31 @@ def test_what_the_experiment_cannot_show_is_said() -> None:
     assert t_values(fit)["X_u"] < 2.0
     assert any("not identifiable" in text for text in said["X_u"])
     assert not any("not identifiable" in text for text in said["X_udot"])
+
+
+def test_the_bound_is_the_cramer_rao_bound_and_hardly_less_than_the_errors() -> None:
+    fit = fit_output_error(surge_vehicle(), [surge_run(0.02, 4)], horizon=None)
+    least = np.array(list(cramer_rao(fit).values()))
+    # The noise of the channel is itself known to some ten per cent from 150 samples.
+    np.testing.assert_allclose(100 * least / SIZES, CRAMER_RAO, rtol=0.2)
+    assert np.all(np.array(list(fit.standard_errors.values())) >= 0.999 * least)
+    weak = fit_weak(surge_vehicle(), prepare([surge_run(0.02, 4)], surge_vehicle()))
+    # Test functions of a second see a little less than the whole record.
+    assert np.all(np.array(list(cramer_rao(weak).values())) > 0.95 * least)
+
+
+def test_every_parameter_gets_a_verdict() -> None:
+    exact, noisy = (fit_output_error(surge_vehicle(), [surge_run(n, 3)], horizon=None) for n in (1e-3, 0.1))
+    assert set(verdicts(exact).values()) == {"identified"}
+    assert verdicts(noisy) == {
+        "X_udot": "identified",
+        "X_u": "not identifiable",
+        "X_uabsu": "weakly identified",  # only together with X_u
+    }
+    between = correlation(noisy)
+    np.testing.assert_allclose(np.diag(between), 1.0)
+    # At one speed the linear and the quadratic drag are one number; P has little else.
+    assert between[1, 2] < -0.9
 
 
 def test_several_runs_are_fitted_jointly() -> None:

@@ -21,7 +21,7 @@ from undertow.identification.planning import (
 from undertow.identification.planning.families import Design
 from undertow.identification.planning.flight import Flight, Plant
 from undertow.identification.planning.flyable import command_csv
-from undertow.identification.planning.information import gram_along, stated, undetermined
+from undertow.identification.planning.information import gram_along, stated
 from undertow.identification.planning.limits import MotionLimits, extremes
 from undertow.identification.planning.rivals import rival_models
 from undertow.identification.planning.separation import Separations
@@ -189,13 +189,6 @@ def test_mass_and_added_mass_are_one_number_in_surge() -> None:
     }
     plan = plan_parameters(_vehicle(["surge"], effects, ["tau_X"]), (), replace(SHORT, tries=10)).plan
     assert plan.undetermined == [["m", "X_udot"]]
-
-
-def test_groups_of_what_is_undetermined() -> None:
-    gram = np.zeros((5, 5))
-    gram[:2, :2] = [[4.0, 2.0], [2.0, 1.0]]
-    gram[3:, 3:] = [[2.0, 1.0], [1.0, 3.0]]
-    assert undetermined(gram, ["a", "b", "c", "d", "e"]) == [["a", "b"], ["c"]]
 
 
 # --- limits -----------------------------------------------------------------------------------------------

@@ -10,14 +10,16 @@ from pathlib import Path
 from undertow.cli._progress import Report
 from undertow.cli._show import console, section, table, text
 from undertow.errors import UndertowError
+from undertow.identification.base_parameters import base_parameters
 from undertow.identification.compare.windows import Prediction, cut, predict, prediction_error
 from undertow.identification.diagnosis.estimates import estimates
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.fitted import Fitted, remarks, t_values
+from undertow.identification.fitted import Fitted, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.logs import Run
 from undertow.identification.output_error import fit_output_error
 from undertow.identification.weak.data import channel_noise, prepare
+from undertow.identification.weak.estimated import NOTHING_SAID
 from undertow.identification.weak.fit import fit_weak, free_parameters
 from undertow.model.vehicle import Vehicle
 
@@ -88,7 +90,9 @@ def show(done: Refit) -> None:
     """Print parameters, how far they can be trusted, and the error before and after."""
     out = console()
     section(f"Parameters by {_METHODS[done.method]}", _parameters(done))
-    out.print(text(f"  condition number {done.fit.condition:.3g}"))
+    out.print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
+    for line in _combined(done.fit):
+        out.print(text(f"  {line}", "yellow"), soft_wrap=True)
     for name, said in remarks(done.fit, done.stated).items():
         if said:
             out.print(text(f"  {name}: {'; '.join(said)}", "yellow"), soft_wrap=True)
@@ -98,17 +102,33 @@ def show(done: Refit) -> None:
         out.print(text("the refitted model predicts kept-aside data worse than the model as given", "yellow"))
 
 
+_BOUND = "bound: Cramér-Rao, the least error that the logs allow without stated values"
 _METHODS = {"weak": "the weak form", "output-error": "output error"}
 
 
 def _parameters(done: Refit) -> object:
-    sure = t_values(done.fit)
+    sure, said, least = t_values(done.fit), verdicts(done.fit), cramer_rao(done.fit)
     rows = []
     for e in estimates(done.fit, done.stated):
         spread = "" if e.standard_error is None else f"± {e.standard_error:.2g}"
         prior = "" if e.prior is None else f"{e.prior:.5g}"
-        rows.append((e.name, f"{e.value:.5g}", spread, e.unit, prior, f"{sure[e.name]:.3g}"))
-    return table(("parameter", "value", "", "unit", "before", "|t|"), rows)
+        bound = f"{least[e.name]:.2g}" if least[e.name] < NOTHING_SAID else ""
+        rows.append(
+            (e.name, f"{e.value:.5g}", spread, bound, e.unit, prior, f"{sure[e.name]:.3g}", said[e.name])
+        )
+    return table(("parameter", "value", "", "bound", "unit", "before", "|t|", "by these logs"), rows)
+
+
+def _combined(fit: Fitted) -> list[str]:
+    """What is known only in sums, and which run would tell more."""
+    sums = base_parameters(fit.gram, fit.model.free)
+    lines = [f"only these sums can be identified: {', '.join(map(str, sums))}"] if sums else []
+    lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
+    if lacking:
+        lines.append(
+            f"undertow plan VEHICLE LOG --only {','.join(lacking)} --out plan.csv designs a better run"
+        )
+    return lines
 
 
 def _errors(done: Refit) -> object:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
 
+from .base_parameters import undetermined
 from .weak.residual import WeakModel
-from .weak.step import bounds_of
+from .weak.step import bounds_of, inverse_of
 
 Array = NDArray[np.float64]
 # |value| over its standard error below which a parameter could as well be zero.
 _SURE = 2.0
+# The same for a parameter that is known, if not well.
+_CLEAR = 5.0
 # Correlation between the errors of two parameters beyond which only a combination of both is known, unless
 # each is this many standard errors from zero all the same.
 _TIED = 0.95
@@ -51,8 +54,48 @@ class Fitted(Protocol):
         """Covariance of the free parameters."""
 
     @property
+    def gram(self) -> Array:
+        """Information J'J of the data in units of their noise, without priors."""
+
+    @property
     def condition(self) -> float:
         """Condition number of the scaled regressor."""
+
+
+Verdict = Literal["identified", "weakly identified", "not identifiable"]
+
+
+def verdicts(fit: Fitted) -> dict[str, Verdict]:
+    """Whether this experiment determines each parameter.
+
+    Not identifiable: within two standard errors of zero, or not felt by the data at all. Weakly identified:
+    within five, known only together with another, or at the limit of what is physical.
+    """
+    sure = t_values(fit)
+    open_ = {name for group in undetermined(fit.gram, fit.model.free) for name in group}
+    doubtful = {*_tied(fit), *_bound(fit)}
+    return {n: _verdict(sure[n], n in open_, n in doubtful) for n in fit.model.free}
+
+
+def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
+    if t < _SURE or undetermined:
+        return "not identifiable"
+    return "weakly identified" if t < _CLEAR or doubtful else "identified"
+
+
+def cramer_rao(fit: Fitted) -> dict[str, float]:
+    """Least standard error that any unbiased estimator can have from these data and this noise, by parameter.
+
+    What comes on top of it in the standard errors is what the model leaves beyond the noise. Stated priors
+    are no data, and do not count.
+    """
+    return dict(zip(fit.model.free, np.sqrt(np.diag(inverse_of(fit.gram))).tolist(), strict=True))
+
+
+def correlation(fit: Fitted) -> Array:
+    """Correlation of the errors of the free parameters, shape (k, k)."""
+    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+    return np.asarray(fit.covariance / np.outer(spread, spread))
 
 
 def t_values(fit: Fitted) -> dict[str, float]:
@@ -83,15 +126,13 @@ def _unsure(fit: Fitted) -> dict[str, str]:
 
 
 def _tied(fit: Fitted) -> dict[str, str]:
-    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
-    correlation = fit.covariance / np.outer(spread, spread)
-    np.fill_diagonal(correlation, 0.0)
-    names = fit.model.free
-    partner = np.argmax(np.abs(correlation), axis=1).tolist() if len(names) > 1 else []
+    between, names, sure = correlation(fit), fit.model.free, t_values(fit)
+    np.fill_diagonal(between, 0.0)
+    partner = np.argmax(np.abs(between), axis=1).tolist() if len(names) > 1 else []
     return {
-        names[i]: f"known only together with {names[j]}: correlation {correlation[i, j]:.3f}"
+        names[i]: f"known only together with {names[j]}: correlation {between[i, j]:.3f}"
         for i, j in enumerate(partner)
-        if abs(correlation[i, j]) > _TIED and t_values(fit)[names[i]] < _WELL
+        if abs(between[i, j]) > _TIED and sure[names[i]] < _WELL
     }
 
 

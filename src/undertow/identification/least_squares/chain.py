@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
+from ..base_parameters import base_parameters
 from ..logs import Run
 from .axis import Axis, axis_of, moving
 from .cases import Case, Edges
@@ -19,7 +20,7 @@ from .rows import Regression
 
 Array = NDArray[np.float64]
 # Condition number of the scaled regressor from which rounding alone decides the estimates.
-_CONDITION = 1e8
+_CONDITION = 1e7
 
 
 @dataclass(frozen=True)
@@ -191,9 +192,10 @@ def _determined(axis: Axis, names: Sequence[str], H: Array, size: Array, case: C
             "motion that does"
         )
     if len(H) <= len(names) or np.linalg.cond(H / size) > _CONDITION:
+        seen = ", ".join(map(str, base_parameters(H.T @ H, names, 1.0 / _CONDITION**2)))
         raise UndertowError(
-            f"{len(H)} samples of {axis} leave a combination of {', '.join(names)} open (case {case.name}): "
-            "give longer logs at different speeds, or state one of them as known"
+            f"{len(H)} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
+            f"only {seen or 'nothing of them'}: log other speeds and accelerations, or state one as known"
         )
 
 

@@ -22,9 +22,6 @@ Array = NDArray[np.float64]
 _VAGUE = 100.0
 # It counts as unknown as long as its standard error is a good part of that.
 _UNKNOWN = 0.3
-# Directions with less of the information than this share are not determined at all.
-_NOTHING = 1e-10
-_TOUCHED = 1e-3
 # Errors so many times wider than by noise alone are worth a remark.
 _WIDE = 1.5
 # Beyond this, fitted values make up for what is missing, and those of the vehicle file are better ones.
@@ -193,35 +190,3 @@ def log_determinant(information: Array, wanted: Sequence[int]) -> float:
         return float(whole)
     rest = np.linalg.slogdet(scaled[np.ix_(others, others)])[1] - 2 * np.sum(np.log(scale[others]))
     return float(whole - rest)
-
-
-def undetermined(gram: Array, free: Sequence[str]) -> list[list[str]]:
-    """Parameters that no combination of manoeuvres determines, in groups that hang together.
-
-    Parameters
-    ----------
-    gram : (k, k) array
-        Information of all manoeuvres that were looked at, without priors.
-    free : sequence of str
-        Names of the parameters.
-
-    Returns
-    -------
-    list of list of str
-        A group of one does not show at all; of a larger one only a combination shows.
-    """
-    size = np.sqrt(np.diag(gram))
-    silent = size <= 0
-    scale = np.where(silent, 1.0, 1.0 / np.where(silent, 1.0, size))
-    weight, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
-    null = vectors[:, weight < _NOTHING * max(float(weight[-1]), 1e-300)]
-    projector = null @ null.T
-    groups: list[list[int]] = []
-    left = [i for i in range(len(free)) if projector[i, i] > _TOUCHED]
-    while left:
-        group = [left.pop(0)]
-        for i in group:
-            group += [j for j in left if abs(projector[i, j]) > _TOUCHED]
-            left = [j for j in left if j not in group]
-        groups.append(sorted(group))
-    return [[free[i] for i in group] for group in groups]

@@ -12,12 +12,13 @@ from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
+from ..base_parameters import undetermined
 from ..logs import Run
 from ..weak.fit import free_parameters
 from ..weak.residual import WeakModel
 from .families import Design
 from .flight import Flight, Plant
-from .information import Knowledge, gram_along, knowledge, log_determinant, remarks_on, undetermined
+from .information import Knowledge, gram_along, knowledge, log_determinant, remarks_on
 from .result import Plan
 from .search import Search, search
 from .setting import Ground, Request
