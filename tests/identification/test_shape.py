@@ -65,7 +65,7 @@ def test_a_spheroid_three_times_as_long_as_thick() -> None:
 def test_a_spheroid_of_lambs_table() -> None:
     """Length over thickness 2.99: 0.122 along and 0.803 across."""
     found = np.diag(prolate_spheroid(2.99, 1.0).matrix) / (np.pi / 6 * RHO * 2.99)
-    assert found[:2] == pytest.approx([0.122, 0.803], abs=5e-4)
+    assert found[:2] == pytest.approx([0.122, 0.803], abs=1e-3)
 
 
 def test_a_thin_disc_carries_eight_thirds_of_its_radius_cubed() -> None:

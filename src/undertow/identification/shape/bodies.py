@@ -105,8 +105,8 @@ def cylinder(length: float, diameter: float, density: float = 1000.0) -> AddedMa
     across = density * np.pi / 4 * diameter**2 * length
     about = across * length**2 / 12
     limits = (
-        f"from {_SLENDER:g} diameters of length; real ends take away up to a tenth across, and along the axis "
-        "there is some added mass, which depends on their shape"
+        f"from {_SLENDER:g} diameters of length; real ends take away up to a tenth across, and along the "
+        "axis there is some added mass, which depends on their shape"
     )
     source = "strip theory; Lamb (1932), Hydrodynamics, chapter IV (circular cylinder)"
     return AddedMass(np.diag([0.0, across, across, 0.0, about, about]), source, limits)
