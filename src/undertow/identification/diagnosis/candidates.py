@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from math import isfinite
 
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import Catalogue
@@ -71,12 +70,6 @@ class Candidate:
         """
         linear = tuple(p.name for p in self.parameters if p.linear)
         return linear or tuple(p.name for p in self.parameters)
-
-    @property
-    def neutral(self) -> dict[str, float]:
-        """Values of its parameters at which it vanishes; zero where there is none, or none that is finite."""
-        stated = {p.name: p.neutral for p in self.parameters}
-        return {n: v if v is not None and isfinite(v) else 0.0 for n, v in stated.items()}
 
     def shown_by(self, kept: Collection[str]) -> bool:
         """Whether these parameters of the effect, all others being zero, are still the effect."""

@@ -63,9 +63,11 @@ def explained(before: Score, after: Score, noise: Array) -> float:
     """Share of what exceeds the noise of the sensors that went away.
 
     Equations that the noise explains have no say; the others count by how far they are above it, in
-    that one very bad equation does not hide the rest.
+    that one very bad equation does not hide the rest. What unknown first states leave open counts on neither
+    side.
     """
-    first, last, floor = before.mean_square, after.mean_square, np.maximum(noise, 1e-12)
+    floor = np.maximum(noise, 1e-12)
+    first, last = (np.maximum(s.mean_square - after.open, 0.0) for s in (before, after))
     counted = np.nan_to_num(first / floor) > _ABOVE_NOISE
     if not np.any(counted):
         return 0.0

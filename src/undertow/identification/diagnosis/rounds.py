@@ -79,7 +79,7 @@ def try_all(bench: Bench, known: Catalogue, report: Report) -> Round:
         report(0.5 + 0.3 * i / len(worth), f"fitting {s.candidate.id}")
         trials.append(try_candidate(s.candidate, bench, s.values, _FIRST_LOOK))
     chances = {t.id: p_value(_fall(bench.base_score, t.score), by_chance) for t in trials}
-    able = (t for t in trials if (t.kept or not t.candidate.removable) and t.known)
+    able = (t for t in trials if t.kept or not t.candidate.removable)
     finalists = sorted(able, key=lambda t: t.score.error)
     bench, finalists = _final(bench, finalists[:_FINALISTS], report)
     tried = {t.id for t in finalists}
@@ -155,4 +155,4 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     strong = chance < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
     share = explained(bench.base_score, trial.score, bench.noise_level)
     better = trial.score.error < bench.base_score.error
-    return Finding(trial, evidence, share, chance, strong and better and trial.known, inclusion)
+    return Finding(trial, evidence, share, chance, strong and better, inclusion)

@@ -16,7 +16,6 @@ from undertow.model.vehicle import Vehicle
 
 from ..planning.suggest import suggest
 from ..weak.fit import WeakFit
-from ..weak.residual import whitened
 from .candidates import candidates
 from .chain import Chain, fitted, with_effects
 from .compensation import Relief, absorbing, reliefs
@@ -27,7 +26,7 @@ from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
-from .trial import scored
+from .trial import Score, scored
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
@@ -128,17 +127,18 @@ class Story:
             return f"No manoeuvre can be suggested: {error}"
 
     def _normalised(self, fit: WeakFit) -> float:
-        parts = fit.model.linearise(self.bench.test, fit.p)
-        return scored(whitened(parts, self._whitening, self._left_before).r, self.bench.test).error
+        """Error in units of the noise; what unknown first states leave open is left out on both sides."""
+        before = self._left_before
+        after = scored(fit, self.bench.test, self._whitening, before.r)
+        return self._before * after.without_open(after).error / before.without_open(after).error
 
     @cached_property
-    def _left_before(self) -> Array:
-        """What the model without effects leaves of the kept-aside data, in units of the noise."""
-        return whitened(self.base.model.linearise(self.bench.test, self.base.p), self._whitening).r
+    def _left_before(self) -> Score:
+        return scored(self.base, self.bench.test, self._whitening)
 
     @cached_property
     def _before(self) -> float:
-        return scored(self._left_before, self.bench.test).error
+        return self._left_before.error
 
     def _steps(self) -> list[Step]:
         ids = [w.id for w in self.found.winners]

@@ -24,7 +24,6 @@ from .candidates import Candidate
 Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
-_T_KNOWN = 2.0
 _NOISE_EXPLAINS = 2.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
@@ -44,21 +43,33 @@ class Score:
         Whitened residual.
     mean_square : (2n,) array
         Mean square for each equation.
+    open : (2n,) array, optional
+        Part of it that belongs to unknown first states of effects, which no model could have foretold.
     error : float
         Normalised error: geometric mean over the equations of the whitened rms.
     """
 
     r: Array
     mean_square: Array
+    open: Array | float = 0.0
 
     @property
     def error(self) -> float:
         return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.mean_square, 1e-12)))))
 
+    def without_open(self, judged: Score) -> Score:
+        """The score without what a model that is judged leaves open."""
+        return Score(self.r, np.maximum(self.mean_square - judged.open, 0.0))
 
-def scored(r: Array, data: WeakData) -> Score:
-    """Score of a whitened residual."""
-    return Score(r, mean_square(r, data))
+
+def scored(fit: WeakFit, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
+    """Score of a model on data, judged beside the residual of another (see `whitened`)."""
+    parts = fit.model.linearise(data, fit.p)
+    r = whitened(parts, noise, beside).r
+    taken = np.zeros_like(r)
+    if beside is not None and any(np.any(part.start) for part in parts):
+        taken = r - whitened(parts, noise).r
+    return Score(r, mean_square(r, data), mean_square(taken, data))
 
 
 @dataclass(frozen=True)
@@ -90,17 +101,6 @@ class Trial:
         """Id of the effect."""
         return self.candidate.id
 
-    @property
-    def known(self) -> bool:
-        """Whether any parameter of the effect is told from no effect by more than twice its error.
-
-        A curve bent freely along the path of a run can lower the error there without saying anything.
-        """
-        errors, neutral = self.fit.standard_errors, self.candidate.neutral
-        return not self.candidate.removable or any(
-            abs(self.fit.values[n] - neutral[n]) > _T_KNOWN * errors[n] for n in self.kept
-        )
-
 
 @dataclass(frozen=True)
 class Bench:
@@ -125,12 +125,11 @@ class Bench:
     @cached_property
     def base_score(self) -> Score:
         """How the model without any candidate does on the kept-aside data."""
-        base = self.base
-        return scored(whitened(base.model.linearise(self.test, base.p), self.test_whitening).r, self.test)
+        return scored(self.base, self.test, self.test_whitening)
 
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the kept-aside data."""
-        return scored(self.on_test(fit).r, self.test)
+        return scored(fit, self.test, self.test_whitening, self.base_score.r)
 
     def on_test(self, fit: WeakFit) -> Linearised:
         """A fitted model on the kept-aside data, where unknown first states win nothing over the base."""

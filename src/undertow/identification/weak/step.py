@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from undertow.model.parameter import Parameter
+
 from .residual import Linearised, WeakModel
 
 Array = NDArray[np.float64]
@@ -13,6 +15,8 @@ Array = NDArray[np.float64]
 _PRIOR_WIDTH = 5.0
 # Times its own size, and times its starts, that a parameter which is not linear moves in one step.
 _REACH = 10.0
+# The same as a share of all that is physical: a tether may come from far away.
+_REACH_OF_BOUNDS = 0.02
 # Square of a derivative, in units of the noise per SI unit, below which there is none but rounding.
 _UNFELT = 1e-24
 
@@ -47,9 +51,17 @@ def within_reach(model: WeakModel, now: Array, bounds: tuple[Array, Array]) -> t
     """
     declared = model.functions.vehicle.declared_parameters
     bare = [declared[n.removesuffix("_forward").removesuffix("_backward")] for n in model.free]
-    reach = np.array([np.inf if p.linear else _REACH * max(1.0, *map(abs, p.starts), 0.0) for p in bare])
+    reach = np.array([_reach(p) for p in bare])
     reach = np.maximum(reach, _REACH * np.abs(now))
     return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
+
+
+def _reach(parameter: Parameter) -> float:
+    if parameter.linear:
+        return np.inf
+    span = parameter.bounds[1] - parameter.bounds[0]
+    wide = _REACH_OF_BOUNDS * span if np.isfinite(span) else 0.0
+    return max(_REACH * max(1.0, *map(abs, parameter.starts), 0.0), wide)
 
 
 def bounded_step(

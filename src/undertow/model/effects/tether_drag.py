@@ -13,6 +13,7 @@ from undertow.model.symbols import Signals, column, symbol
 
 _DRAG, _SPEED = column(["drag_x", "drag_y", "drag_z"]), column(["tail_u", "tail_v", "tail_w"])
 _LENGTH = symbol("length")
+_FAR = 1e4
 
 
 class TetherDrag(Wrench):
@@ -45,9 +46,14 @@ class TetherDrag(Wrench):
         x, y, z = (sum(ends) / 2 for ends in ranges)
         # Above the vehicle, since in the plane of the motion the height of a winch could not show.
         above = z - math.dist(*zip(*ranges, strict=True)) / 4
-        start = {"x_winch": x, "y_winch": y, "z_winch": above, "y_tail": 0.0, "z_tail": 0.0}
-        # The moment gives a tether away, and only from an attachment on its own side of the origin.
-        return [start | {"x_tail": behind} for behind in (-1.0, -0.2, 0.2, 1.0)]
+        start = {"x_winch": x, "y_winch": y, "y_tail": 0.0, "z_tail": 0.0}
+        # The moment gives a tether away, and only from an attachment on its own side of the origin. One that
+        # drags alike everywhere, let out once for the whole run, is one from far away.
+        return [
+            start | {"z_winch": height, "x_tail": behind}
+            for height in (above, z - _FAR)
+            for behind in (-1.0, -0.2, 0.2, 1.0)
+        ]
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([*_DRAG, *self.tail.cross(_DRAG)])
