@@ -30,6 +30,8 @@ from .scene import DATA, Scene, report_data_of
 _FOLDER = DATA / "cfd-surge"
 _VEHICLE = "box-hull"
 _PROFILES = ("step", "multistep")
+# Share of an error by which it must change to be worth a word.
+_FELT = 0.05
 _START = 3.0
 _NO_PUSH = 0.01
 
@@ -152,7 +154,8 @@ def _verdicts(scene: Scene, ways: tuple[Way, Way]) -> None:
 
 def _effects(scene: Scene, ways: tuple[Way, Way]) -> str:
     """Say what each effect does both ways round; the one that lowers the error most, or nothing."""
-    ids = [i for i in ways[0].additions if i in ways[1].additions]
+    tried = [i for i in ways[0].additions if i in ways[1].additions]
+    ids = [i for i in tried if any(abs(way.ahead(i) / way.without - 1.0) > _FELT for way in ways)]
     ids.sort(key=lambda i: sum(way.ahead(i) / way.without for way in ways))
     rows = [(i, *(f"{way.ahead(i):.1%}" for way in ways)) for i in ids]
     scene.say(
@@ -160,8 +163,10 @@ def _effects(scene: Scene, ways: tuple[Way, Way]) -> str:
     )
     plain = ("inertia and drag alone", *(f"{way.without:.1%}" for way in ways))
     scene.table(("with", *(way.name for way in ways)), [plain, *rows])
+    if len(ids) < len(tried):
+        scene.say(f"{len(tried) - len(ids)} more change it by less than {_FELT:.0%}.")
     scene.picture("hull/effects.png", _chart(ways, ids), "velocity error 5 s ahead on the other profile, %")
-    lower = [i for i in ids if all(way.ahead(i) < way.without for way in ways)]
+    lower = [i for i in ids if all(way.ahead(i) < (1.0 - _FELT) * way.without for way in ways)]
     clear = [i for i in lower if all(way.additions[i].helps for way in ways)]
     scene.say(f"Lower both ways round: {', '.join(lower) or 'none'}.")
     scene.say(f"Lower beyond chance, by the residual force of both profiles: {', '.join(clear) or 'none'}.")

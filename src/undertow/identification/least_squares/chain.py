@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,19 +28,19 @@ class Experiment:
 
     Attributes
     ----------
-    axis : Axis
-        The motion.
+    regression : Regression
+        Its regressor, generated from the model.
     runs : tuple of Run
         The logs.
     """
 
-    axis: Axis
+    regression: Regression
     runs: tuple[Run, ...]
 
-    @cached_property
-    def regression(self) -> Regression:
-        """Its regressor, generated from the model."""
-        return Regression(self.axis)
+    @property
+    def axis(self) -> Axis:
+        """The motion."""
+        return self.regression.axis
 
 
 @dataclass(frozen=True)
@@ -119,8 +118,8 @@ def experiments(vehicle: Vehicle, runs: Sequence[Run]) -> list[Experiment]:
     for run in runs:
         axis = axis_of(vehicle, _motion(vehicle, run), run)
         key = (axis.motion, axis.direction)
-        known = found[key].runs if key in found else ()
-        found[key] = Experiment(found[key].axis if key in found else axis, (*known, run))
+        known = found.get(key) or Experiment(Regression(axis), ())
+        found[key] = replace(known, runs=(*known.runs, run))
     order = list(vehicle.degrees_of_freedom)
     return sorted(found.values(), key=lambda e: (order.index(e.axis.motion), e.axis.direction == "backward"))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -88,7 +89,7 @@ class Regression:
         p[self._places] = 0.0
         return p
 
-    @property
+    @cached_property
     def _at(self) -> ca.Function:
         f = self.functions
         inputs = [f.x, f.nu_dot, f.u, f.p, f.t]

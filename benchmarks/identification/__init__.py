@@ -1,0 +1,1 @@
+"""The paper's chain against the estimators that replace it: docs/identification.md."""

@@ -1,0 +1,62 @@
+"""Command line: python -m benchmarks.identification --help"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from undertow import __version__
+from undertow.errors import UndertowError
+from undertow.files import write_whole
+from undertow.identification.report.adapting import versions
+
+from .cfd import estimates
+from .page import page
+from .pictures import draw
+from .study import study
+
+PICTURE = "identification-spread.png"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make the page; 0 when all went well, 2 when the data cannot be read."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.identification", description=__doc__)
+    parser.add_argument("--draws", type=int, default=200, help="of each noise (default %(default)s)")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="default: %(default)s")
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs/identification.md"), help="default: %(default)s"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        folder = options.data / "cfd-surge"
+        box = estimates(folder) if folder.is_dir() else []
+        levels = study(options.draws, _tell)
+    except UndertowError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    draw(levels[1], options.out.parent / "images" / PICTURE)
+    write_whole(options.out, page(levels, options.draws, box, _making(options.draws)))
+    return 0
+
+
+def _tell(done: float, words: str) -> None:
+    end = "\n" if done >= 1.0 or not sys.stderr.isatty() else ""
+    if sys.stderr.isatty() or words.endswith(("draw 1 of 200", "draw 101 of 200")):
+        print(f"\r\x1b[K{100 * done:3.0f} %  {words}", end=end, file=sys.stderr, flush=True)
+
+
+def _making(draws: int) -> str:
+    used = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return (
+        "## How it was made\n\n"
+        f"    python -m benchmarks.identification --draws {draws} --data ../shared/data\n\n"
+        f"undertow {__version__}; {used}.\n"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
