@@ -25,7 +25,8 @@ by a weak form (test functions, no derivative of noise, errors in the right unit
 
 Force profile P of the paper ({draws} draws, half of them mirrored), 30 s at 0.2 s; m_x = 9.130825 kg,
 X_u = 0.142306 kg/s, X_u|u| = 5.153776 kg/m. Noise of the velocity in shares of its rms; of the
-acceleration, which only the paper's chain uses, 0.025 m/s². Root mean square error in % of the truth:
+acceleration, which only the paper's chain uses, 0.025 m/s². Weak form and output error get the force as
+it is held, with a sample at each of its three jumps. Root mean square error in % of the truth:
 """
 _WHY = """\
 Why the chain is off: it filters the motion and not the force, so that acceleration and force no longer

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,20 +50,18 @@ def force(t: Array) -> Array:
     return np.select([t <= jump for jump in JUMPS], LEVELS[:-1], LEVELS[-1])
 
 
-def mean_force(t: Array) -> Array:
-    """Mean force from each sample to the next, N."""
-    edges = np.array([0.0, *JUMPS, 10 * DURATION])
-    impulse = np.concatenate([[0.0], np.cumsum(np.diff(edges) * np.array(LEVELS))])
-    total = np.interp(np.append(t, t[-1] + INTERVAL), edges, impulse)
-    return np.diff(total) / INTERVAL
+def held_force(t: Array) -> Array:
+    """Force from each sample to the next, N, where every jump has a sample."""
+    return force(t + STEP / 2)
 
 
 def _drag(u: Array) -> Array:
     return EXACT[1] * u + EXACT[2] * np.abs(u) * u
 
 
-def motion() -> tuple[Array, Array, Array]:
-    """Time, velocity and acceleration without noise at t = 0.2 s ... 30 s."""
+@cache
+def _path() -> Array:
+    """Velocity without noise every 0.01 s from rest, by the classical Runge-Kutta method."""
     grid = np.arange(round(DURATION / STEP) + 1) * STEP
     u = np.zeros(1)
     path = [u]
@@ -72,14 +72,23 @@ def motion() -> tuple[Array, Array, Array]:
         k4 = (push - _drag(u + STEP * k3)) / EXACT[0]
         u = u + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         path.append(u)
-    every = round(INTERVAL / STEP)
-    places = np.arange(every, len(grid), every)
-    t, clean = grid[places], np.concatenate(path)[places]
-    return t, clean, (force(t) - _drag(clean)) / EXACT[0]
+    return np.concatenate(path)
+
+
+def times(with_jumps: bool) -> Array:
+    """t = 0.2 s ... 30 s, with a sample at every jump of the force or without."""
+    grid = np.arange(1, round(DURATION / INTERVAL) + 1) * INTERVAL
+    return np.union1d(np.round(grid, 6), JUMPS) if with_jumps else np.round(grid, 6)
+
+
+def velocity(t: Array) -> Array:
+    """Velocity without noise, m/s."""
+    return _path()[np.round(t / STEP).astype(int)]
 
 
 def logs(noise: float, seed: int, mirrored: bool) -> tuple[Run, Run]:
-    """One draw as the paper's chain logs it (force at the sample, acceleration), and with the held force.
+    """One draw as the paper's chain logs it (force at the sample, acceleration), and with the held force
+    and a sample at each of its jumps.
 
     Parameters
     ----------
@@ -90,11 +99,20 @@ def logs(noise: float, seed: int, mirrored: bool) -> tuple[Run, Run]:
     mirrored : bool
         Whether all goes backward.
     """
-    t, u, u_dot = motion()
     rng = np.random.default_rng([seed, round(1e4 * noise)])
-    sigma = noise * float(np.sqrt(np.mean(u**2)))
     sign = -1.0 if mirrored else 1.0
-    speed = sign * u + sigma * rng.standard_normal(len(t))
-    rate = sign * u_dot + ACCELERATION_NOISE * rng.standard_normal(len(t))
-    sampled = Run("P", t, {"u": speed, "u_dot": rate, "tau_X": sign * force(t)})
-    return sampled, Run("P", t, {"u": speed, "tau_X": sign * mean_force(t)})
+    t, every = times(False), times(True)
+    u, sigma = velocity(t), spread(noise)
+    rate = (force(t) - _drag(u)) / EXACT[0] + ACCELERATION_NOISE * (noise > 0) * rng.standard_normal(len(t))
+    reading = velocity(every) + sigma * rng.standard_normal(len(every))
+    sampled = {"u": reading[np.isin(every, t)], "u_dot": rate, "tau_X": force(t)}
+    held = {"u": reading, "tau_X": held_force(every)}
+    return tuple(  # type: ignore[return-value]
+        Run("P", at, {n: sign * c for n, c in channels.items()})
+        for at, channels in ((t, sampled), (every, held))
+    )
+
+
+def spread(noise: float) -> float:
+    """Standard deviation of the velocity noise, m/s, for a share of the rms of the velocity."""
+    return noise * float(np.sqrt(np.mean(velocity(times(False)) ** 2)))

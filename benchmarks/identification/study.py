@@ -17,7 +17,7 @@ from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak
 from undertow.model.vehicle import Vehicle
 
-from .profile import EXACT, MASS, NOISES, logs, motion, vehicle
+from .profile import EXACT, MASS, NOISES, logs, spread, vehicle
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -110,8 +110,6 @@ def _fits(model: Vehicle, run: Run) -> dict[str, Fitted]:
 def _bound(model: Vehicle, noise: float) -> Array:
     """Cramér-Rao standard deviations at the truth, with the noise known and the start free."""
     _, held = logs(0.0, 0, False)
-    _, u, _ = motion()
-    sigma = noise * float(np.sqrt(np.mean(u**2)))
-    run = Run("P", held.t, held.channels, sigma={"u": sigma})
+    run = Run("P", held.t, held.channels, sigma={"u": spread(noise)})
     fit = fit_output_error(model, [run], horizon=None)
     return np.array([cramer_rao(fit)[n] for n in ("X_udot", "X_u", "X_uabsu")])

@@ -109,6 +109,8 @@ def _verdict(d: Direction) -> list[str]:
 def _ranking(d: Direction) -> str:
     rows = [ranked(r) for r in d.diagnosis.ranking if r.parameters]
     rest = len(d.diagnosis.ranking) - len(rows)
+    if not rows:
+        return f"Candidates, {d.title}: none of {rest} helps.\n"
     title = f"Candidates, {d.title} ({rest} more do not help):\n\n"
     return title + table(RANKING_HEAD, rows[:_SHOWN], left=2)
 
