@@ -68,9 +68,10 @@ def _errors(levels: Sequence[Level]) -> Iterator[list[str]]:
         noise = f"{100 * level.noise:g} %"
         yield [noise, "best of the 11 cases, for each parameter", *_cells(level.best_case())]
         yield [noise, "case 11, the paper's choice", *_cells(level.rmse("case 11"))]
-        yield [noise, RULE, *_cells(level.rmse(RULE))]
-        yield [noise, WEAK, *_cells(level.rmse(WEAK))]
-        yield [noise, OUTPUT, *_cells(level.rmse(OUTPUT))]
+        for method in (RULE, WEAK, OUTPUT):
+            silent = level.silent(method)
+            words = f"{method}, where it gave one ({100 * silent:.0f} % without)" if silent else method
+            yield [noise, words, *_cells(level.rmse(method))]
         yield [noise, "Cramér-Rao bound", *_cells(100 * level.bound / _exact())]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,10 @@ class Level:
         found = self.estimates[method]
         return np.asarray((np.nanmean(found, axis=0) - EXACT) / np.nanstd(found, axis=0))
 
+    def silent(self, method: str) -> float:
+        """Share of the draws in which a method gave no estimate."""
+        return float(np.mean(np.isnan(self.estimates[method][:, 0])))
+
     def best_case(self) -> Array:
         """Least error of the eleven cases for each parameter, % of the truth."""
         return np.min([self.rmse(f"case {name}") for name in CASES], axis=0)
@@ -79,8 +84,8 @@ def _level(noise: float, draws: int, report: Report) -> Level:
         for name, values in _chain(surge, sampled).items():
             found[name].append(values)
         for name, fit in _fits(model, held).items():
-            found[name].append(_numbers(fit.values))
-            if name == OUTPUT:
+            found[name].append(np.full(3, np.nan) if fit is None else _numbers(fit.values))
+            if name == OUTPUT and fit is not None:
                 said.append(dict(verdicts(fit)))
     known = {n: float(np.mean([one[n] == "identified" for one in said])) for n in said[0]}
     return Level(noise, {name: np.array(rows) for name, rows in found.items()}, _bound(model, noise), known)
@@ -98,12 +103,11 @@ def _chain(surge: Experiment, run: Run) -> dict[str, Array]:
     return found | {RULE: np.full(3, np.nan) if pick is None else _numbers(pick.values)}
 
 
-def _fits(model: Vehicle, run: Run) -> dict[str, Fitted]:
+def _fits(model: Vehicle, run: Run) -> dict[str, Fitted | None]:
     weak = fit_weak(model, prepare([run], model))
-    try:
-        output: Fitted = fit_output_error(model, [run], horizon=None, start=weak.values)
-    except UndertowError:
-        output = weak
+    output: Fitted | None = None
+    with suppress(UndertowError):
+        output = fit_output_error(model, [run], horizon=None, start=weak.values)
     return {WEAK: weak, OUTPUT: output}
 
 

@@ -46,7 +46,7 @@ def test_all_cases_of_both_directions_in_tables(logs: Path, capsys: Capture) -> 
         == 2
     )
     assert out.count("X_u is not determined by this experiment: |t| = 0.") == 2
-    assert "nothing was written" in out
+    assert "no vehicle file was written" in out
     assert sorted(p.name for p in logs.iterdir()) == ["ahead.csv", "astern.csv"]
 
 

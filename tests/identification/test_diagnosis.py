@@ -162,6 +162,6 @@ def test_evidence_needs_a_consistent_fall(tmp_path: Path) -> None:
 
 def test_explained_share_is_measured_above_the_noise() -> None:
     noise = np.array([1.0, np.nan])
-    assert explained(_score(np.zeros(1), 5.0), _score(np.zeros(1), 1.0), noise) == pytest.approx(1.0)
-    assert explained(_score(np.zeros(1), 5.0), _score(np.zeros(1), 3.0), noise) == pytest.approx(0.5)
-    assert explained(_score(np.zeros(1), 0.9), _score(np.zeros(1), 0.8), noise) == 0.0
+    assert explained(np.array([5.0, np.nan]), np.array([1.0, np.nan]), noise) == pytest.approx(1.0)
+    assert explained(np.array([5.0, np.nan]), np.array([3.0, np.nan]), noise) == pytest.approx(0.5)
+    assert explained(np.array([0.9, np.nan]), np.array([0.8, np.nan]), noise) == 0.0

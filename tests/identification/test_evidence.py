@@ -14,10 +14,11 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.chance import Linear, best_by_chance, inclusion, p_value
 from undertow.identification.diagnosis.equivalents import equivalents, moved_parameters
 from undertow.identification.diagnosis.referee import clearly_worse
-from undertow.identification.diagnosis.trial import open_bench
+from undertow.identification.diagnosis.trial import open_bench, told_apart
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.weak.fit import fit_weak, mean_square
+from undertow.identification.weak.residual import whitened
 from undertow.model.catalogue import catalogue
 
 _ROWS, _PER_BLOCK = 600, 20
@@ -143,6 +144,12 @@ def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
         here, first = won[first : first + len(part.r)], first + len(part.r)
         size = np.linalg.norm(felt) * np.linalg.norm(here)
         np.testing.assert_allclose(felt.T @ here, 0.0, atol=1e-8 * size)
+
+    # What is left of both models without it is what each leaves when the first states are projected out.
+    before, after = told_apart(bench.base_score, bench.judge(slow), bench.test)
+    alone = whitened(slow.model.linearise(bench.test, slow.p), bench.test_whitening).r
+    np.testing.assert_allclose(after, mean_square(alone, bench.test), rtol=1e-9)
+    assert np.nansum(before) < np.nansum(bench.base_score.mean_square)
 
 
 def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:

@@ -200,7 +200,7 @@ def write(done: Identified, template: Path, target: Path) -> None:
 
 def _history(done: Identified, taken: Chosen) -> dict[str, object]:
     cases = ", ".join(f"{e.axis}: case {pick.case.name}" for e, pick in done.taken)
-    runs = [run for experiment, _ in done.found for run in experiment.runs]
+    runs = [run for experiment, _ in done.taken for run in experiment.runs]
     return {
         "command": f"undertow identify --method sg-ls --edges {done.edges} ({cases})",
         "date": date.today().isoformat(),

@@ -70,6 +70,6 @@ def identify(
     if json is not None:
         write_whole(json, written(done))
     if target is None:
-        typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
+        typer.echo("no vehicle file was written: --out NEW.toml or --in-place does that")
     else:
         write(done, loaded.path, target)

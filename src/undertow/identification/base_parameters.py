@@ -96,7 +96,7 @@ def _directions(gram: Array, nothing: float) -> tuple[Array, Array, NDArray[np.b
     size = np.sqrt(np.diag(gram))
     scale = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 1.0)
     weight, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
-    return size, vectors, weight < nothing * max(float(weight[-1]), 1e-300)
+    return size, vectors, weight < nothing * max(float(weight.max(initial=0.0)), 1e-300)
 
 
 def _echelon(rows: Array) -> Array:

@@ -215,7 +215,8 @@ def _unnamed(ways: tuple[Way, Way], best: str) -> str:
     listed = [r for way in ways for r in way.outcome.diagnosis.ranking if r.effect == best]
     text = f"All the same {best} is not what the diagnosis names as missing both ways round"
     if any(not r.parameters for r in listed):
-        return f"{text}: it wants a parameter {T_KEEP:g} standard errors from zero in the fit to one profile."
+        reason = f"it does not help, or none of its parameters is {T_KEEP:g} standard errors from zero"
+        return f"{text}: by the force on one of the other profiles {reason}."
     return f"{text}: it wants the effect to explain {NAMED_SHARE:.0%} of what exceeds the noise."
 
 

@@ -59,19 +59,17 @@ def _summary(means: Array) -> Comparison:
     return Comparison(mean, (mean - half, mean + half), float(wilcoxon(means, alternative="greater").pvalue))
 
 
-def explained(before: Score, after: Score, noise: Array) -> float:
-    """Share of what exceeds the noise of the sensors that went away.
+def explained(before: Array, after: Array, noise: Array) -> float:
+    """Share of what exceeds the noise of the sensors that went away, from mean squares by equation.
 
     Equations that the noise explains have no say; the others count by how far they are above it, in
-    that one very bad equation does not hide the rest. What unknown first states leave open counts on neither
-    side.
+    that one very bad equation does not hide the rest.
     """
     floor = np.maximum(noise, 1e-12)
-    first, last = (np.maximum(s.mean_square - after.open, 0.0) for s in (before, after))
-    counted = np.nan_to_num(first / floor) > _ABOVE_NOISE
+    counted = np.nan_to_num(before / floor) > _ABOVE_NOISE
     if not np.any(counted):
         return 0.0
-    first, last, floor = first[counted], last[counted], floor[counted]
+    first, last, floor = before[counted], after[counted], floor[counted]
     share = np.clip((first - np.maximum(last, floor)) / (first - floor), -1.0, 1.0)
     return float(np.average(share, weights=np.log(first / floor)))
 

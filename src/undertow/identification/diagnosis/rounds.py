@@ -16,7 +16,7 @@ from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
 from .finding import Finding
 from .linear import linear
-from .trial import Bench, Score, Trial, rejected, scout, try_candidate
+from .trial import Bench, Score, Trial, rejected, scout, told_apart, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
@@ -153,6 +153,6 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     # other is blind to, and each gets half of the false alarms.
     chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
     strong = chance < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
-    share = explained(bench.base_score, trial.score, bench.noise_level)
+    share = explained(*told_apart(bench.base_score, trial.score, bench.test), bench.noise_level)
     better = trial.score.error < bench.base_score.error
     return Finding(trial, evidence, share, chance, strong and better, inclusion)

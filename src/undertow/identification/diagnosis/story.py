@@ -26,7 +26,7 @@ from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
-from .trial import Score, scored
+from .trial import Score, error_of, scored, told_apart
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
@@ -128,9 +128,10 @@ class Story:
 
     def _normalised(self, fit: WeakFit) -> float:
         """Error in units of the noise; what unknown first states leave open is left out on both sides."""
-        before = self._left_before
-        after = scored(fit, self.bench.test, self._whitening, before.r)
-        return self._before * after.without_open(after).error / before.without_open(after).error
+        before, data = self._left_before, self.bench.test
+        after = scored(fit, data, self._whitening, before.r)
+        without, with_it = map(error_of, told_apart(before, after, data))
+        return self._before * with_it / without
 
     @cached_property
     def _left_before(self) -> Score:

@@ -43,8 +43,9 @@ class Score:
         Whitened residual.
     mean_square : (2n,) array
         Mean square for each equation.
-    open : (2n,) array, optional
-        Part of it that belongs to unknown first states of effects, which no model could have foretold.
+    open : (m,) array, optional
+        Part of the residual that belongs to unknown first states of effects, which no model could have
+        foretold; it is that of the model beside which this one is judged.
     error : float
         Normalised error: geometric mean over the equations of the whitened rms.
     """
@@ -55,21 +56,25 @@ class Score:
 
     @property
     def error(self) -> float:
-        return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(self.mean_square, 1e-12)))))
+        return error_of(self.mean_square)
 
-    def without_open(self, judged: Score) -> Score:
-        """The score without what a model that is judged leaves open."""
-        return Score(self.r, np.maximum(self.mean_square - judged.open, 0.0))
+
+def told_apart(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
+    """Mean squares of two models for each equation, without what the later one leaves open."""
+    return mean_square(before.r - after.open, data), mean_square(after.r - after.open, data)
+
+
+def error_of(mean_squares: Array) -> float:
+    """Geometric mean over the equations of the whitened rms."""
+    return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(mean_squares, 1e-12)))))
 
 
 def scored(fit: WeakFit, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
     """Score of a model on data, judged beside the residual of another (see `whitened`)."""
     parts = fit.model.linearise(data, fit.p)
     r = whitened(parts, noise, beside).r
-    taken = np.zeros_like(r)
-    if beside is not None and any(np.any(part.start) for part in parts):
-        taken = r - whitened(parts, noise).r
-    return Score(r, mean_square(r, data), mean_square(taken, data))
+    stated = beside is not None and any(np.any(part.start) for part in parts)
+    return Score(r, mean_square(r, data), r - whitened(parts, noise).r if stated else 0.0)
 
 
 @dataclass(frozen=True)

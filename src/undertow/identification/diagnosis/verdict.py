@@ -11,7 +11,7 @@ from .evidence import explained
 from .finding import Finding
 from .result import Indistinguishable, Verdict
 from .search import Search
-from .trial import Score
+from .trial import Score, told_apart
 
 Array = NDArray[np.float64]
 # An effect is named only where it (with those named before it) explains this share of what exceeds the noise:
@@ -65,7 +65,7 @@ def judge(
         Whether the final model does not simulate the kept-aside runs worse than the incomplete one.
     """
     winners = found.winners
-    share = explained(*scores, noise)
+    share = explained(*told_apart(*scores, found.bench.test), noise)
     sets = _sets(found)
     if not winners:
         return _without_effect(quiet, share)

@@ -123,7 +123,7 @@ def _invalid(table: Table, body: float) -> Iterator[Remark]:
 
 def _copied(tables: Appendix) -> Iterator[Remark]:
     for first, second in combinations(tables.tables, 2):
-        for quantity in set(first.quantities) & set(second.quantities):
+        for quantity in [q for q in first.quantities if q in second.quantities]:
             for case in first.cases:
                 one, other = (t.printed[quantity][case] for t in (first, second))
                 if _same_digits(one, other):
@@ -134,7 +134,7 @@ def _copied(tables: Appendix) -> Iterator[Remark]:
 def _same_digits(one: str, other: str) -> bool:
     """Whether two numbers agree in all digits that both were printed with, and these are many."""
     places = min(-int(Decimal(x).as_tuple().exponent) for x in (one, other))
-    digits = len(one.lstrip("-").replace(".", "").lstrip("0"))
+    digits = min(len(x.lstrip("-").replace(".", "").lstrip("0")) for x in (one, other))
     shorter = Decimal(1).scaleb(-places)
     return digits >= _DIGITS and abs(Decimal(one) - Decimal(other)) < shorter
 

@@ -68,11 +68,13 @@ def ellipsoid(a: float, b: float, c: float, density: float = 1000.0) -> AddedMas
 
 def sphere(radius: float, density: float = 1000.0) -> AddedMass:
     """Added mass of a sphere: half of what it displaces, in every direction."""
+    _positive(radius=radius)
     return ellipsoid(radius, radius, radius, density)
 
 
 def prolate_spheroid(length: float, diameter: float, density: float = 1000.0) -> AddedMass:
     """Added mass of a spheroid that is long in x, from its length and greatest diameter in m."""
+    _positive(length=length, diameter=diameter)
     return ellipsoid(length / 2, diameter / 2, diameter / 2, density)
 
 

@@ -47,7 +47,10 @@ def moved(matrix: Array, offset: ArrayLike) -> Array:
     The velocity of the old origin is nu_1 + nu_2 × offset: M' = H^T M H with H = [[I, S(offset)^T], [0, I]]
     (Fossen 2021, chapter 3, transformation between points).
     """
-    x, y, z = np.asarray(offset, dtype=float)
+    place = np.asarray(offset, dtype=float)
+    if place.shape != (3,):
+        raise UndertowError(f"offset has shape {place.shape}: give x, y and z in m")
+    x, y, z = place
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     H = np.block([[np.eye(3), skew.T], [np.zeros((3, 3)), np.eye(3)]])
     return H.T @ matrix @ H

@@ -13,7 +13,7 @@ from .residual import Linearised, WeakModel
 Array = NDArray[np.float64]
 # A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
 _PRIOR_WIDTH = 5.0
-# Times its own size, and times its starts, that a parameter which is not linear moves in one step.
+# Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.
 _REACH = 10.0
 # The same as a share of all that is physical: a tether may come from far away.
 _REACH_OF_BOUNDS = 0.02
