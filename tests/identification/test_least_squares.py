@@ -23,8 +23,9 @@ from undertow.identification.least_squares import (
 )
 from undertow.identification.logs import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle
+from undertow.model.loading import load_vehicle, vehicle_from_table
 from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle_schema import VehicleTable
 
 Array = NDArray[np.float64]
 _STEP = 0.01
@@ -210,6 +211,7 @@ def test_what_both_directions_share_is_weighted_and_a_contradiction_is_told() ->
     told = chosen(auv, [(e, estimate(e, CASES["1"])) for e in apart]).contradictions
     assert len(told) == 1
     assert told[0].startswith("B_net is ")
+    assert " by heave, forward and " in told[0]
 
 
 def test_yaw_is_the_same_both_ways() -> None:
@@ -273,7 +275,7 @@ def test_what_cannot_be_estimated_is_refused(runs: dict[float, Run]) -> None:
         (vehicle, _without(run, "tau_X"), "holds no velocity of 'surge' that changes with the force"),
         (vehicle, constant, "holds no velocity"),
         (vehicle, uneven, "sampled unevenly .* resample it"),
-        (vehicle, run.slice(0.0, 2.0), "has the 11 samples that case 11 needs"),
+        (vehicle, run.slice(0.0, 2.0), "no stretch without gaps in u, tau_X has the 11 samples that case 11"),
         (moving, two, "moves in surge and heave, but the paper's chain takes one motion at a time"),
     ]
     for model, log, words in refused:
@@ -287,7 +289,7 @@ def test_a_motion_at_one_speed_leaves_combinations_open(runs: dict[float, Run]) 
     run = Run("steady", t, {"u": u, "u_dot": np.sin(3 * t), "tau_X": np.ones_like(t)})
     (surge,) = experiments(surge_vehicle(), [run])
     with pytest.raises(
-        UndertowError, match=r"do not determine X_udot, .* only X_u \+ 0.2 X_uabsu: log other speeds"
+        UndertowError, match=r"do not determine X_udot, .* only X_udot, X_u \+ 0.2 X_uabsu: log other"
     ):
         estimate(surge, CASES["1"])
 
@@ -296,5 +298,90 @@ def test_mass_and_added_mass_are_one_number(runs: dict[float, Run]) -> None:
     vehicle = surge_vehicle()
     both = vehicle.with_values({"m": replace(vehicle.value_of("m"), estimate=True)})
     (surge,) = experiments(both, [runs[0.2]])
-    with pytest.raises(UndertowError, match="only m - X_udot: log other speeds"):
+    with pytest.raises(UndertowError, match="only X_u, X_uabsu, m - X_udot: log other speeds"):
         estimate(surge, CASES["1"])
+
+
+def test_dropped_edges_need_longer_stretches(runs: dict[float, Run]) -> None:
+    (surge,) = experiments(surge_vehicle(), [runs[0.2].slice(3.0, 5.7)])
+    assert len(surge.runs[0].t) == 14
+    assert estimate(surge, CASES["11"]).samples == 14
+    with pytest.raises(UndertowError, match="has the 17 samples that case 11 needs"):
+        estimate(surge, CASES["11"], "drop")
+    with pytest.raises(UndertowError, match="3 samples of surge are too few for 3 parameters"):
+        estimate(experiments(surge_vehicle(), [runs[0.2].slice(3.0, 3.5)])[0], CASES["1"])
+
+
+def test_cases_ask_only_for_what_they_use(runs: dict[float, Run]) -> None:
+    run = runs[0.2]
+    rate = run.channels["u_dot"].copy()
+    rate[::5] = np.nan
+    holed = replace(run, channels={**run.channels, "u_dot": rate})
+    whole, gappy = (experiments(surge_vehicle(), [r])[0] for r in (run, holed))
+    assert estimate(gappy, CASES["11"]).values == estimate(whole, CASES["11"]).values
+    with pytest.raises(UndertowError, match="without gaps in u, tau_X, u_dot has the 7 samples"):
+        estimate(gappy, CASES["4"])
+    uneven = replace(run, t=run.t + 0.05 * np.sin(np.arange(len(run.t))))
+    (bent,) = experiments(surge_vehicle(), [uneven])
+    assert estimate(bent, CASES["1"]).values == pytest.approx(estimate(whole, CASES["1"]).values)
+
+
+def test_a_log_of_both_directions_is_refused_where_they_differ(runs: dict[float, Run]) -> None:
+    t = np.arange(0.0, 30.0, INTERVAL)
+    u, rate = 0.3 * np.sin(0.7 * t), 0.21 * np.cos(0.7 * t)
+    run = Run("swing", t, {"u": u, "u_dot": rate, "tau_X": M_X * rate + drag(u)})
+    with pytest.raises(UndertowError, match=r"goes forward for 5\d% of its way in u and backward"):
+        experiments(load_vehicle("mini-auv"), [run])
+    (surge,) = experiments(surge_vehicle(), [run])
+    assert coefficients(estimate(surge, CASES["1"])) == pytest.approx([M_X, TRUTH["X_u"], TRUTH["X_uabsu"]])
+
+
+def _rolling() -> tuple[Vehicle, Run]:
+    """Roll with a righting moment, K = (I - K_pdot) p_dot - K_p p + 0.05 B sin phi, along a sine."""
+    effects = {
+        "rigid_body": {"m": 10.0, "I_x": 2.0},
+        "restoring": {"W": 98.1, "B": 98.1, "z_g": 0.0, "z_b": -0.05},
+        "added_mass": {"K_pdot": {"value": -0.5, "estimate": True}},
+        "linear_damping": {"K_p": {"value": -0.5, "estimate": True}},
+    }
+    table = {
+        "schema": "undertow/vehicle/1", "name": "roll", "degrees_of_freedom": ["roll"],
+        "signs": "sname", "generalised_forces": ["tau_K"], "effects": effects,
+    }  # fmt: skip
+    vehicle = vehicle_from_table(VehicleTable.model_validate(table), catalogue())
+    t = np.arange(0.0, 20.0, 0.05)
+    phi, p, p_dot = 0.4 * np.sin(1.3 * t), 0.52 * np.cos(1.3 * t), -0.676 * np.sin(1.3 * t)
+    moment = 2.7 * p_dot + 0.8 * p + 98.1 * 0.05 * np.sin(phi)
+    channels = {"phi": phi, "p": p, "p_dot": p_dot, "tau_K": moment}
+    return vehicle, Run("roll", t, channels)
+
+
+def test_the_pose_is_used_where_the_model_feels_it_and_asked_for() -> None:
+    vehicle, run = _rolling()
+    (roll,) = experiments(vehicle, [run])
+    assert estimate(roll, CASES["1"]).values == pytest.approx({"K_pdot": -0.7, "K_p": -0.8})
+    (blind,) = experiments(vehicle, [_without(run, "phi")])
+    with pytest.raises(UndertowError, match="has no channel 'phi', which the roll of 'roll' depends on"):
+        estimate(blind, CASES["1"])
+
+
+def test_thrust_that_comes_late_is_refused() -> None:
+    auv = load_vehicle("mini-auv")
+    late = auv.with_effect(catalogue()["actuation_delay"], {"delay": Value(1.0)})
+    t = np.arange(0.0, 20.0, INTERVAL)
+    channels = dict.fromkeys(("f1", "f3"), np.zeros_like(t)) | dict.fromkeys(("f2", "f4"), 1.0 + np.sin(t))
+    run = Run("thrust", t, {"u": 0.2 + 0.1 * np.sin(t), "u_dot": 0.1 * np.cos(t), **channels})
+    assert estimate(experiments(auv, [run])[0], CASES["1"]).samples == len(t)
+    with pytest.raises(UndertowError, match="answers its commands 1 s late, which least squares on samples"):
+        experiments(late, [run])
+
+
+def test_logs_with_a_force_and_with_thrusters_are_experiments_of_their_own(runs: dict[float, Run]) -> None:
+    t = runs[0.2].t
+    half = runs[0.2].channels["tau_X"] / 2
+    thrust = {"f1": np.zeros_like(t), "f3": np.zeros_like(t), "f2": half, "f4": half}
+    by_thrust = Run("thrust", t, {n: runs[0.2].channels[n] for n in ("u", "u_dot")} | thrust)
+    auv = load_vehicle("mini-auv")
+    found = [estimate(e, CASES["4"]) for e in experiments(auv, [runs[0.2], by_thrust])]
+    assert len(found) == 2
+    assert coefficients(found[0]) == pytest.approx(coefficients(found[1]))

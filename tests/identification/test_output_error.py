@@ -86,6 +86,20 @@ def test_the_bound_is_the_cramer_rao_bound_and_hardly_less_than_the_errors() -> 
     assert np.all(np.array(list(cramer_rao(weak).values())) > 0.95 * least)
 
 
+def test_the_bound_is_that_of_the_noise_even_where_the_model_lacks_something() -> None:
+    run = surge_run(0.01, 6)
+    lacking = replace(run, channels={**run.channels, "tau_X": run.channels["tau_X"] + 0.05 * np.sin(run.t)})
+    fits = [
+        fit_output_error(surge_vehicle(), [lacking], horizon=None),
+        fit_weak(surge_vehicle(), prepare([lacking], surge_vehicle())),
+    ]
+    whole = cramer_rao(fit_output_error(surge_vehicle(), [run], horizon=None))
+    for fit in fits:
+        least = cramer_rao(fit)
+        assert least["X_udot"] == pytest.approx(whole["X_udot"], rel=0.5)
+        assert fit.standard_errors["X_udot"] > 3 * least["X_udot"]
+
+
 def test_every_parameter_gets_a_verdict() -> None:
     exact, noisy = (fit_output_error(surge_vehicle(), [surge_run(n, 3)], horizon=None) for n in (1e-3, 0.1))
     assert set(verdicts(exact).values()) == {"identified"}

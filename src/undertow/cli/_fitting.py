@@ -102,7 +102,7 @@ def show(done: Refit) -> None:
         out.print(text("the refitted model predicts kept-aside data worse than the model as given", "yellow"))
 
 
-_BOUND = "bound: Cramér-Rao, the least error that the logs allow without stated values"
+_BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"
 _METHODS = {"weak": "the weak form", "output-error": "output error"}
 
 

@@ -139,7 +139,7 @@ def _doubts(experiment: Experiment, estimations: Sequence[Estimation]) -> list[s
         t = pick.t_values[name]
         if t < _SURE:
             lines.append(f"{name} is not determined by this experiment: |t| = {t:.2f}")
-    rate = f"{experiment.axis.velocity}_dot"
+    rate = experiment.axis.rate
     lacking = [run.name for run in experiment.runs if not run.has(rate)]
     if lacking and any(not e.case.differentiated for e in estimations):
         lines.append(

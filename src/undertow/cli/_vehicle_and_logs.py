@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -127,9 +127,9 @@ def load(
         mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
     paths = [*logs, *(holdout or ())]
     with progress("reading logs", total=len(paths)) as report:
-        most = MOST_SAMPLES if to_fit else None
-        read = _any_motion if one_motion else _all_motions
-        runs = _runs(paths, lambda path: read(path, model, mapping, window, fill), most, report)
+        runs = _runs(
+            paths, one_motion, model, mapping, window, fill, MOST_SAMPLES if to_fit else None, report
+        )
     _refuse_twins(runs)
     if to_fit:
         _refuse_dead(runs[: len(logs)], model)
@@ -137,26 +137,26 @@ def load(
     return Loaded(model, resolve_vehicle(vehicle), runs[: len(logs)], runs[len(logs) :])
 
 
-def _runs(paths: list[Path], read: Callable[[Path], Run], most: int | None, report: Report) -> list[Run]:
+def _runs(
+    paths: list[Path],
+    one_motion: bool,
+    vehicle: Vehicle,
+    mapping: Mapping,
+    window: Window,
+    fill: Fill | None,
+    most: int | None,
+    report: Report,
+) -> list[Run]:
+    from undertow.identification.logs import read_log, velocities_from_pose
+
+    needed, also = ((), vehicle.command_names) if one_motion else (vehicle.command_names, ())
     runs: list[Run] = []
     for done, path in enumerate(paths):
         report(done, f"reading {path.name}")
-        runs.append(read(path))
-        _refuse_too_many(sum(len(r.t) for r in runs), most, path)
+        run = read_log(path, mapping, needed, also=also, window=window, missing_commands=fill)
+        _refuse_too_many(sum(len(r.t) for r in (*runs, run)), most, path)
+        runs.append(run if one_motion else velocities_from_pose(run, vehicle.degrees_of_freedom))
     return runs
-
-
-def _all_motions(path: Path, vehicle: Vehicle, mapping: Mapping, window: Window, fill: Fill | None) -> Run:
-    from undertow.identification.logs import read_log, velocities_from_pose
-
-    run = read_log(path, mapping, vehicle.command_names, window=window, missing_commands=fill)
-    return velocities_from_pose(run, vehicle.degrees_of_freedom)
-
-
-def _any_motion(path: Path, vehicle: Vehicle, mapping: Mapping, window: Window, fill: Fill | None) -> Run:
-    from undertow.identification.logs import read_log
-
-    return read_log(path, mapping, also=vehicle.command_names, window=window, missing_commands=fill)
 
 
 def _refuse_too_many(samples: int, most: int | None, path: Path) -> None:

@@ -55,7 +55,11 @@ class Fitted(Protocol):
 
     @property
     def gram(self) -> Array:
-        """Information J'J of the data in units of their noise, without priors."""
+        """Information J'J of the data as they were weighed, without priors."""
+
+    @property
+    def noise_gram(self) -> Array:
+        """The same if nothing but the noise of the sensors were in the data."""
 
     @property
     def condition(self) -> float:
@@ -84,12 +88,12 @@ def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
 
 
 def cramer_rao(fit: Fitted) -> dict[str, float]:
-    """Least standard error that any unbiased estimator can have from these data and this noise, by parameter.
+    """Least standard error that an unbiased estimator can have by the noise of the sensors, by parameter.
 
     What comes on top of it in the standard errors is what the model leaves beyond the noise. Stated priors
-    are no data, and do not count.
+    are no data, and do not count. For the weak form the data are the products with its test functions.
     """
-    return dict(zip(fit.model.free, np.sqrt(np.diag(inverse_of(fit.gram))).tolist(), strict=True))
+    return dict(zip(fit.model.free, np.sqrt(np.diag(inverse_of(fit.noise_gram))).tolist(), strict=True))
 
 
 def correlation(fit: Fitted) -> Array:

@@ -18,6 +18,8 @@ from ..logs.checks import constant_channels
 
 Direction = Literal["forward", "backward", "both"]
 WAYS = ("forward", "backward")
+# Share of the way in the lesser direction from which a log is one of both directions.
+_BOTH_WAYS = 0.05
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,9 @@ class Axis:
         return VELOCITY[self.place]
 
     @property
-    def force(self) -> str:
-        """Channel of its force."""
-        return f"tau_{FORCE[self.place]}"
+    def rate(self) -> str:
+        """Channel of its acceleration."""
+        return f"{self.velocity}_dot"
 
     @property
     def inertia(self) -> str:
@@ -83,6 +85,11 @@ def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
     """One motion of a vehicle, in the direction in which a run goes.
 
     The log's own force `tau_X` ... is used where it has one; else the thrusters push.
+
+    Raises
+    ------
+    UndertowError
+        If the vehicle has a value for each direction, and the run goes in both.
     """
     place = DOFS.index(motion)
     own = f"tau_{FORCE[place]}"
@@ -92,8 +99,21 @@ def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
     alone = replace(alone, effects=tuple(e for e in alone.effects if not isinstance(e, Measurement)))
     if not _split(alone):
         return Axis(motion, "both", alone)
-    direction: Direction = "forward" if np.nanmean(run.channels[VELOCITY[place]]) >= 0.0 else "backward"
+    direction = _direction(run, VELOCITY[place], vehicle.name)
     return Axis(motion, direction, _one_way(alone, direction))
+
+
+def _direction(run: Run, name: str, vehicle: str) -> Direction:
+    way = run.channels[name]
+    total = float(np.nansum(np.abs(way)))
+    ahead = float(np.nansum(np.maximum(way, 0.0))) / total
+    if _BOTH_WAYS < ahead < 1.0 - _BOTH_WAYS:
+        raise UndertowError(
+            f"run '{run.name}' goes forward for {ahead:.0%} of its way in {name} and backward for the rest, "
+            f"but vehicle '{vehicle}' has a value for each direction: give the two parts by themselves "
+            "(--from, --to)"
+        )
+    return "forward" if ahead > 0.5 else "backward"
 
 
 def _without_actuation(vehicle: Vehicle) -> tuple:  # type: ignore[type-arg]

@@ -82,11 +82,17 @@ class Case:
     differentiated: bool
     source: str
 
-    @property
-    def longest(self) -> int:
-        """Samples that the longest filter needs."""
+    def needs(self, edges: Edges) -> int:
+        """Samples without a gap that the filters need; with dropped edges each leaves the next one fewer."""
         filters = [*([self.velocity] if self.velocity else []), *self.acceleration]
-        return max((f.frame for f in filters), default=2)
+        longest = max((f.frame for f in filters), default=2)
+        chain = [*([self.velocity] if self.velocity and self.differentiated else []), *self.acceleration]
+        dropped = sum(f.frame - 1 for f in chain) + 1
+        return max(longest, dropped) if edges == "drop" else longest
+
+    def counts_samples(self, *, logged: bool) -> bool:
+        """Whether an even clock matters: a filter, or differences where no acceleration was logged."""
+        return self.velocity is not None or not logged
 
     def __str__(self) -> str:
         first = f"velocity {self.velocity}" if self.velocity else "nothing filtered"

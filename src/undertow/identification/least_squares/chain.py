@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
-from ..base_parameters import base_parameters
+from ..base_parameters import base_parameters, undetermined
 from ..logs import Run
 from .axis import Axis, axis_of, moving
 from .cases import Case, Edges
@@ -114,10 +114,11 @@ def experiments(vehicle: Vehicle, runs: Sequence[Run]) -> list[Experiment]:
     UndertowError
         If a log holds no motion of the vehicle with its force, or more than one.
     """
-    found: dict[tuple[str, str], Experiment] = {}
+    found: dict[tuple[str, str, tuple[str, ...]], Experiment] = {}
     for run in runs:
         axis = axis_of(vehicle, _motion(vehicle, run), run)
-        key = (axis.motion, axis.direction)
+        # A log with the force and one with thrusters are experiments of their own.
+        key = (axis.motion, axis.direction, axis.vehicle.command_names)
         known = found.get(key) or Experiment(Regression(axis), ())
         found[key] = replace(known, runs=(*known.runs, run))
     order = list(vehicle.degrees_of_freedom)
@@ -190,11 +191,18 @@ def _determined(axis: Axis, names: Sequence[str], H: Array, size: Array, case: C
             f"these logs do not feel {silent[0]} of {axis} (case {case.name}): state it as known, or log a "
             "motion that does"
         )
-    if len(H) <= len(names) or np.linalg.cond(H / size) > _CONDITION:
-        seen = ", ".join(map(str, base_parameters(H.T @ H, names, 1.0 / _CONDITION**2)))
+    if len(H) <= len(names):
+        raise UndertowError(
+            f"{len(H)} samples of {axis} are too few for {len(names)} parameters (case {case.name}): give "
+            "longer logs"
+        )
+    if np.linalg.cond(H / size) > _CONDITION:
+        gram, nothing = H.T @ H, 1.0 / _CONDITION**2
+        tied = {n for group in undetermined(gram, names, nothing) for n in group}
+        seen = [*(n for n in names if n not in tied), *map(str, base_parameters(gram, names, nothing))]
         raise UndertowError(
             f"{len(H)} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
-            f"only {seen or 'nothing of them'}: log other speeds and accelerations, or state one as known"
+            f"only {', '.join(seen)}: log other speeds and accelerations, or state one as known"
         )
 
 

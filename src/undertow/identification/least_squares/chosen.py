@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ class Chosen:
     covariance : (k, k) array
         Of the values; zero between motions, which were logged apart.
     contradictions : tuple of str
-        What forward and backward logs say differently of a parameter that both share, one line each.
+        What motions or directions say differently of a parameter that they share, one line each.
     """
 
     names: tuple[str, ...]
@@ -54,7 +55,7 @@ class Chosen:
 def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> Chosen:
     """Put the estimates of several motions together.
 
-    What forward and backward motion share is weighted by the inverse of its variances.
+    What several motions or directions share is weighted by the inverse of its variances.
 
     Parameters
     ----------
@@ -69,7 +70,8 @@ def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> C
     names = tuple(dict.fromkeys(labels))
     weights = np.array([[float(label == n) for label in labels] for n in names]) / np.diag(covariance)
     weights /= weights.sum(axis=1, keepdims=True)
-    told = [line for n in names if (line := _apart(n, labels, theta, covariance))]
+    axes = [str(e.axis) for e, estimation in found for _ in estimation.names]
+    told = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
     return Chosen(names, weights @ theta, weights @ covariance @ weights.T, tuple(told))
 
 
@@ -78,15 +80,21 @@ def _whole_name(stated: Vehicle, axis: Axis, name: str) -> str:
     return own if own in stated.values else name
 
 
-def _apart(name: str, labels: Sequence[str], theta: Array, covariance: Array) -> str | None:
+def _apart(
+    name: str, labels: Sequence[str], axes: Sequence[str], theta: Array, covariance: Array
+) -> str | None:
     places = [i for i, label in enumerate(labels) if label == name]
     if len(places) < 2:
         return None
-    i, j = places[:2]
-    distance = abs(theta[i] - theta[j]) / np.sqrt(covariance[i, i] + covariance[j, j])
-    if distance <= _APART:
+
+    def away(pair: tuple[int, int]) -> float:
+        i, j = pair
+        return float(abs(theta[i] - theta[j]) / np.sqrt(covariance[i, i] + covariance[j, j]))
+
+    i, j = worst = max(combinations(places, 2), key=away)
+    if away(worst) <= _APART:
         return None
     return (
-        f"{name} is {theta[i]:.6g} forward and {theta[j]:.6g} backward, {distance:.1f} standard deviations "
-        "apart: one value cannot stand for both"
+        f"{name} is {theta[i]:.6g} by {axes[i]} and {theta[j]:.6g} by {axes[j]}, {away(worst):.1f} standard "
+        "deviations apart: one value cannot stand for both"
     )

@@ -51,7 +51,8 @@ class Regression:
     Raises
     ------
     UndertowError
-        If nothing is to be estimated, a parameter is not linear, or an effect has states of its own.
+        If nothing is to be estimated, a parameter is not linear, an effect has states of its own, or the
+        thrust comes late.
     """
 
     def __init__(self, axis: Axis) -> None:
@@ -59,28 +60,59 @@ class Regression:
         self.functions = Functions(axis.vehicle)
         vehicle = axis.vehicle
         known_states(vehicle, self.functions.state_names, (*vehicle.pose_names, *vehicle.velocity_names))
+        _no_dead_time(axis, self.functions)
         self.free = free_parameters(vehicle)
         _must_be_linear(axis, self.free)
         self._places = [self.functions.parameter_names.index(n) for n in self.free]
 
     def rows(self, run: Run, case: Case, edges: Edges) -> Rows:
         """Rows of a run whose velocity and acceleration were smoothed as a case says."""
-        parts = [self._part(run, piece, case, edges) for piece in _pieces(self.axis, run, case)]
+        parts = [self._part(run, piece, case, edges) for piece in self._pieces(run, case, edges)]
         return Rows(np.concatenate([p.H for p in parts]), np.concatenate([p.target for p in parts]))
 
     def _part(self, run: Run, piece: slice, case: Case, edges: Edges) -> Rows:
         vehicle, t = self.axis.vehicle, run.t[piece]
-        rate_name = f"{self.axis.velocity}_dot"
-        logged = run.channels[rate_name][piece] if run.has(rate_name) else None
-        velocity, rate = case.smoothed(
-            run.channels[self.axis.velocity][piece], logged, _step(run, piece), edges
-        )
+        logged = run.channels[self.axis.rate][piece] if run.has(self.axis.rate) else None
+        step = _step(run, piece, even=case.counts_samples(logged=logged is not None))
+        velocity, rate = case.smoothed(run.channels[self.axis.velocity][piece], logged, step, edges)
         used = np.isfinite(velocity) & np.isfinite(rate)
-        pose = _pose(run, vehicle.pose_names[0], piece)
+        pose = run.channels[self._pose][piece] if self._feels_pose else np.zeros(len(t))
         commands = run.matrix(vehicle.command_names)[piece]
         x, nu_dot = np.column_stack([pose, velocity])[used], rate[used, None]
         residual, slope = mapped(self._at, [x, nu_dot, commands[used]], self._still, t[used])
         return Rows(slope[:, 0, :], -residual[:, 0, 0])
+
+    def _pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
+        """Stretches without gaps that are long enough for the filters."""
+        if self._feels_pose and not run.has(self._pose):
+            raise UndertowError(
+                f"run '{run.name}' has no channel '{self._pose}', which the {self.axis.motion} of "
+                f"'{self.axis.vehicle.name}' depends on: name its column in a mapping file (--map)"
+            )
+        names = [self.axis.velocity, *self.axis.vehicle.command_names]
+        names += [self._pose] if self._feels_pose else []
+        names += [self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else []
+        needed = max(case.needs(edges), 2)
+        long = [p for p in run.segments(names) if p.stop - p.start >= needed]
+        if not long:
+            raise UndertowError(
+                f"run '{run.name}': no stretch without gaps in {', '.join(names)} has the {needed} samples "
+                f"that case {case.name} needs: fill the gaps, or choose other cases (--cases)"
+            )
+        return long
+
+    @property
+    def _pose(self) -> str:
+        return self.axis.vehicle.pose_names[0]
+
+    @cached_property
+    def _feels_pose(self) -> bool:
+        return bool(ca.depends_on(self._driven, self.functions.eta))
+
+    @cached_property
+    def _driven(self) -> ca.SX:
+        f = self.functions
+        return ca.substitute(f.residual, f.actuation, f.chain_output)
 
     @property
     def _still(self) -> Array:
@@ -93,9 +125,8 @@ class Regression:
     def _at(self) -> ca.Function:
         f = self.functions
         inputs = [f.x, f.nu_dot, f.u, f.p, f.t]
-        driven = ca.substitute(f.residual, f.actuation, f.chain_output)
-        slope = ca.jacobian(driven, f.p)[:, self._places]
-        return ca.Function("rows", inputs, [ca.densify(driven), ca.densify(slope)])
+        slope = ca.jacobian(self._driven, f.p)[:, self._places]
+        return ca.Function("rows", inputs, [ca.densify(self._driven), ca.densify(slope)])
 
     def inertia(self, theta: Array, covariance: Array) -> tuple[float, float]:
         """Mass with added mass and its standard error at an estimate."""
@@ -131,25 +162,11 @@ def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
         )
 
 
-def _pieces(axis: Axis, run: Run, case: Case) -> list[slice]:
-    """Stretches without gaps that are long enough for the filters."""
-    names = [axis.velocity, *axis.vehicle.command_names]
-    rate = f"{axis.velocity}_dot"
-    pieces = run.segments([*names, *([rate] if run.has(rate) else [])])
-    long = [p for p in pieces if p.stop - p.start >= max(case.longest, 2)]
-    if not long:
-        raise UndertowError(
-            f"run '{run.name}': no stretch of {axis.velocity} without gaps has the {case.longest} samples "
-            f"that case {case.name} needs: fill the gaps, or choose other cases (--cases)"
-        )
-    return long
-
-
-def _step(run: Run, piece: slice) -> float:
+def _step(run: Run, piece: slice, *, even: bool) -> float:
     steps = np.diff(run.t[piece])
     step = float(np.median(steps))
     worst = float(np.max(np.abs(steps - step)))
-    if worst > _EVEN * step:
+    if even and worst > _EVEN * step:
         raise UndertowError(
             f"run '{run.name}' is sampled unevenly (steps of {step:g} s, off by up to {worst:g} s), but "
             "Savitzky-Golay filters count samples: resample it on an even clock, or use undertow fit"
@@ -157,6 +174,11 @@ def _step(run: Run, piece: slice) -> float:
     return step
 
 
-def _pose(run: Run, name: str, piece: slice) -> Array:
-    pose = run.channels[name][piece] if run.has(name) else np.zeros(piece.stop - piece.start)
-    return np.nan_to_num(pose)
+def _no_dead_time(axis: Axis, functions: Functions) -> None:
+    dead_time = functions.convert(axis.vehicle.composition.dead_time)
+    seconds = float(ca.Function("dead_time", [functions.p], [dead_time])(functions.values()))
+    if seconds:
+        raise UndertowError(
+            f"vehicle '{axis.vehicle.name}' answers its commands {seconds:g} s late, which least squares on "
+            "samples does not follow: use undertow fit, or log the force itself"
+        )

@@ -81,6 +81,14 @@ class OutputErrorFit:
         return self.at.J.T @ self.at.J
 
     @cached_property
+    def noise_gram(self) -> Array:
+        """J' J in units of the noise of the sensors alone, the starts eliminated."""
+        weight = channel_weights(self.windows)
+        shooting = Shooting(self.model.functions, self.windows, self.model.free, weight, compiled=False)
+        J = shooting.linearise(self.p, self.starts).J
+        return np.asarray(J.T @ J)
+
+    @cached_property
     def covariance(self) -> Array:
         """Covariance of the free parameters: at least what noise gives, robust to what the model leaves.
 

@@ -73,6 +73,13 @@ class WeakFit:
         return self.at.J.T @ self.at.J
 
     @cached_property
+    def noise_gram(self) -> Array:
+        """J' J in units of the noise of the sensors alone, without a disturbance."""
+        quiet = self.model.whitening(self.data, self.p)
+        J = whitened(self.model.linearise(self.data, self.p), quiet).J
+        return np.asarray(J.T @ J)
+
+    @cached_property
     def information(self) -> Array:
         """What data and stated priors say together: J' J plus the prior's weight."""
         return self.gram + np.diag(prior_of(self.model)[1] ** 2)
