@@ -14,6 +14,7 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.chance import Linear, best_by_chance, inclusion, p_value
 from undertow.identification.diagnosis.equivalents import equivalents, moved_parameters
 from undertow.identification.diagnosis.referee import clearly_worse
+from undertow.identification.diagnosis.repeats import repeats
 from undertow.identification.diagnosis.trial import open_bench, told_apart
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.weak.data import prepare
@@ -160,3 +161,18 @@ def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:
     actuation = {n for n, e in catalogue().items() if e.family == "actuation"}
     assert actuation & {c.id for c in candidates(usv, catalogue())}
     assert not actuation & ids
+
+
+def test_a_repeated_manoeuvre_is_no_independent_judge() -> None:
+    case = make_case("usv", (), 25, duration=20.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    again = replace(runs[0], name="again", t=runs[0].t + 100.0)
+    assert repeats(model, runs[:2], runs[2:]) == []
+    assert repeats(model, runs[:2], [runs[3], again]) == [("again", runs[0].name)]
+    noisy = {n: c + 1e-3 * (n in model.command_names) * np.ptp(c) for n, c in runs[1].channels.items()}
+    assert repeats(model, runs[:2], [replace(runs[1], name="noisy", channels=noisy)]) == [
+        ("noisy", runs[1].name)
+    ]
+    still = {n: np.ones_like(c) if n in model.command_names else c for n, c in runs[0].channels.items()}
+    steady = replace(runs[0], channels=still)
+    assert repeats(model, [steady], [replace(steady, name="other")]) == []

@@ -76,17 +76,17 @@ class Referee:
     """
 
     def __init__(self, vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], sigma: Array) -> None:
-        self._vehicle, self.train, self._test, self._sigma = vehicle, train, test, sigma
+        self._vehicle, self.train, self.test, self._sigma = vehicle, train, test, sigma
 
     @cached_property
     def shortest(self) -> float:
         """A little less than the shortest kept-aside run, s."""
-        return 0.9 * min(float(r.t[-1] - r.t[0]) for r in self._test)
+        return 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
 
     @cached_property
     def windows(self) -> Windows:
         """The windows that decide."""
-        return cut(self._test, self._vehicle, min(DECIDING, self.shortest), sigma=self._sigma)
+        return cut(self.test, self._vehicle, min(DECIDING, self.shortest), sigma=self._sigma)
 
     def squares(self, fit: Fitted) -> Array:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
@@ -110,12 +110,12 @@ class Referee:
         predictor = Predictor(vehicle, compiled=False)
         found = {
             f"{horizon:g} s": prediction_error(
-                predict(predictor, cut(self._test, self._vehicle, horizon, sigma=self._sigma))
+                predict(predictor, cut(self.test, self._vehicle, horizon, sigma=self._sigma))
             )
             for horizon in HORIZONS
             if horizon <= self.shortest
         }
-        whole = cut(self._test, self._vehicle, None, sigma=self._sigma)
+        whole = cut(self.test, self._vehicle, None, sigma=self._sigma)
         return found | {"free run": prediction_error(predict(predictor, whole))}
 
     def contender(self, chain: Chain) -> Contender:
@@ -140,7 +140,7 @@ class Referee:
         fit = self._refined(weak, THOROUGH)
         if fit is weak:
             return False
-        windows = cut(self._test, self._vehicle, min(THOROUGH, self.shortest), sigma=self._sigma)
+        windows = cut(self.test, self._vehicle, min(THOROUGH, self.shortest), sigma=self._sigma)
         shooting, starts = self._shot(fit, windows)
         at = shooting.linearise(np.asarray(fit.p), starts)
         used = at.counts > 0

@@ -24,6 +24,7 @@ from .estimates import estimate, estimates
 from .finding import Finding
 from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
+from .repeats import repeats
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
 from .trial import Score, error_of, scored, told_apart
@@ -75,6 +76,7 @@ class Story:
         """The diagnosis."""
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}." for e in equivalent]
+        doubts += self._by_heart() if self.judgement.effects else []
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
@@ -101,6 +103,13 @@ class Story:
             return []
         derived = self.bench.train.velocities_derived
         return equivalents(self.vehicle, self.bench, candidates(self.vehicle, self._known, derived=derived))
+
+    def _by_heart(self) -> list[str]:
+        return [
+            f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
+            "by heart would look as good: judge by another one."
+            for kept, fitted in repeats(self.vehicle, self.referee.train, self.referee.test)
+        ]
 
     def _sets(self) -> list[Indistinguishable]:
         """The sets, each with the manoeuvre that would tell its effects apart."""
