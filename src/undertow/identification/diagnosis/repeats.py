@@ -10,8 +10,8 @@ from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
 
-# Rms difference of the commands of two runs, as a share of their rms, up to which they are the same: clocks may
-# be half a sample apart at every step. Unrelated manoeuvres differ by more than their size.
+# Rms difference of the commands of two runs, as a share of their rms, up to which they are the same: clocks
+# may be half a sample apart at every step. Unrelated manoeuvres differ by more than their size.
 _SAME = 0.15
 # Share of the shorter run in which both must be under way for their commands to be compared.
 _LONG = 0.5
