@@ -56,7 +56,7 @@ DEFINITIONS = """\
 
 The first 61 cases of the first seed had been run once on a version before, with one failure (a pair); the
 change after it was made for other data (`rov-tether-drag` of docs/results.md, KVLCC2). One case more
-(`heavy-rov:waves+velocity_misalignment:x1:n1:open:plain:94874400`) was cut off after 400 s on the busy machine.
+(`heavy-rov:waves+velocity_misalignment:x1:n1:open:plain:94874400`) was cut off after 400 s on busy cores.
 
 Each case took one process with one thread; seconds are those of the diagnosis alone, without the simulation,
 with whatever else the machine did at the time.
