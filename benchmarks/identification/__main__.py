@@ -9,6 +9,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from benchmarks.progress import clear, teller
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -34,19 +35,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         folder = options.data / "cfd-surge"
         box = estimates(folder) if folder.is_dir() else []
-        levels = study(options.draws, _tell)
+        levels = study(options.draws, teller("profile P"))
+        clear()
     except UndertowError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     draw(levels[1], options.out.parent / "images" / PICTURE)
     write_whole(options.out, page(levels, options.draws, box, _making(options.draws)))
     return 0
-
-
-def _tell(done: float, words: str) -> None:
-    end = "\n" if done >= 1.0 or not sys.stderr.isatty() else ""
-    if sys.stderr.isatty() or words.endswith(("draw 1 of 200", "draw 101 of 200")):
-        print(f"\r\x1b[K{100 * done:3.0f} %  {words}", end=end, file=sys.stderr, flush=True)
 
 
 def _making(draws: int) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.results.text import number, table
 
 from .cfd import Estimate
+from .profile import EXACT
 from .study import OUTPUT, RULE, WEAK, Level
 
 PARAMETERS = ("m_x", "X_u", "X_u|u|")
@@ -72,13 +73,7 @@ def _errors(levels: Sequence[Level]) -> Iterator[list[str]]:
             silent = level.silent(method)
             words = f"{method}, where it gave one ({100 * silent:.0f} % without)" if silent else method
             yield [noise, words, *_cells(level.rmse(method))]
-        yield [noise, "Cramér-Rao bound", *_cells(100 * level.bound / _exact())]
-
-
-def _exact() -> np.ndarray:
-    from .profile import EXACT
-
-    return EXACT
+        yield [noise, "Cramér-Rao bound", *_cells(100 * level.bound / EXACT)]
 
 
 def _cells(values: np.ndarray) -> list[str]:
@@ -88,12 +83,12 @@ def _cells(values: np.ndarray) -> list[str]:
 def _goals(levels: Sequence[Level]) -> Iterator[list[str]]:
     for level in levels:
         noise = f"{100 * level.noise:g} %"
-        ratio = level.rmse(OUTPUT) / (100 * level.bound / _exact())
+        ratio = level.rmse(OUTPUT) / (100 * level.bound / EXACT)
         yield _goal("output error ≤ 1.10 × bound", noise, ratio, bool(np.all(ratio <= 1.10)))
         bias = np.abs(level.bias(OUTPUT))
         yield _goal("bias < 0.2 standard deviations", noise, bias, bool(np.all(bias < 0.2)))
         gain = level.best_case() / level.rmse(OUTPUT)
-        words = "best case over output error (≥ 3 in m_x, ≥ 2 in X_u\\|u\\|)".replace("\\", "")
+        words = "best case over output error (≥ 3 in m_x, ≥ 2 in X_u|u|)"
         yield _goal(words, noise, gain, bool(gain[0] >= 3 and gain[2] >= 2))
 
 

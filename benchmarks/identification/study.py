@@ -79,7 +79,7 @@ def _level(noise: float, draws: int, report: Report) -> Level:
     found: dict[str, list[Array]] = {method: [] for method in METHODS}
     said: list[dict[str, str]] = []
     for seed in range(draws):
-        report(seed / draws, f"noise {noise:.1%}, draw {seed + 1} of {draws}")
+        report(seed / draws, f"noise {noise:.1%}: draw {seed + 1} of {draws}")
         sampled, held = logs(noise, seed, mirrored=seed % 2 == 1)
         for name, values in _chain(surge, sampled).items():
             found[name].append(values)

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.progress import clear, teller
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -61,9 +62,9 @@ _FAILED = "**This part failed:**"
 def _attempt(make: Callable[[Path, Path, Report], str], data: Path, images: Path) -> str:
     """A part of the page, or why there is none: an hour of work is not thrown away for one error."""
     try:
-        return make(data, images, _teller(data.name))
+        return make(data, images, teller(data.name))
     except (UndertowError, ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError
-        _clear()
+        clear()
         print(f"{data.name}: {error}", file=sys.stderr)
         return f"## {data.name}\n\n{_FAILED} {type(error).__name__}: {error}\n"
 
@@ -104,28 +105,7 @@ def _making() -> str:
     )
 
 
-# --- progress ---------------------------------------------------------------------------------
-def _teller(part: str) -> Report:
-    """A line on stderr that is rewritten on a terminal; one line per step elsewhere."""
-    last = [""]
-
-    def tell(done: float, words: str) -> None:
-        line = f"{part} {100 * done:3.0f} %  {words}"
-        if sys.stderr.isatty():
-            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
-        elif words.partition(":")[0] != last[0]:
-            print(line, file=sys.stderr, flush=True)
-        last[0] = words.partition(":")[0]
-
-    return tell
-
-
-def _clear() -> None:
-    if sys.stderr.isatty():
-        print("\r\x1b[K", end="", file=sys.stderr)
-
-
 if __name__ == "__main__":
     code = main()
-    _clear()
+    clear()
     sys.exit(code)

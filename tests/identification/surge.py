@@ -4,38 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.identification.profile import INTERVAL, MASS, TRUTH
+from benchmarks.identification.profile import vehicle as surge_vehicle
 from undertow.identification.logs import Run
-from undertow.model.catalogue import catalogue
-from undertow.model.loading import vehicle_from_table
-from undertow.model.vehicle import Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
-MASS = 7.5
-TRUTH = {"X_udot": 1.630825, "X_u": 0.142306, "X_uabsu": 5.153776}
+__all__ = ["INTERVAL", "MASS", "M_X", "TRUTH", "surge_run", "surge_vehicle"]
+
 M_X = MASS + TRUTH["X_udot"]
-INTERVAL = 0.2
-
-
-def surge_vehicle() -> Vehicle:
-    """The model with poor guesses, in the paper's sign convention."""
-    guesses = {"X_udot": 1.0, "X_u": 0.3, "X_uabsu": 4.0}
-    effects = {"rigid_body": {"m": MASS}} | {
-        effect: {name: {"value": guesses[name], "estimate": True}}
-        for effect, name in (
-            ("added_mass", "X_udot"),
-            ("linear_damping", "X_u"),
-            ("quadratic_damping", "X_uabsu"),
-        )
-    }
-    table = {
-        "schema": "undertow/vehicle/1",
-        "name": "surge",
-        "degrees_of_freedom": ["surge"],
-        "signs": "magnitudes",
-        "generalised_forces": ["tau_X"],
-        "effects": effects,
-    }
-    return vehicle_from_table(VehicleTable.model_validate(table), catalogue())
 
 
 def surge_run(noise: float = 0.0, seed: int = 0) -> Run:

@@ -11,6 +11,7 @@ from scipy.signal import savgol_filter
 
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.errors import UndertowError
+from undertow.identification.fitted import t_values
 from undertow.identification.least_squares import (
     CASES,
     Estimation,
@@ -129,7 +130,7 @@ def test_covariance_and_residual_variance_are_those_of_the_normal_equations(runs
     expected = np.sqrt(np.diag(variance * np.linalg.inv(H.T @ H)))
     assert list(found.standard_errors.values()) == pytest.approx(expected)
     assert found.inertia[1] == pytest.approx(expected[0])
-    assert found.t_values["X_u"] == pytest.approx(abs(theta[1]) / expected[1])
+    assert t_values(found)["X_u"] == pytest.approx(abs(theta[1]) / expected[1])
 
 
 def test_errors_are_those_of_repeated_experiments_where_nothing_is_filtered(runs: dict[float, Run]) -> None:

@@ -18,7 +18,7 @@ from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.search import FALSE_ALARM_RATE
 from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.diagnosis.trial import Bench, Score, Trial, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.trial import Bench, Trial, error_of, open_bench, scout, try_candidate
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import WeakFit, mean_square
@@ -222,6 +222,6 @@ def _step(
     r = whitened(at, noise).r
     return Step(
         added=added,
-        error=Score(r, mean_square(r, ground.bench.test)).error,
+        error=error_of(mean_square(r, ground.bench.test)),
         prediction=ground.ahead(vehicle),
     )

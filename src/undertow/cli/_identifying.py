@@ -12,6 +12,7 @@ from typing import Any
 
 from undertow.cli._show import console, section, table, text
 from undertow.errors import UndertowError
+from undertow.identification.fitted import SURE, t_value, t_values
 from undertow.identification.least_squares import (
     RULE,
     Chosen,
@@ -28,8 +29,6 @@ from undertow.identification.logs import Run
 from undertow.model.dimensions import short_unit
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
-
-_SURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -99,8 +98,7 @@ def _row(experiment: Experiment, estimation: Estimation) -> list[str]:
     cells = []
     for name in estimation.names:
         value, error = shown(experiment, estimation, name)
-        t = abs(value) / error if error > 0 else float("inf")
-        cells.append(f"{value:.6g} ± {error:.2g} ({t:.3g})")
+        cells.append(f"{value:.6g} ± {error:.2g} ({t_value(value, error):.3g})")
     lacking = "yes" if estimation.valid else "no: " + ", ".join(_named(experiment, estimation))
     return [estimation.case.name, *cells, f"{estimation.residual_variance:.6g}", lacking]
 
@@ -134,10 +132,8 @@ def _verdict(experiment: Experiment, estimations: Sequence[Estimation]) -> str:
 def _doubts(experiment: Experiment, estimations: Sequence[Estimation]) -> list[str]:
     lines = []
     pick = selected(estimations)
-    for name in pick.names if pick else ():
-        assert pick is not None
-        t = pick.t_values[name]
-        if t < _SURE:
+    for name, t in t_values(pick).items() if pick else ():
+        if t < SURE:
             lines.append(f"{name} is not determined by this experiment: |t| = {t:.2f}")
     rate = experiment.axis.rate
     lacking = [run.name for run in experiment.runs if not run.has(rate)]

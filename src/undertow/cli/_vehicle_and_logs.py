@@ -53,6 +53,10 @@ FillOption = Annotated[
         show_default="refuse, or what the mapping file says",
     ),
 ]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
+]
+InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Change the vehicle file itself.")]
 
 
 @dataclass(frozen=True)

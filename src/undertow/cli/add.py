@@ -22,8 +22,10 @@ from undertow.cli._vehicle_and_logs import (
     FillOption,
     FromOption,
     HoldoutOption,
+    InPlaceOption,
     LogsArgument,
     MapOption,
+    OutOption,
     ToOption,
     VehicleArgument,
 )
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
     from undertow.model.effect import Effect
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
-_IN_PLACE = typer.Option("--in-place", help="Change the vehicle file itself.")
 _ALL = typer.Option("--all", help="Keep parameters that prove to be zero, too.")
 _FORCE = typer.Option("--force", help="Write the effect even where it does not help.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
@@ -48,8 +48,8 @@ def add(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     holdout: HoldoutOption = None,
-    out: Annotated[Path | None, _OUT] = None,
-    in_place: Annotated[bool, _IN_PLACE] = False,
+    out: OutOption = None,
+    in_place: InPlaceOption = False,
     all: Annotated[bool, _ALL] = False,
     force: Annotated[bool, _FORCE] = False,
     map: MapOption = None,

@@ -21,16 +21,16 @@ from undertow.cli._vehicle_and_logs import (
     FillOption,
     FromOption,
     HoldoutOption,
+    InPlaceOption,
     LogsArgument,
     MapOption,
+    OutOption,
     ToOption,
     VehicleArgument,
 )
 
 _METHOD = typer.Option("--method", help="The weak form, or simulation (output error).")
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
-_IN_PLACE = typer.Option("--in-place", help="Change the vehicle file itself.")
 
 
 def fit(
@@ -39,8 +39,8 @@ def fit(
     holdout: HoldoutOption = None,
     method: Annotated[Literal["weak", "output-error"], _METHOD] = "weak",
     horizon: Annotated[float, _HORIZON] = 5.0,
-    out: Annotated[Path | None, _OUT] = None,
-    in_place: Annotated[bool, _IN_PLACE] = False,
+    out: OutOption = None,
+    in_place: InPlaceOption = False,
     map: MapOption = None,
     effects: EffectsOption = None,
     since: FromOption = None,

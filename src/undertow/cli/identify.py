@@ -27,8 +27,10 @@ from undertow.cli._vehicle_and_logs import (
     EffectsOption,
     FillOption,
     FromOption,
+    InPlaceOption,
     LogsArgument,
     MapOption,
+    OutOption,
     ToOption,
     VehicleArgument,
 )
@@ -37,8 +39,6 @@ _METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squa
 _CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
 _EDGES = typer.Option("--edges", help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
 _JSON = typer.Option("--json", metavar="FILE.json", help="Write all numbers.")
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
-_IN_PLACE = typer.Option("--in-place", help="Change the vehicle file itself.")
 
 
 def identify(
@@ -48,8 +48,8 @@ def identify(
     cases: Annotated[str, _CASES] = "all",
     edges: Annotated[Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"], _EDGES] = "interp",
     json: Annotated[Path | None, _JSON] = None,
-    out: Annotated[Path | None, _OUT] = None,
-    in_place: Annotated[bool, _IN_PLACE] = False,
+    out: OutOption = None,
+    in_place: InPlaceOption = False,
     map: MapOption = None,
     effects: EffectsOption = None,
     since: FromOption = None,

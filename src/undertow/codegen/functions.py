@@ -177,7 +177,7 @@ class Functions:
     def balance(self) -> ca.SX:
         """x_dot with the residual in the rows of the acceleration: one equation for each state."""
         memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        return ca.vertcat(self.pose_rate, self._driven_residual, memory, self.chain_rates)
+        return ca.vertcat(self.pose_rate, self.driven_residual, memory, self.chain_rates)
 
     # --- functions ----------------------------------------------------------------------------
     @property
@@ -226,17 +226,28 @@ class Functions:
         return self._function("outputs", [self.reported], ["y"])
 
     @cached_property
+    def rest(self) -> ca.Function:
+        """`z = rest(u, p, t)`: states of the actuation that belong to commands held for long."""
+        return ca.Function("rest", [self.u, self.p, self.t], [ca.densify(self.chain_rest)])
+
+    @cached_property
+    def dead_time(self) -> ca.Function:
+        """`s = dead_time(p)`: delay between command and thrust, s."""
+        return ca.Function("dead_time", [self.p], [self.convert(self.vehicle.composition.dead_time)])
+
+    @cached_property
     def residual_function(self) -> ca.Function:
         """`r = residual(x, nu_dot, u, p, t)`, N and N m."""
-        return self._with_acceleration("residual", self._driven_residual, "r")
+        return self._with_acceleration("residual", self.driven_residual, "r")
 
     @cached_property
     def regressor(self) -> ca.Function:
         """`Y = regressor(x, nu_dot, u, p, t)` = d(residual)/dp, shape (n, n_parameters)."""
-        return self._with_acceleration("regressor", ca.jacobian(self._driven_residual, self.p), "Y")
+        return self._with_acceleration("regressor", ca.jacobian(self.driven_residual, self.p), "Y")
 
     @property
-    def _driven_residual(self) -> ca.SX:
+    def driven_residual(self) -> ca.SX:
+        """Sum of the wrenches as the commands drive them, N and N m."""
         return ca.substitute(self.residual, self.actuation, self.chain_output)
 
     def _with_acceleration(self, name: str, output: ca.SX, output_name: str) -> ca.Function:

@@ -14,6 +14,7 @@ import casadi as ca
 
 import undertow
 from undertow.errors import UndertowError
+from undertow.model.parameter import bare_name
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 
 from .functions import Functions
@@ -162,8 +163,7 @@ def describe(functions: Functions) -> Manifest:
 
 def dead_time(functions: Functions) -> float:
     """Dead time of the inputs for the vehicle's values, s."""
-    expression = functions.convert(functions.vehicle.composition.dead_time)
-    return float(ca.Function("dead_time", [functions.p], [expression])(functions.values()))
+    return float(functions.dead_time(functions.values()))
 
 
 def output_delay(functions: Functions) -> dict[str, float]:
@@ -185,7 +185,7 @@ def _state_unit(functions: Functions, name: str) -> str:
 
 def _parameter_unit(functions: Functions, name: str) -> str:
     declared = functions.vehicle.declared_parameters
-    plain = name.removesuffix("_forward").removesuffix("_backward")
+    plain = bare_name(name)
     found = declared.get(name) or declared.get(plain)
     return found.unit if found else _UNITS.get(name, "")
 

@@ -14,8 +14,8 @@ from .weak.residual import WeakModel
 from .weak.step import bounds_of, inverse_of
 
 Array = NDArray[np.float64]
-# |value| over its standard error below which a parameter could as well be zero.
-_SURE = 2.0
+#: |value| over its standard error below which a parameter could as well be zero.
+SURE = 2.0
 # The same for a parameter that is known, if not well.
 _CLEAR = 5.0
 # Correlation between the errors of two parameters beyond which only a combination of both is known, unless
@@ -26,7 +26,19 @@ _WELL = 10.0
 _FAR = 3.0
 
 
-class Fitted(Protocol):
+class Estimates(Protocol):
+    """Values with their errors."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimated values, SI and SNAME signs."""
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors, SI."""
+
+
+class Fitted(Estimates, Protocol):
     """A fit of the free parameters of a model, whatever the estimator."""
 
     @property
@@ -40,14 +52,6 @@ class Fitted(Protocol):
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with fitted values and standard errors."""
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values, SI and SNAME signs."""
-
-    @property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard errors, SI."""
 
     @property
     def covariance(self) -> Array:
@@ -82,7 +86,7 @@ def verdicts(fit: Fitted) -> dict[str, Verdict]:
 
 
 def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
-    if t < _SURE or undetermined:
+    if t < SURE or undetermined:
         return "not identifiable"
     return "weakly identified" if t < _CLEAR or doubtful else "identified"
 
@@ -102,10 +106,15 @@ def correlation(fit: Fitted) -> Array:
     return np.asarray(fit.covariance / np.outer(spread, spread))
 
 
-def t_values(fit: Fitted) -> dict[str, float]:
-    """Magnitude of every fitted value over its standard error."""
+def t_values(fit: Estimates) -> dict[str, float]:
+    """Magnitude of every estimate over its standard error."""
     errors = fit.standard_errors
-    return {n: abs(v) / errors[n] if errors[n] > 0 else float("inf") for n, v in fit.values.items()}
+    return {n: t_value(v, errors[n]) for n, v in fit.values.items()}
+
+
+def t_value(value: float, error: float) -> float:
+    """Magnitude of a value over its standard error."""
+    return abs(value) / error if error > 0 else float("inf")
 
 
 def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
@@ -126,7 +135,7 @@ def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
 
 
 def _unsure(fit: Fitted) -> dict[str, str]:
-    return {n: f"not identifiable: |t| = {t:.1f}" for n, t in t_values(fit).items() if t < _SURE}
+    return {n: f"not identifiable: |t| = {t:.1f}" for n, t in t_values(fit).items() if t < SURE}
 
 
 def _tied(fit: Fitted) -> dict[str, str]:

@@ -103,10 +103,9 @@ class Composition:
         omega = sm.Matrix(s.nu[3:])
         velocity = sm.Matrix(s.nu[:3]) - water
         acceleration = sm.Matrix(s.nu_dot[:3]) + skew(omega) * water - rate
-        seen = {i: pair for i, pair in enumerate(zip(velocity, acceleration, strict=True)) if i in self.dofs}
-        relative = [seen.get(i, (sm.Integer(0), sm.Integer(0))) for i in range(3)]
-        found = [*(v for v, _ in relative), *(a for _, a in relative)]
-        return dict(zip([*s.nu_r[:3], *s.nu_r_dot[:3]], found, strict=True))
+        relative = enumerate([*velocity, *acceleration])
+        seen = [e if i % 3 in self.dofs else sm.Integer(0) for i, e in relative]
+        return dict(zip([*s.nu_r[:3], *s.nu_r_dot[:3]], seen, strict=True))
 
     @cached_property
     def directional(self) -> dict[sm.Symbol, sm.Expr]:

@@ -9,7 +9,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT
 
-from .parameter import printed
+from .parameter import bare_name, printed
 from .tomltext import array_of_tables, safe
 from .vehicle import Vehicle
 
@@ -107,6 +107,6 @@ def _covariance(vehicle: Vehicle, told: Mapping[str, Any], signs: str) -> dict[s
 
 
 def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
-    bare = name.removesuffix("_forward").removesuffix("_backward")
+    bare = bare_name(name)
     parameter = vehicle.declared_parameters.get(name) or vehicle.declared_parameters[bare]
     return printed(parameter, 1.0, signs)

@@ -88,7 +88,8 @@ class Inherited:
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
         """Memory without a past, actuators as if the first command had been held for long, by stretch."""
-        actuator = [np.asarray(self._rest(*one, p)).ravel() for one in zip(u, t, strict=True)]
+        rest = self._functions.rest
+        actuator = [np.asarray(rest(commands, p, now)).ravel() for commands, now in zip(u, t, strict=True)]
         return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), np.array(actuator)])
 
     @staticmethod
@@ -118,11 +119,6 @@ class Inherited:
         zero = np.zeros(len(log.t))
         measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
         return self._lateness.at_its_time(log.t[piece], measured, p)
-
-    @cached_property
-    def _rest(self) -> ca.Function:
-        f = self._functions
-        return ca.Function("rest", [f.u, f.t, f.p], [ca.densify(f.chain_rest)])
 
     @cached_property
     def _advance(self) -> ca.Function:

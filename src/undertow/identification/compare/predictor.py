@@ -123,15 +123,10 @@ class Predictor:
     def _drives(self, windows: Windows, p: Array) -> list[Array]:
         """Commands of every run as they arrive: held where missing, late by the dead time of the model."""
         held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
-        delay = float(self._dead_time(p))
+        delay = float(self.functions.dead_time(p))
         if delay == 0.0:
             return held
         return [shifted_mean(run.t, u, delay) for run, u in zip(windows.runs, held, strict=True)]
-
-    @cached_property
-    def _dead_time(self) -> ca.Function:
-        f = self.functions
-        return ca.Function("dead_time", [f.p], [f.convert(f.vehicle.composition.dead_time)])
 
     @cached_property
     def _true_motion(self) -> ca.Function:

@@ -3,14 +3,13 @@
 A baseline: filtering the motion and not the force biases the estimates (`undertow fit` has no such bias).
 """
 
-from .cases import CASES, EDGES, Case, Smoother, chosen_cases
+from .cases import CASES, Case, Smoother, chosen_cases
 from .chain import Estimation, Experiment, estimate, experiments
 from .chosen import Chosen, chosen
 from .selection import RULE, selected
 
 __all__ = [
     "CASES",
-    "EDGES",
     "RULE",
     "Case",
     "Chosen",

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.model.effect import Actuation, Measurement
+from undertow.model.effect import Actuation, Effect, Measurement
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.model.vehicle import Value, Vehicle
 
@@ -116,7 +116,7 @@ def _direction(run: Run, name: str, vehicle: str) -> Direction:
     return "forward" if ahead > 0.5 else "backward"
 
 
-def _without_actuation(vehicle: Vehicle) -> tuple:  # type: ignore[type-arg]
+def _without_actuation(vehicle: Vehicle) -> tuple[Effect, ...]:
     kept = [e for e in vehicle.effects if not isinstance(e, Actuation) and "thrusters" not in e.requires]
     return tuple(kept)
 

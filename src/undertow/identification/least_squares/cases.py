@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from undertow.errors import UndertowError
 
 Array = NDArray[np.float64]
 Edges = Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"]
-EDGES: tuple[str, ...] = get_args(Edges)
 
 
 @dataclass(frozen=True)
@@ -84,9 +83,9 @@ class Case:
 
     def needs(self, edges: Edges) -> int:
         """Samples without a gap that the filters need; with dropped edges each leaves the next one fewer."""
-        filters = [*([self.velocity] if self.velocity else []), *self.acceleration]
-        longest = max((f.frame for f in filters), default=2)
-        chain = [*([self.velocity] if self.velocity and self.differentiated else []), *self.acceleration]
+        first = [self.velocity] if self.velocity else []
+        longest = max((f.frame for f in [*first, *self.acceleration]), default=2)
+        chain = [*(first if self.differentiated else []), *self.acceleration]
         dropped = sum(f.frame - 1 for f in chain) + 1
         return max(longest, dropped) if edges == "drop" else longest
 

@@ -95,12 +95,6 @@ class Estimation:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def t_values(self) -> dict[str, float]:
-        """Magnitude of each estimate over its standard error."""
-        errors = self.standard_errors
-        return {n: abs(v) / errors[n] if errors[n] > 0 else float("inf") for n, v in self.values.items()}
-
-    @property
     def valid(self) -> bool:
         """Whether all estimates are physical: the mass exceeds that of the body, damping takes energy."""
         return not self.impossible
@@ -163,8 +157,11 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
     parts = [regression.rows(run, case, edges) for run in experiment.runs]
     H, target = np.concatenate([p.H for p in parts]), np.concatenate([p.target for p in parts])
     size = np.linalg.norm(H, axis=0)
-    _determined(experiment.axis, regression.free, H, size, case)
+    _enough(experiment.axis, regression.free, H, case)
     scaled = H / size
+    condition = float(np.linalg.cond(scaled))
+    if condition > _CONDITION:
+        raise UndertowError(_open(experiment.axis, regression.free, H, case))
     theta = np.linalg.lstsq(scaled, target, rcond=None)[0] / size
     residual = target - H @ theta
     variance = float(residual @ residual) / (len(target) - len(theta))
@@ -177,15 +174,15 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
         covariance=covariance,
         residual_variance=variance,
         samples=len(target),
-        condition=float(np.linalg.cond(scaled)),
+        condition=condition,
         inertia=regression.inertia(theta, covariance),
         inertial=regression.inertial,
         impossible=_impossible(experiment.axis, dict(zip(regression.free, theta.tolist(), strict=True))),
     )
 
 
-def _determined(axis: Axis, names: Sequence[str], H: Array, size: Array, case: Case) -> None:
-    silent = [n for n, length in zip(names, size, strict=True) if length == 0.0]
+def _enough(axis: Axis, names: Sequence[str], H: Array, case: Case) -> None:
+    silent = [n for n, column in zip(names, H.T, strict=True) if not column.any()]
     if silent:
         raise UndertowError(
             f"these logs do not feel {silent[0]} of {axis} (case {case.name}): state it as known, or log a "
@@ -196,14 +193,17 @@ def _determined(axis: Axis, names: Sequence[str], H: Array, size: Array, case: C
             f"{len(H)} samples of {axis} are too few for {len(names)} parameters (case {case.name}): give "
             "longer logs"
         )
-    if np.linalg.cond(H / size) > _CONDITION:
-        gram, nothing = H.T @ H, 1.0 / _CONDITION**2
-        tied = {n for group in undetermined(gram, names, nothing) for n in group}
-        seen = [*(n for n in names if n not in tied), *map(str, base_parameters(gram, names, nothing))]
-        raise UndertowError(
-            f"{len(H)} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
-            f"only {', '.join(seen)}: log other speeds and accelerations, or state one as known"
-        )
+
+
+def _open(axis: Axis, names: Sequence[str], H: Array, case: Case) -> str:
+    """What to say where samples determine sums of parameters only."""
+    gram, nothing = H.T @ H, 1.0 / _CONDITION**2
+    tied = {n for group in undetermined(gram, names, nothing) for n in group}
+    seen = [*(n for n in names if n not in tied), *map(str, base_parameters(gram, names, nothing))]
+    return (
+        f"{len(H)} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
+        f"only {', '.join(seen)}: log other speeds and accelerations, or state one as known"
+    )
 
 
 def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:

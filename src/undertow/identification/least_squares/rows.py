@@ -78,9 +78,10 @@ class Regression:
         used = np.isfinite(velocity) & np.isfinite(rate)
         pose = run.channels[self._pose][piece] if self._feels_pose else np.zeros(len(t))
         commands = run.matrix(vehicle.command_names)[piece]
-        x, nu_dot = np.column_stack([pose, velocity])[used], rate[used, None]
-        residual, slope = mapped(self._at, [x, nu_dot, commands[used]], self._still, t[used])
-        return Rows(slope[:, 0, :], -residual[:, 0, 0])
+        inputs = [np.column_stack([pose, velocity])[used], rate[used, None], commands[used]]
+        f, p = self.functions, self._still
+        (residual,), (slope,) = (mapped(g, inputs, p, t[used]) for g in (f.residual_function, f.regressor))
+        return Rows(slope[:, 0, self._places], -residual[:, 0, 0])
 
     def _pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
         """Stretches without gaps that are long enough for the filters."""
@@ -92,7 +93,7 @@ class Regression:
         names = [self.axis.velocity, *self.axis.vehicle.command_names]
         names += [self._pose] if self._feels_pose else []
         names += [self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else []
-        needed = max(case.needs(edges), 2)
+        needed = case.needs(edges)
         long = [p for p in run.segments(names) if p.stop - p.start >= needed]
         if not long:
             raise UndertowError(
@@ -107,12 +108,7 @@ class Regression:
 
     @cached_property
     def _feels_pose(self) -> bool:
-        return bool(ca.depends_on(self._driven, self.functions.eta))
-
-    @cached_property
-    def _driven(self) -> ca.SX:
-        f = self.functions
-        return ca.substitute(f.residual, f.actuation, f.chain_output)
+        return bool(ca.depends_on(self.functions.driven_residual, self.functions.eta))
 
     @property
     def _still(self) -> Array:
@@ -121,24 +117,20 @@ class Regression:
         p[self._places] = 0.0
         return p
 
-    @cached_property
-    def _at(self) -> ca.Function:
-        f = self.functions
-        inputs = [f.x, f.nu_dot, f.u, f.p, f.t]
-        slope = ca.jacobian(self._driven, f.p)[:, self._places]
-        return ca.Function("rows", inputs, [ca.densify(self._driven), ca.densify(slope)])
-
     def inertia(self, theta: Array, covariance: Array) -> tuple[float, float]:
         """Mass with added mass and its standard error at an estimate."""
-        f = self.functions
-        mass = ca.Function("mass", [f.p], [f.mass_matrix, ca.jacobian(f.mass_matrix, f.p)])
         p = self._still
         p[self._places] = theta
-        value, slope = (np.asarray(v, dtype=float) for v in mass(p))
+        value, slope = (np.asarray(v, dtype=float) for v in self._mass(p))
         slope = slope[0, self._places]
         return float(value[0, 0]), float(np.sqrt(slope @ covariance @ slope))
 
-    @property
+    @cached_property
+    def _mass(self) -> ca.Function:
+        f = self.functions
+        return ca.Function("mass", [f.p], [f.mass_matrix, ca.jacobian(f.mass_matrix, f.p)])
+
+    @cached_property
     def inertial(self) -> tuple[str, ...]:
         """Sought parameters that are part of the inertia."""
         f = self.functions
@@ -175,8 +167,7 @@ def _step(run: Run, piece: slice, *, even: bool) -> float:
 
 
 def _no_dead_time(axis: Axis, functions: Functions) -> None:
-    dead_time = functions.convert(axis.vehicle.composition.dead_time)
-    seconds = float(ca.Function("dead_time", [functions.p], [dead_time])(functions.values()))
+    seconds = float(functions.dead_time(functions.values()))
     if seconds:
         raise UndertowError(
             f"vehicle '{axis.vehicle.name}' answers its commands {seconds:g} s late, which least squares on "

@@ -129,11 +129,10 @@ def _at_rest(functions: Functions, depth: float) -> Callable[[Array], Array]:
     """Force and moment left over at rest, level, with commands that have been held for long."""
     f = functions
     u = ca.MX.sym("u", f.u.numel())
-    drive = ca.Function("rest", [f.u, f.p, f.t], [ca.densify(f.chain_rest)])
     motion = np.zeros(f.eta.numel() + f.nu.numel() + f.memory.numel())
     if "z" in f.vehicle.pose_names:
         motion[f.vehicle.pose_names.index("z")] = depth
     p = np.array(f.values(), dtype=float)
-    state = ca.vertcat(ca.DM(motion), drive(u, p, 0.0))
+    state = ca.vertcat(ca.DM(motion), f.rest(u, p, 0.0))
     force = ca.Function("force", [u], [f.residual_function(state, np.zeros(f.nu.numel()), u, p, 0.0)])
     return lambda commands: np.array(force(commands)).ravel()

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, lookup
-from undertow.model.parameter import Parameter, printed
+from undertow.model.parameter import Parameter, bare_name, printed
 from undertow.model.vehicle import Vehicle
 
 from .rivals import AND, NONE, RivalSpec, parts_of
@@ -130,8 +130,8 @@ def _spec(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue, effect: str)
 
 
 def _has(declared: dict[str, Parameter], name: str) -> bool:
-    return name in declared or name.removesuffix("_forward").removesuffix("_backward") in declared
+    return name in declared or bare_name(name) in declared
 
 
 def _bare(declared: dict[str, Parameter], name: str) -> Parameter:
-    return declared.get(name) or declared[name.removesuffix("_forward").removesuffix("_backward")]
+    return declared.get(name) or declared[bare_name(name)]

@@ -7,7 +7,6 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,23 +83,13 @@ class Plant:
             Parameters, by default those of the model.
         """
         p = self.p if p is None else p
-        delay = float(self._dead_time(p))
+        delay = float(self.functions.dead_time(p))
         late = u if delay == 0.0 else np.stack([shifted_mean(t, one, delay) for one in u])
-        own = [np.array(self._rest(one[0], p, 0.0)).ravel() for one in late]
-        start = np.column_stack([np.tile(motion, (len(u), 1)), np.array(own)])
+        drive = [np.array(self.functions.rest(one[0], p, 0.0)).ravel() for one in late]
+        memory = np.zeros((len(u), self.functions.memory.numel()))
+        start = np.column_stack([np.tile(motion, (len(u), 1)), memory, np.array(drive)])
         with np.errstate(over="ignore", invalid="ignore"):
             return self.predictor.simulated(start, np.tile(t, (len(u), 1)), late, p)
-
-    @cached_property
-    def _dead_time(self) -> ca.Function:
-        f = self.functions
-        return ca.Function("dead_time", [f.p], [f.convert(f.vehicle.composition.dead_time)])
-
-    @cached_property
-    def _rest(self) -> ca.Function:
-        f = self.functions
-        memory = ca.DM.zeros(f.memory.numel())
-        return ca.Function("rest", [f.u, f.p, f.t], [ca.vertcat(memory, ca.densify(f.chain_rest))])
 
 
 @dataclass(frozen=True)

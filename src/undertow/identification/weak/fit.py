@@ -18,7 +18,7 @@ from .data import WeakData
 from .estimated import estimated
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
-from .step import bounded_step, bounds_of, inverse_of, prior_of, within_reach
+from .step import bounded_step, bounds_of, inverse_of, prior_of, reach_of, within_reach
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -246,7 +246,7 @@ def promise(
     """
     fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, steps)
     places = list(model.places)
-    bounds = within_reach(model, fit.p[places], bounds_of(model))
+    bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
     step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
     after = np.clip(fit.p[places] + step, *bounds)
     return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True)), fit
@@ -266,14 +266,14 @@ def _solved(
     enough: float = 0.0,
 ) -> WeakFit:
     bounds = bounds_of(model)
-    prior = prior_of(model)
+    prior, reach = prior_of(model), reach_of(model)
     places = list(model.places)
     p = p.copy()
     p[places] = np.clip(p[places], *bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for _ in range(max_iterations):
-        step = bounded_step(at, p[places], within_reach(model, p[places], bounds), prior)
+        step = bounded_step(at, p[places], within_reach(bounds, p[places], reach), prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break

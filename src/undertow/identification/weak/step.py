@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from undertow.model.parameter import Parameter
+from undertow.model.parameter import Parameter, bare_name
 
 from .residual import Linearised, WeakModel
 
@@ -26,8 +26,7 @@ def bounds_of(model: WeakModel) -> tuple[Array, Array]:
     vehicle = model.functions.vehicle
     pairs = []
     for name in model.free:
-        bare = name.removesuffix("_forward").removesuffix("_backward")
-        low, high = vehicle.declared_parameters[bare].bounds
+        low, high = vehicle.declared_parameters[bare_name(name)].bounds
         value = vehicle.value_of(name).value
         # A value that the user allowed against its sign keeps its freedom.
         pairs.append((min(low, value) if value else low, max(high, value) if value else high))
@@ -44,16 +43,13 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
     return centre, weight
 
 
-def within_reach(model: WeakModel, now: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Bounds of the next step: a parameter that is not linear moves no farther than its derivative can tell.
+def reach_of(model: WeakModel) -> Array:
+    """How far each free parameter moves at least in one step; without end for one that is linear.
 
     Where the data hardly feel one, a place far off say, the linearised problem would send it to its bound.
     """
     declared = model.functions.vehicle.declared_parameters
-    bare = [declared[n.removesuffix("_forward").removesuffix("_backward")] for n in model.free]
-    reach = np.array([_reach(p) for p in bare])
-    reach = np.maximum(reach, _REACH * np.abs(now))
-    return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
+    return np.array([_reach(declared[bare_name(n)]) for n in model.free])
 
 
 def _reach(parameter: Parameter) -> float:
@@ -62,6 +58,12 @@ def _reach(parameter: Parameter) -> float:
     span = parameter.bounds[1] - parameter.bounds[0]
     wide = _REACH_OF_BOUNDS * span if np.isfinite(span) else 0.0
     return max(_REACH * max(1.0, *map(abs, parameter.starts), 0.0), wide)
+
+
+def within_reach(bounds: tuple[Array, Array], now: Array, reach: Array) -> tuple[Array, Array]:
+    """Bounds of the next step: a parameter moves no farther than its reach, or some times its own size."""
+    reach = np.maximum(reach, _REACH * np.abs(now))
+    return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
 
 
 def bounded_step(

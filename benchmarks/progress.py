@@ -1,0 +1,32 @@
+"""What a program that makes a page says while it works."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+Report = Callable[[float, str], None]
+
+
+def teller(part: str) -> Report:
+    """A line on stderr that is rewritten on a terminal; one line per step elsewhere.
+
+    The step is what stands before the colon in what is told.
+    """
+    last = [""]
+
+    def tell(done: float, words: str) -> None:
+        line = f"{part} {100 * done:3.0f} %  {words}"
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+        elif words.partition(":")[0] != last[0]:
+            print(line, file=sys.stderr, flush=True)
+        last[0] = words.partition(":")[0]
+
+    return tell
+
+
+def clear() -> None:
+    """Take the line away."""
+    if sys.stderr.isatty():
+        print("\r\x1b[K", end="", file=sys.stderr)
