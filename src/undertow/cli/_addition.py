@@ -15,6 +15,7 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.diagnose import HORIZON
 from undertow.identification.diagnosis.evidence import SMALLEST_FALL, Comparison, compare_scores
 from undertow.identification.diagnosis.excitation import check_excitation
+from undertow.identification.diagnosis.final import last_fit
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.search import FALSE_ALARM_RATE
 from undertow.identification.diagnosis.split import keep_blocks_aside
@@ -151,7 +152,8 @@ def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) 
         keep_all, first = True, _whole(candidate, ground.bench, scouted.values)
     # What is judged is weighed by the noise model of the better fit, for both models alike.
     sharp = ground.bench.sharpened(first.full)
-    return _told(ground, sharp, _tried(candidate, sharp, first.fit.values, keep_all))
+    last = last_fit(_tried(candidate, sharp, first.fit.values, keep_all).fit, [candidate])
+    return _told(ground, sharp, candidate, last)
 
 
 def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
@@ -193,21 +195,21 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
     return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 
-def _told(ground: Ground, bench: Bench, trial: Trial) -> Addition:
-    own = tuple(p.name for p in trial.candidate.parameters)
-    kept = tuple(n for n in own if n in trial.fit.model.free)
-    noise = trial.fit.model.whitening(bench.test, trial.fit.p)
+def _told(ground: Ground, bench: Bench, candidate: Candidate, fit: WeakFit) -> Addition:
+    own = tuple(p.name for p in candidate.parameters)
+    kept = tuple(n for n in own if n in fit.model.free)
+    noise = fit.model.whitening(bench.test, fit.p)
     given = Functions(ground.vehicle)
     p = np.array(given.values(), dtype=float)
     return Addition(
-        trial.id,
-        trial.fit,
+        candidate.id,
+        fit,
         kept,
         tuple(n for n in own if n not in kept),
         _step(ground, [], ground.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
         _fitted(ground, [], bench.base, noise),
-        _fitted(ground, [trial.id], trial.fit, noise),
-        compare_scores(bench.base_score, trial.score, bench.test),
+        _fitted(ground, [candidate.id], fit, noise),
+        compare_scores(bench.base_score, bench.judge(fit), bench.test),
     )
 
 

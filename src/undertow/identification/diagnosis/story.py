@@ -21,13 +21,14 @@ from .chain import Chain, fitted, with_effects
 from .compensation import Relief, absorbing, reliefs
 from .equivalents import equivalents
 from .estimates import estimate, estimates
+from .final import last_fit
 from .finding import Finding
 from .referee import DECIDING, Referee, clearly_worse, standing
 from .remaining import remaining
 from .repeats import repeats
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
-from .trial import Score, error_of, scored, told_apart
+from .trial import Bench, Score, error_of, scored, told_apart
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
@@ -197,7 +198,7 @@ def decided(found: Search, referee: Referee) -> Search:
 
     An effect goes when the model simulates the kept-aside runs to within the noise before it is added to
     others. All of a set of equally good effects are fitted by output error, started from the weak form, and
-    simulate the kept-aside runs; the best of them leads.
+    simulate the kept-aside runs; the best of them leads, and gets a last fit.
     """
     found = _without_surplus(found, referee)
     for place in range(len(found.rivals)):
@@ -207,7 +208,12 @@ def decided(found: Search, referee: Referee) -> Search:
             rivals: list[list[Chain]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, chain=best, rivals=rivals)
-    return found
+    return replace(found, chain=_last(found.chain, found.bench)) if found.winners else found
+
+
+def _last(chain: Chain, bench: Bench) -> Chain:
+    fit = last_fit(chain.fit, [f.trial.candidate for f in chain.findings])
+    return replace(chain, fit=fit, score=bench.judge(fit))
 
 
 def _without_surplus(found: Search, referee: Referee) -> Search:

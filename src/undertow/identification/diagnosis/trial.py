@@ -298,7 +298,7 @@ def try_candidate(
     # one its parameters show how well they are known.
     if fit.cost < 0.5 * len(fit.at.r):
         fit = settled(fit, most=1)
-    kept = _parameters_that_matter(fit, candidate.removable)
+    kept = parameters_that_matter(fit, candidate.removable)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
     thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
@@ -325,10 +325,21 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
     )
 
 
-def _parameters_that_matter(fit: WeakFit, removable: tuple[str, ...]) -> tuple[str, ...]:
+def parameters_that_matter(
+    fit: WeakFit, removable: tuple[str, ...], least: float = T_KEEP
+) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
     This thins an effect out; whether it is needed at all is for the kept-aside data to say, so one stays.
+
+    Parameters
+    ----------
+    fit : WeakFit
+        The fit with all of them.
+    removable : tuple of str
+        What may go.
+    least : float
+        |estimate| over standard error with which a parameter stays.
     """
     names = list(fit.model.free)
     information = fit.information
@@ -340,7 +351,7 @@ def _parameters_that_matter(fit: WeakFit, removable: tuple[str, ...]) -> tuple[s
         t = np.abs(estimate[active]) / spread
         open_to_drop = [i for i, k in enumerate(active) if names[k] in removable]
         weakest = min(open_to_drop, key=lambda i: t[i], default=None)
-        if weakest is None or len(open_to_drop) == 1 or t[weakest] >= T_KEEP:
+        if weakest is None or len(open_to_drop) == 1 or t[weakest] >= least:
             return tuple(names[k] for k in active if names[k] in removable)
         gone = active.pop(weakest)
         # Fixing one parameter at zero moves the others along the valley of the cost.
