@@ -9,6 +9,8 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
+from undertow.identification.diagnosis.referee import Referee
+from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import WeakData, prepare
 from undertow.identification.weak.fit import WeakFit, fit_weak, mean_square, settled
@@ -30,12 +32,12 @@ def grade_of(ratio: float) -> str:
     return next((name for name, least in GRADES if ratio >= least), HIDDEN)
 
 
-def error_of(fit: WeakFit, test: WeakData, noise: list[Whitening]) -> float:
+def error_of(fit: Fitted, test: WeakData, noise: list[Whitening]) -> float:
     """Error of a model on kept-aside data: rms over all equations of the residual, in units of the noise.
 
     Not the geometric mean that the diagnosis prints: in twelve equations that would hide one bad one.
     """
-    r = whitened(fit.model.linearise(test, fit.p), noise).r
+    r = whitened(fit.model.linearise(test, np.asarray(fit.p)), noise).r
     return float(np.sqrt(np.nanmean(mean_square(r, test))))
 
 
@@ -45,8 +47,9 @@ class Told:
 
     Attributes
     ----------
-    fit : WeakFit
-        The model with the true effects.
+    fit : Fitted
+        The model with the true effects, fitted as the diagnosis fits what it names: by output error, started
+        from the weak form, where that simulates the kept-aside run no worse.
     test : WeakData
         Data kept aside.
     before, error : float
@@ -56,7 +59,7 @@ class Told:
         Error of the model that lacks only this one of two true effects.
     """
 
-    fit: WeakFit
+    fit: Fitted
     test: WeakData
     before: float
     error: float
@@ -67,14 +70,14 @@ class Told:
         """What the truth is worth; for two effects, what the less visible of them is worth."""
         return min(self.lacking.values(), default=self.before) / self.error
 
-    def error_of(self, fit: WeakFit) -> float:
+    def error_of(self, fit: Fitted) -> float:
         """Error of any model in the same units."""
         return error_of(fit, self.test, quiet(self.fit, self.test))
 
 
-def quiet(fit: WeakFit, data: WeakData) -> list[Whitening]:
+def quiet(fit: Fitted, data: WeakData) -> list[Whitening]:
     """The noise that the sensors alone make in the equations of a model."""
-    return fit.model.whitening(data, fit.p)
+    return fit.model.whitening(data, np.asarray(fit.p))
 
 
 def told(
@@ -98,7 +101,8 @@ def told(
         True values, as far as they bear the names of the catalogue: the search begins there.
     """
     base, aside = opened(vehicle, train, test)
-    fit = settled(_added(base, vehicle, truth, values))
+    referee = Referee(vehicle, train, test, aside.sigma)
+    fit, _ = referee.refined(settled(_added(base, vehicle, truth, values)))
     noise = quiet(fit, aside)
     lacking = {}
     for effect in truth if len(truth) > 1 else ():

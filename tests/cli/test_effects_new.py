@@ -26,7 +26,8 @@ from undertow.identification.diagnosis.result import (
     RunInfo,
     Spectrum,
 )
-from undertow.identification.diagnosis.trial import noise_ratio, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.scouting import scout
+from undertow.identification.diagnosis.trial import noise_ratio, open_bench, try_candidate
 from undertow.identification.scaffold import effect_file, suggested
 from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue, load_effects
@@ -113,7 +114,7 @@ def test_a_suggestion_takes_the_error_away(undertow: Undertow, tmp_path: Path) -
     runs = [Run(n, c["t"], {k: v for k, v in c.items() if k != "t"}) for n, c in case.runs.items()]
     train = prepare(runs[:3], vehicle)
     bench = open_bench(vehicle, train, prepare(runs[3:], vehicle, sigma=train.sigma))
-    left = remaining(bench.base, bench.test)
+    left = remaining(bench.base, bench.train, bench.test)
     (tmp_path / "found.json").write_text(_diagnosis(*left).model_dump_json())
 
     code, out, _ = undertow("effects", "new", "two_forces", "--from", "found.json")

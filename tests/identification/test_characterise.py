@@ -54,7 +54,7 @@ def _refitted(vehicle: Vehicle, runs: list[Run], aside: list[Run]) -> tuple[Weak
 @cache
 def _left(*effects: str, seed: int = 1) -> tuple[dict[str, dict[str, float]], dict[str, Remaining]]:
     values, fit, aside = _fitted(effects, seed)
-    return values, {r.degree_of_freedom: r for r in remaining(fit, aside)}
+    return values, {r.degree_of_freedom: r for r in remaining(fit, fit.data, aside)}
 
 
 def _is_silent(left: Remaining) -> bool:
@@ -359,13 +359,14 @@ def test_one_motion_driven_by_a_force_in_the_log() -> None:
     kept = tuple(e for e in whole.effects if e.id != "quadratic_damping")
     vehicle = replace(whole, values=less, effects=kept)
     runs = [surge_run(0.001, seed=i) for i in range(3)]
-    (left,) = remaining(*_refitted(vehicle, runs[:2], runs[2:]))
+    fit, aside = _refitted(vehicle, runs[:2], runs[2:])
+    (left,) = remaining(fit, fit.data, aside)
     assert left.normalised_error > 3.0
     assert {"|u| u", "u u"} & {left.depends_on[0].term, *left.depends_on[0].alike}
 
 
 def _turning(fit: WeakFit, aside: WeakData) -> Dependence:
-    left = {r.degree_of_freedom: r for r in remaining(fit, aside)}
+    left = {r.degree_of_freedom: r for r in remaining(fit, fit.data, aside)}
     assert _is_silent(left["yaw"])
     return left["sway"].depends_on[0]
 

@@ -11,7 +11,8 @@ import pytest
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.compensation import Relief, absorbing
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.trial import Bench, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.scouting import scout
+from undertow.identification.diagnosis.trial import Bench, open_bench, try_candidate
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue

@@ -16,10 +16,13 @@ from undertow.identification.diagnosis.diagnose import HORIZON
 from undertow.identification.diagnosis.evidence import SMALLEST_FALL, Comparison, compare_scores
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.final import last_fit
+from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.diagnosis.result import Step
+from undertow.identification.diagnosis.scouting import scout
 from undertow.identification.diagnosis.search import FALSE_ALARM_RATE
 from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.diagnosis.trial import Bench, Trial, error_of, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.trial import Bench, Trial, error_of, open_bench, try_candidate
+from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import WeakFit, mean_square
@@ -44,6 +47,8 @@ class Ground:
         Data, noise and the fitted model without the effect.
     windows : Windows
         Stretches of the kept-aside logs over which motion is predicted.
+    referee : Referee
+        Who simulates them.
     """
 
     vehicle: Vehicle
@@ -51,6 +56,7 @@ class Ground:
     test: list[Run]
     bench: Bench
     windows: Windows
+    referee: Referee
 
     def ahead(self, vehicle: Vehicle) -> float:
         """Velocity error of the prediction ahead on kept-aside data, as a share of the motion."""
@@ -65,7 +71,7 @@ class Addition:
     ----------
     effect : str
         Its id.
-    fit : WeakFit
+    fit : Fitted
         The fit of the model with it.
     kept, dropped : tuple of str
         Parameters of the effect that are in the model now, and those that proved to be zero.
@@ -77,7 +83,7 @@ class Addition:
     """
 
     effect: str
-    fit: WeakFit
+    fit: Fitted
     kept: tuple[str, ...]
     dropped: tuple[str, ...]
     given: Step
@@ -119,7 +125,8 @@ def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (
     bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
     windows = cut(test_runs, vehicle, min(HORIZON, 0.9 * longest))
-    return Ground(vehicle, train_runs, test_runs, bench, windows)
+    referee = Referee(vehicle, train_runs, test_runs, train.sigma)
+    return Ground(vehicle, train_runs, test_runs, bench, windows, referee)
 
 
 def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) -> Addition:
@@ -195,10 +202,11 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
     return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 
-def _told(ground: Ground, bench: Bench, candidate: Candidate, fit: WeakFit) -> Addition:
+def _told(ground: Ground, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
+    fit, base = (ground.referee.refined(f)[0] for f in (weak, bench.base))
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.free)
-    noise = fit.model.whitening(bench.test, fit.p)
+    noise = fit.model.whitening(bench.test, np.asarray(fit.p))
     given = Functions(ground.vehicle)
     p = np.array(given.values(), dtype=float)
     return Addition(
@@ -207,14 +215,15 @@ def _told(ground: Ground, bench: Bench, candidate: Candidate, fit: WeakFit) -> A
         kept,
         tuple(n for n in own if n not in kept),
         _step(ground, [], ground.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
-        _fitted(ground, [], bench.base, noise),
+        _fitted(ground, [], base, noise),
         _fitted(ground, [candidate.id], fit, noise),
-        compare_scores(bench.base_score, bench.judge(fit), bench.test),
+        compare_scores(bench.base_score, bench.judge(weak), bench.test),
     )
 
 
-def _fitted(ground: Ground, added: list[str], fit: WeakFit, noise: list[Whitening]) -> Step:
-    return _step(ground, added, fit.vehicle, fit.model.linearise(ground.bench.test, fit.p), noise)
+def _fitted(ground: Ground, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
+    at = fit.model.linearise(ground.bench.test, np.asarray(fit.p))
+    return _step(ground, added, fit.vehicle, at, noise)
 
 
 def _step(

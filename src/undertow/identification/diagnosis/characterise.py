@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from undertow.model.symbols import FORCE_UNITS
 
+from ..fitted import Fitted
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit
 from ..weak.step import prior_of
 from .associations.clock import Clock
 from .associations.force_rows import ForceRow, ForceRows, measured_pose
@@ -33,16 +33,16 @@ class Characteriser:
 
     Parameters
     ----------
-    fit : WeakFit
+    fit : Fitted
         The model.
-    aside : WeakData
-        Logs that it was not fitted to.
+    known, aside : WeakData
+        Logs that it was fitted to, and logs that it was not.
     """
 
-    def __init__(self, fit: WeakFit, aside: WeakData) -> None:
+    def __init__(self, fit: Fitted, known: WeakData, aside: WeakData) -> None:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
-        self._fitted, self._aside = ForceRows(fit, fit.data), ForceRows(fit, aside)
+        self._fitted, self._aside = ForceRows(fit, known), ForceRows(fit, aside)
         self._terms = tuple(terms_of(vehicle, measured_pose(aside)))
         self._prior = prior_of(fit.model)[1]
 

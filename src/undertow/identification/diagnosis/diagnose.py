@@ -11,9 +11,9 @@ from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 
 from ..doctor import Examination, examine
+from ..fitted import Fitted
 from ..logs import Run
 from ..weak.data import prepare
-from ..weak.fit import WeakFit
 from .excitation import check_excitation
 from .referee import DECIDING, Referee
 from .result import Diagnosis, RunInfo
@@ -38,7 +38,7 @@ class Outcome:
         The refitted model as it was, and with the named effects (the same where none is named).
     train, test : list of Run
         What was fitted to, and what was judged by.
-    fit : WeakFit
+    fit : Fitted
         The fit of `after`.
     """
 
@@ -47,7 +47,7 @@ class Outcome:
     after: Vehicle
     train: list[Run]
     test: list[Run]
-    fit: WeakFit
+    fit: Fitted
 
 
 def diagnose(

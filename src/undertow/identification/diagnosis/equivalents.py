@@ -13,7 +13,8 @@ from ..weak.fit import WeakFit
 from ..weak.step import inverse_of
 from .candidates import Candidate
 from .result import Equivalent
-from .trial import Bench, scout
+from .scouting import scout
+from .trial import Bench
 
 Array = NDArray[np.float64]
 # Standard deviations from which a parameter has moved away from what was stated.

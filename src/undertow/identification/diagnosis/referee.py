@@ -32,8 +32,10 @@ THOROUGH = 20.0
 # Mean square of the simulation error, in units of the noise, that still counts as noise: in the worst channel
 # and over all of them. The noise of a channel is known to a few per cent.
 _ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
-# Mean square of the simulation error from which no fit by output error brings it down to the noise.
+# Mean square of the simulation error from which no fit by output error brings it down to the noise, and from
+# which it is left as it is.
 _NEAR_NOISE = 2.0
+_FAR_OFF = 100.0
 _START_STEPS = 3
 _SURE = 0.01
 
@@ -122,6 +124,19 @@ class Referee:
         """A chain fitted by output error from where the weak form left it, and judged."""
         fit = self._refined(chain.fit)
         return Contender(chain, fit, self.squares(fit))
+
+    def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
+        """A model fitted by output error, and how it simulates; by the weak form where that does better.
+
+        The weak form is biased where noise is as large as what it multiplies; the simulation is not. What
+        the simulation of a poor model comes to is left alone: it is dear, and no fit mends it.
+        """
+        before = self.squares(weak)
+        if not np.mean(before) < _FAR_OFF:
+            return weak, before
+        fit = self._refined(weak)
+        after = before if fit is weak else self.squares(fit)
+        return (weak, before) if clearly_worse(after, before) else (fit, after)
 
     def quiet(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak residual or by simulation."""

@@ -6,22 +6,22 @@ import numpy as np
 
 from undertow.model.symbols import FORCE_UNITS
 
+from ..fitted import Fitted
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit
 from .associations.wording import sentence
 from .characterise import Characteriser
 from .result import Remaining
 
 
-def remaining(fit: WeakFit, data: WeakData) -> list[Remaining]:
+def remaining(fit: Fitted, known: WeakData, aside: WeakData) -> list[Remaining]:
     """Residual force of every degree of freedom on kept-aside data.
 
     Parameters
     ----------
-    fit : WeakFit
-        The model, fitted to other data.
-    data : WeakData
-        Data kept aside.
+    fit : Fitted
+        The model.
+    known, aside : WeakData
+        Data that it was fitted to, and data kept aside.
 
     Returns
     -------
@@ -30,11 +30,11 @@ def remaining(fit: WeakFit, data: WeakData) -> list[Remaining]:
         test functions, in N or N m; the normalised error weighs slow parts, where there is little noise, as
         heavily as they deserve.
     """
-    characteriser = Characteriser(fit, data)
+    characteriser = Characteriser(fit, known, aside)
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
 
 
-def _left(characteriser: Characteriser, fit: WeakFit, i: int) -> Remaining:
+def _left(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
     vehicle, row, loud = fit.model.functions.vehicle, characteriser.rows[i], characteriser.is_loud(i)
     error = float(np.sqrt(row.ratio))
     left = Remaining(

@@ -16,7 +16,8 @@ from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
 from .finding import Finding
 from .linear import linear
-from .trial import Bench, Score, Trial, rejected, scout, told_apart, try_candidate
+from .scouting import scout
+from .trial import Bench, Score, Trial, rejected, told_apart, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
@@ -103,8 +104,9 @@ def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> lis
     found = []
     for i, candidate in enumerate(possible):
         report(0.5 * i / len(possible), f"trying {candidate.id}")
-        cost, values, start = scout(candidate, bench)
-        found.append(_Scouted(candidate, cost, values, linear(start, bench)))
+        look = scout(candidate, bench)
+        chances = linear(look.start, bench, look.on_test)
+        found.append(_Scouted(candidate, look.cost, look.values, chances))
     return sorted(found, key=lambda entry: entry.cost)
 
 

@@ -14,8 +14,8 @@ from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
+from ..fitted import Fitted
 from ..planning.suggest import suggest
-from ..weak.fit import WeakFit
 from .candidates import candidates
 from .chain import Chain, fitted, with_effects
 from .compensation import Relief, absorbing, reliefs
@@ -54,22 +54,23 @@ class Story:
         self.vehicle, self.referee, self._known = vehicle, referee, known
         self.found = found = decided(found, referee)
         self.bench = found.bench
-        self.base = found.rounds[0].bench.base
-        self.fits = found.steps()
-        self.simulated = [referee.squares(f) for f in self.fits]
-        final = self.fits[-1]
+        weak = found.steps()
+        refined = [referee.refined(f) for f in weak]
+        self.fits = [fit for fit, _ in refined]
+        self.simulated = [squares for _, squares in refined]
+        self.base, final = self.fits[0], self.fits[-1]
         # All models are shown in units of the same noise, that of the sensors alone.
-        self._whitening = final.model.whitening(self.bench.test, final.p)
+        self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self.judgement: Judgement = judge(
             found,
-            (self.bench.judge(self.fits[0]), self.bench.judge(final)),
+            (self.bench.judge(weak[0]), self.bench.judge(weak[-1])),
             self.bench.noise_level,
-            quiet=referee.quiet(final, self.bench.test),
+            quiet=referee.quiet(weak[-1], self.bench.test),
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
         )
 
     @property
-    def after(self) -> WeakFit:
+    def after(self) -> Fitted:
         """The fit with what is named, or the refitted model where nothing is."""
         return self.fits[-1] if self.judgement.effects else self.base
 
@@ -92,7 +93,7 @@ class Story:
             indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(),
-            remaining=remaining(self.after, self.bench.test),
+            remaining=remaining(self.after, self.bench.train, self.bench.test),
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=FALSE_ALARM_RATE,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
@@ -136,7 +137,7 @@ class Story:
         except UndertowError as error:
             return f"No manoeuvre can be suggested: {error}"
 
-    def _normalised(self, fit: WeakFit) -> float:
+    def _normalised(self, fit: Fitted) -> float:
         """Error in units of the noise; what unknown first states leave open is left out on both sides."""
         before, data = self._left_before, self.bench.test
         after = scored(fit, data, self._whitening, before.r)
@@ -155,7 +156,7 @@ class Story:
         ids = [w.id for w in self.found.winners]
         return [self._step(ids[:i], fit, self.simulated[i]) for i, fit in enumerate(self.fits)]
 
-    def _step(self, added: list[str], fit: WeakFit, squares: Array) -> Step:
+    def _step(self, added: list[str], fit: Fitted, squares: Array) -> Step:
         ahead = self.referee.ahead(fit.vehicle)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(

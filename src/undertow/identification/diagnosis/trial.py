@@ -7,15 +7,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
 
+from ..fitted import Fitted
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, promise, settled
+from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, settled
 from ..weak.noise import Whitening
 from ..weak.residual import Linearised, WeakModel, whitened
 from .beat import beat
@@ -28,9 +28,6 @@ _NOISE_EXPLAINS = 2.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
 _SHARPENING = 3
-# Of more starts than this, only the best are looked at more closely.
-_MANY_STARTS, _BEST_STARTS = 4, 2
-_CLOSER = 2
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ def error_of(mean_squares: Array) -> float:
     return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(mean_squares, 1e-12)))))
 
 
-def scored(fit: WeakFit, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
+def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
     """Score of a model on data, judged beside the residual of another (see `whitened`)."""
     parts = fit.model.linearise(data, fit.p)
     r = whitened(parts, noise, beside).r
@@ -131,6 +128,11 @@ class Bench:
     def base_score(self) -> Score:
         """How the model without any candidate does on the kept-aside data."""
         return scored(self.base, self.test, self.test_whitening)
+
+    @cached_property
+    def base_on_test(self) -> Linearised:
+        """The model without any candidate on the kept-aside data."""
+        return self.on_test(self.base)
 
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the kept-aside data."""
@@ -206,7 +208,7 @@ def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData) -> Bench:
     return Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
 
 
-def noise_ratio(fit: WeakFit, data: WeakData) -> Array:
+def noise_ratio(fit: Fitted, data: WeakData) -> Array:
     """Mean square of the residual for each equation, in units of what the sensors' noise alone gives.
 
     The noise model has no room for a disturbance here, so a slow error of the model shows with full force.
@@ -218,63 +220,6 @@ def noise_ratio(fit: WeakFit, data: WeakData) -> Array:
 def only_noise(ratio: Array) -> bool:
     """Whether the sensors' noise explains a residual; the quadrature alone leaves up to half as much."""
     return bool(np.nanmax(ratio) < _NOISE_EXPLAINS)
-
-
-class Scouted(NamedTuple):
-    """What one Gauss-Newton step from the best start of a candidate promises.
-
-    Attributes
-    ----------
-    cost : float
-        Sum of squares after the step.
-    values : dict
-        Free parameters after the step.
-    start : WeakFit
-        The model at the start, not fitted.
-    """
-
-    cost: float
-    values: dict[str, float]
-    start: WeakFit
-
-
-def scout(candidate: Candidate, bench: Bench) -> Scouted:
-    """What a candidate promises: one Gauss-Newton step from its start, some more where there are several.
-
-    A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
-    """
-    starts = candidate.starts(bench.command_scale, bench.seen)
-    if len(starts) > _MANY_STARTS:
-        starts = _promising(candidate, bench, starts)
-    noise = (bench.train_whitening, bench.base.disturbance)
-    begin, model = bench.base.values, candidate.model()
-    steps = [Scouted(*promise(model, bench.train, begin | s, *noise)) for s in starts]
-    steps.sort(key=lambda step: step.cost)
-    if len(starts) == 1:
-        return steps[0]
-    closer = [
-        Scouted(*promise(model, bench.train, step.values, *noise, steps=_CLOSER))
-        for step in steps[:_BEST_STARTS]
-    ]
-    return min([*closer, *steps], key=lambda step: step.cost)
-
-
-def _promising(
-    candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]]
-) -> list[dict[str, float]]:
-    """The best of many starts, by the candidate's own columns beside those of the model as it is."""
-    known = bench.base.at
-    model = candidate.model(tuple(p.name for p in candidate.parameters))
-    names = model.functions.parameter_names
-    values = {n: model.functions.vehicle.value_of(n).value for n in names} | bench.base.values
-    costs = []
-    for start in starts:
-        p = np.array([(values | start)[n] for n in names])
-        at = whitened(model.linearise(bench.train, p), bench.train_whitening)
-        columns = np.hstack([known.J, at.J])
-        solution = inverse_of(columns.T @ columns) @ (columns.T @ at.r)
-        costs.append(float(at.r @ at.r - (columns.T @ at.r) @ solution))
-    return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
 
 
 def try_candidate(

@@ -13,7 +13,8 @@ from undertow.model.catalogue import Catalogue, lookup
 from undertow.model.vehicle import Vehicle
 
 from ..diagnosis.candidates import Candidate
-from ..diagnosis.trial import Bench, open_bench, scout
+from ..diagnosis.scouting import scout
+from ..diagnosis.trial import Bench, open_bench
 from ..logs import Run
 from ..weak.data import prepare
 from ..weak.fit import WeakFit, free_parameters, settled

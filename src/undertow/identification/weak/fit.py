@@ -232,24 +232,30 @@ def _fits_noise(at: Linearised, data: WeakData) -> bool:
     return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
 
 
-def promise(
+def opened(
     model: WeakModel,
     data: WeakData,
     start: Mapping[str, float],
     whitening: list[Whitening],
     disturbance: Array,
+    *,
+    at: Linearised | None = None,
     steps: int = 0,
-) -> tuple[float, dict[str, float], WeakFit]:
-    """Sum of squares that one more Gauss-Newton step promises, the parameters after it, and the model before.
+) -> WeakFit:
+    """A model where a search begins, after a few steps if any; `at` is the model there if it is known."""
+    p = _started(model.functions.vehicle, start)
+    if at is not None:
+        return WeakFit(model, p, data, whitening, at, disturbance, 0)
+    return _solved(model, p, data, whitening, disturbance, steps)
 
-    `steps` are taken beforehand.
-    """
-    fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, steps)
-    places = list(model.places)
+
+def promise(fit: WeakFit) -> tuple[float, dict[str, float]]:
+    """Sum of squares that one more Gauss-Newton step promises, and the parameters after it."""
+    model, places = fit.model, list(fit.model.places)
     bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
     step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
     after = np.clip(fit.p[places] + step, *bounds)
-    return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True)), fit
+    return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True))
 
 
 def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:

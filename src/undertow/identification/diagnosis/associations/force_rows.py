@@ -13,9 +13,9 @@ from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
 from undertow.model.symbols import POSE
 
+from ...fitted import Fitted
 from ...weak.data import Segment, WeakData
 from ...weak.drive import Chain, without_gaps
-from ...weak.fit import WeakFit
 from ...weak.lateness import Lateness
 from ...weak.mapping import mapped
 from ...weak.noise import Whitening, overlap
@@ -126,13 +126,13 @@ class ForceRows:
 
     Parameters
     ----------
-    fit : WeakFit
+    fit : Fitted
         The model.
     data : WeakData
         Logs, those that it was fitted to or others.
     """
 
-    def __init__(self, fit: WeakFit, data: WeakData) -> None:
+    def __init__(self, fit: Fitted, data: WeakData) -> None:
         self._fit, self.data = fit, data
         self._size = len(fit.model.functions.vehicle.dof_indices)
 

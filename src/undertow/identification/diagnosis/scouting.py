@@ -1,0 +1,123 @@
+"""What a candidate promises before it is fitted: one Gauss-Newton step from its start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..weak.data import WeakData
+from ..weak.fit import opened, promise
+from ..weak.noise import Whitening
+from ..weak.residual import Linearised, whitened
+from ..weak.step import inverse_of
+from .candidates import Candidate
+from .trial import Bench
+
+Array = NDArray[np.float64]
+# Of more starts than this, only the best are looked at more closely.
+_MANY_STARTS, _BEST_STARTS = 4, 2
+_CLOSER = 2
+# Relative difference of two residuals up to which they are the same.
+_SAME = 1e-9
+
+
+class Scouted:
+    """A candidate at one start, and what one Gauss-Newton step from there promises.
+
+    Where the candidate changes nothing yet, the columns of the model without it are what they were, and only
+    its own are worked out.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        What is tried.
+    bench : Bench
+        Data, noise model and the model without it.
+    start : mapping
+        Values that differ from those of the model without it.
+    steps : int
+        Gauss-Newton steps taken beforehand.
+
+    Attributes
+    ----------
+    start : WeakFit
+        The model at the start, not fitted.
+    cost : float
+        Sum of squares after the step.
+    values : dict
+        Free parameters after the step.
+    """
+
+    def __init__(
+        self, candidate: Candidate, bench: Bench, start: Mapping[str, float], steps: int = 0
+    ) -> None:
+        self._candidate, self._bench, self._values = candidate, bench, start
+        known = (bench.base.at, bench.train, bench.train_whitening)
+        at = None if steps else self._beside(*known)
+        noise = (bench.train_whitening, bench.base.disturbance)
+        begin = bench.base.values | dict(start)
+        self.start = opened(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
+        self.cost, self.values = promise(self.start)
+        self._changes_nothing = at is not None
+
+    def closer(self) -> Scouted:
+        """The same from where the step leads, after some more."""
+        return Scouted(self._candidate, self._bench, self.values, _CLOSER)
+
+    @property
+    def on_test(self) -> Linearised:
+        """The start on the kept-aside data."""
+        bench = self._bench
+        known = (bench.base_on_test, bench.test, bench.test_whitening)
+        at = self._beside(*known) if self._changes_nothing else None
+        return bench.on_test(self.start) if at is None else at
+
+    def _beside(self, known: Linearised, data: WeakData, noise: list[Whitening]) -> Linearised | None:
+        """The columns of the model without the candidate and its own; None where the start changes things."""
+        own = _own_columns(self._candidate, self._bench, self._values, data)
+        if any(np.any(part.start) for part in own):
+            return None
+        at, size = whitened(own, noise), float(np.max(np.abs(known.r), initial=0.0))
+        if not np.allclose(at.r, known.r, rtol=_SAME, atol=_SAME * size):
+            return None
+        return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
+
+
+def scout(candidate: Candidate, bench: Bench) -> Scouted:
+    """What a candidate promises from its best start, after some steps where there are several.
+
+    A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
+    """
+    starts = candidate.starts(bench.command_scale, bench.seen)
+    if len(starts) > _MANY_STARTS:
+        starts = _promising(candidate, bench, starts)
+    found = sorted((Scouted(candidate, bench, start) for start in starts), key=lambda s: s.cost)
+    closer = [s.closer() for s in found[:_BEST_STARTS]] if len(found) > 1 else []
+    return min([*closer, *found], key=lambda s: s.cost)
+
+
+def _own_columns(
+    candidate: Candidate, bench: Bench, start: Mapping[str, float], data: WeakData
+) -> list[Linearised]:
+    """The model with a candidate at a start, differentiated in the candidate's own parameters only."""
+    model = candidate.model(tuple(p.name for p in candidate.parameters))
+    names = model.functions.parameter_names
+    stated = {n: model.functions.vehicle.value_of(n).value for n in names}
+    values = stated | bench.base.values | dict(start)
+    return model.linearise(data, np.array([values[n] for n in names]))
+
+
+def _promising(
+    candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]]
+) -> list[dict[str, float]]:
+    """The best of many starts, by the candidate's own columns beside those of the model as it is."""
+    known = bench.base.at
+    costs = []
+    for start in starts:
+        at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
+        columns = np.hstack([known.J, at.J])
+        solution = inverse_of(columns.T @ columns) @ (columns.T @ at.r)
+        costs.append(float(at.r @ at.r - (columns.T @ at.r) @ solution))
+    return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
