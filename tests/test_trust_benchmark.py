@@ -17,14 +17,15 @@ from benchmarks.hidden_effects import EFFECTS, make_case
 from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import plain_world
 from benchmarks.trust.__main__ import main
-from benchmarks.trust.cases import COMPLETE, SINGLES, SIZES, Planned, part, plan
+from benchmarks.trust.cases import COMPLETE, FAINT, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
 from benchmarks.trust.grade import HIDDEN, grade_of, told
-from benchmarks.trust.material import varied, written_and_read
+from benchmarks.trust.material import simulated, varied, written_and_read, written_to_memory
 from benchmarks.trust.peers import stepwise
 from benchmarks.trust.report import page
 from benchmarks.trust.run import records, run
+from benchmarks.trust.sizing import sized
 from benchmarks.trust.tally import Share, scored
 from benchmarks.trust.terms import make_terms
 from benchmarks.trust.verdicts import Answer, accepted
@@ -53,9 +54,13 @@ def test_every_id_reads_back() -> None:
 
 def test_every_round_has_every_effect_outsider_and_complete_model() -> None:
     for cases in (plan(1), plan(2)[len(plan(1)) :]):
-        hidden = Counter(case.hidden[0] for case in cases if case.kind in ("single", "outsider"))
+        plain = [case for case in cases if not case.aim]
+        hidden = Counter(case.hidden[0] for case in plain if case.kind in ("single", "outsider"))
         aliens = [name for name, e in EFFECTS.items() if e.kind == "alien"]
         assert hidden == Counter([*SINGLES, *aliens])
+        faint = [case for case in cases if case.aim]
+        assert Counter(case.hidden[0] for case in faint) == Counter(SINGLES)
+        assert all(FAINT[0] <= case.aim <= FAINT[1] for case in faint)
         assert "thruster_deadband" in SINGLES
         assert "thruster_deadband_jump" not in SINGLES
         assert {case.label for case in cases if case.kind == "complete"} == set(COMPLETE)
@@ -63,7 +68,8 @@ def test_every_round_has_every_effect_outsider_and_complete_model() -> None:
 
 
 def test_three_rounds_have_every_effect_at_every_size() -> None:
-    sizes = Counter((case.hidden[0], case.strength) for case in plan(3) if case.kind == "single")
+    whole = [case for case in plan(3) if case.kind == "single" and not case.aim]
+    sizes = Counter((case.hidden[0], case.strength) for case in whole)
     assert set(sizes.values()) == {1}
     assert {size for _, size in sizes} == set(SIZES)
 
@@ -85,6 +91,15 @@ def test_parts_make_the_whole() -> None:
     assert sorted(c.id for p in parts for c in p) == sorted(c.id for c in cases)
     with pytest.raises(ValueError, match="give i/n"):
         part(cases, "4/3")
+
+
+def test_a_faint_case_is_as_faint_as_it_aims_to_be() -> None:
+    case = Planned.read("box:constant_force:r1.5:n1:open:60s:17")
+    found = sized(case)
+    assert found.strength < 1.0
+    vehicle, train, test = written_to_memory(simulated(found))
+    assert told(vehicle, train, test, ["constant_force"], {}).ratio == pytest.approx(1.5, rel=0.12)
+    assert sized(Planned.read("box:constant_force:x2.5:n1:open:60s:17")).strength == 2.5
 
 
 # --- the simulator -----------------------------------------------------------------------------------------

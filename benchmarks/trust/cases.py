@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -19,6 +19,8 @@ BASE_SEED = 4711
 #: Rounds of each plan; every round has every effect, every kind of complete model and every outsider once.
 ROUNDS = {"quick": 1, "full": 12}
 SIZES = (0.4, 1.0, 2.5)
+#: Range of what the truth is worth in cases that are made to be hard (see `sizing`).
+FAINT = (1.1, 3.0)
 NOISES = (1.0, 1.0, 0.3, 3.0)
 FEEDBACK = (False, False, False, True)
 VARIANTS = ("plain", "60s", "pose-only", "mass-5")
@@ -56,6 +58,8 @@ class Planned:
         Names from `EFFECTS`; none, or only a wrong guess, for a complete model.
     strength, noise : float
         Factors on the drawn sizes and on the noise.
+    aim : float
+        What the truth is to be worth, the strength being chosen for it; zero where the strength is given.
     closed_loop : bool
         Whether heading and depth are held by feedback.
     variant : str
@@ -71,6 +75,7 @@ class Planned:
     closed_loop: bool
     variant: str
     seed: int
+    aim: float = 0.0
 
     @property
     def id(self) -> str:
@@ -81,7 +86,8 @@ class Planned:
     def _recipe(self) -> str:
         loop = "closed" if self.closed_loop else "open"
         hidden = "+".join(self.hidden) or "nothing"
-        return f"{self.vehicle}:{hidden}:x{self.strength:g}:n{self.noise:g}:{loop}:{self.variant}"
+        size = f"r{self.aim:g}" if self.aim else f"x{self.strength:g}"
+        return f"{self.vehicle}:{hidden}:{size}:n{self.noise:g}:{loop}:{self.variant}"
 
     @property
     def kind(self) -> str:
@@ -107,14 +113,14 @@ class Planned:
             If the word is no id of a case.
         """
         try:
-            vehicle, hidden, strength, noise, loop, variant, seed = word.split(":")
+            vehicle, hidden, size, noise, loop, variant, seed = word.split(":")
             names = () if hidden == "nothing" else tuple(hidden.split("+"))
-            case = cls(
-                vehicle, names, float(strength[1:]), float(noise[1:]), loop == "closed", variant, int(seed)
-            )
+            aim = float(size[1:]) if size[0] == "r" else 0.0
+            strength = 1.0 if aim else float(size[1:])
+            case = cls(vehicle, names, strength, float(noise[1:]), loop == "closed", variant, int(seed), aim)
             if case.id != word or case.variant not in VARIANTS or not set(names) <= set(EFFECTS):
                 raise ValueError(word)
-        except ValueError:
+        except (ValueError, IndexError):
             raise ValueError(
                 f"{word!r} is no case: ids look like usv:lift:x1:n1:open:plain:17 (see list)"
             ) from None
@@ -150,6 +156,7 @@ def part(cases: Sequence[T], which: str) -> list[T]:
 
 def _round(r: int, base: int) -> list[Planned]:
     singles = [_one(name, r, base) for name in SINGLES]
+    singles += [_faint(name, r, base) for name in SINGLES]
     outsiders = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "alien"]
     complete = [_complete(label, NULLS_PER_ROUND * r + i, base)
                 for label in COMPLETE for i in range(NULLS_PER_ROUND)]  # fmt: skip
@@ -161,6 +168,15 @@ def _one(name: str, r: int, base: int) -> Planned:
     vehicle = _turn(EFFECTS[name].vehicles, r, base, f"{name} vehicle")
     size = _turn(SIZES, r, base, f"{name} size")
     return _seeded((vehicle, (name,), size, *_conduct(name, r, base), "plain"), r, base)
+
+
+def _faint(name: str, r: int, base: int) -> Planned:
+    """A case in which the truth is worth little, for these decide how good a method is."""
+    vehicle = _turn(EFFECTS[name].vehicles, r, base, f"{name} faint vehicle")
+    low, high = np.log(FAINT)
+    aim = float(f"{np.exp(_random(base, f'{name} faint', r).uniform(low, high)):.3g}")
+    recipe = (vehicle, (name,), 1.0, *_conduct(f"{name} faint", r, base), "plain")
+    return _seeded(recipe, r, base, aim)
 
 
 def _conduct(what: str, r: int, base: int) -> tuple[float, bool]:
@@ -185,10 +201,12 @@ def _pair(number: int, base: int) -> Planned:
     return _seeded((vehicle, (first, second), 1.0, noise, closed_loop, "plain"), number, base)
 
 
-def _seeded(recipe: tuple[str, tuple[str, ...], float, float, bool, str], number: int, base: int) -> Planned:
+def _seeded(
+    recipe: tuple[str, tuple[str, ...], float, float, bool, str], number: int, base: int, aim: float = 0.0
+) -> Planned:
     """The case with a seed of its own, which does not depend on what else is in the plan."""
-    draft = Planned(*recipe, seed=0)
-    return Planned(*recipe, seed=zlib.crc32(f"{base} {number} {draft.id}".encode()) % 10**8)
+    draft = Planned(*recipe, seed=0, aim=aim)
+    return replace(draft, seed=zlib.crc32(f"{base} {number} {draft.id}".encode()) % 10**8)
 
 
 def _turn(options: Sequence[T], number: int, base: int, purpose: str) -> T:

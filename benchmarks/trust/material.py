@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.hidden_effects import Case, make_case, write_case
@@ -77,6 +78,12 @@ def _mass_guessed(vehicle: dict[str, Any], seed: int) -> dict[str, Any]:
     sigma = float(f"{MASS_SPREAD * value:.3g}")
     guess = {"value": value, "estimate": True, "sigma": sigma, "source": "guess, good to 5 %"}
     return vehicle | {"effects": vehicle["effects"] | {"rigid_body": body | {"m": guess}}}
+
+
+def written_to_memory(made: Case) -> tuple[Vehicle, list[Run], list[Run]]:
+    """The same without files that stay."""
+    with TemporaryDirectory() as folder:
+        return written_and_read(made, Path(folder))
 
 
 def written_and_read(made: Case, folder: Path) -> tuple[Vehicle, list[Run], list[Run]]:

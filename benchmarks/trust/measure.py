@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.hidden_effects import Case
@@ -15,8 +14,9 @@ from undertow.model.vehicle import Vehicle
 
 from .cases import Planned
 from .grade import Told, addable, excess, grade_of, opened, told
-from .material import simulated, without, written_and_read
+from .material import simulated, without, written_and_read, written_to_memory
 from .peers import asked
+from .sizing import sized
 from .verdicts import Answer
 
 Record = dict[str, Any]
@@ -40,7 +40,7 @@ def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> 
     (dict, Outcome)
         What is written as one line of JSON, and the whole diagnosis.
     """
-    made = simulated(case)
+    made = simulated(sized(case))
     data = _data(made, keep)
     began, worked = time.perf_counter(), time.process_time()
     outcome = diagnose(*data)
@@ -73,10 +73,7 @@ def described(case: Planned, made: Case, vehicle: Vehicle) -> Record:
 
 
 def _data(made: Case, keep: Path | None) -> Data:
-    if keep is not None:
-        return written_and_read(made, keep)
-    with TemporaryDirectory() as folder:
-        return written_and_read(made, Path(folder))
+    return written_to_memory(made) if keep is None else written_and_read(made, keep)
 
 
 def _said(found: Diagnosis) -> Record:

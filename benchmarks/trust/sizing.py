@@ -1,0 +1,49 @@
+"""Effects made just so strong that the truth is worth what a case aims at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .cases import Planned
+from .grade import addable, told
+from .material import simulated, written_to_memory
+
+#: Looks at a case while its strength is chosen; relative deviation that is good enough.
+_LOOKS, _NEAR = 5, 0.1
+#: Largest factor by which the strength changes from one look to the next.
+_STRIDE = 30.0
+_MILDER = 0.2
+
+
+def sized(case: Planned) -> Planned:
+    """The case with its strength, chosen where it aims at what the truth is to be worth.
+
+    What exceeds the noise grows about as the square of a small effect; a few looks do for effects that do
+    not. The diagnosis takes no part in this.
+    """
+    if not case.aim:
+        return case
+    strength = 1.0
+    for _ in range(_LOOKS):
+        try:
+            ratio = _worth(replace(case, strength=strength))
+        except ValueError:  # it runs away
+            strength *= _MILDER
+            continue
+        if abs(np.log(ratio / case.aim)) < _NEAR:
+            break
+        factor = np.sqrt((case.aim**2 - 1.0) / max(ratio**2 - 1.0, 1e-3))
+        strength *= float(np.clip(factor, 1.0 / _STRIDE, _STRIDE))
+    return replace(case, strength=strength)
+
+
+def _worth(case: Planned) -> float:
+    made = simulated(case)
+    vehicle, train, test = written_to_memory(made)
+    truth = made.truth["effects"]
+    if not all(addable(vehicle, effect) for effect in truth):
+        return case.aim
+    values = {k: v for name in case.hidden for k, v in made.truth["values"][name].items()}
+    return told(vehicle, train, test, truth, values).ratio
