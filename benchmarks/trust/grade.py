@@ -53,8 +53,8 @@ class Told:
     test : WeakData
         Data kept aside.
     before, error : float
-        Error of the refitted incomplete model and of the told one, in units of the same noise: that which
-        the sensors make, as the told model sees it.
+        Error of the refitted incomplete model, by weak form or by output error, whichever is less, and of the
+        told one, in units of the same noise: that which the sensors make, as the told model sees it.
     lacking : dict
         Error of the model that lacks only this one of two true effects.
     """
@@ -104,12 +104,15 @@ def told(
     referee = Referee(vehicle, train, test, aside.sigma)
     fit, _ = referee.refined(settled(_added(base, vehicle, truth, values)))
     noise = quiet(fit, aside)
+
+    def least(weak: WeakFit) -> float:
+        return min(error_of(f, aside, noise) for f in (weak, referee.refined(weak)[0]))
+
     lacking = {}
     for effect in truth if len(truth) > 1 else ():
         others = [other for other in truth if other != effect]
-        lacking[effect] = error_of(settled(_added(base, vehicle, others, values)), aside, noise)
-    before, after = (error_of(f, aside, noise) for f in (base, fit))
-    return Told(fit, aside, before, after, lacking)
+        lacking[effect] = least(settled(_added(base, vehicle, others, values)))
+    return Told(fit, aside, least(base), error_of(fit, aside, noise), lacking)
 
 
 def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> tuple[WeakFit, WeakData]:

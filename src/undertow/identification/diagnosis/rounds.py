@@ -25,6 +25,8 @@ Report = Callable[[float, str], None]
 FALSE_ALARM_RATE = 0.01
 _FULL_FITS = 10
 _FINALISTS = 6
+# Times that the noise model is made anew because another candidate leads under it.
+_LEADERS = 2
 # Share of the sum of squares that a step must promise before the leading candidates are known.
 _FIRST_LOOK = 1e-2
 # Times the mean square of the best candidate, under its noise model, from which another is no rival of it.
@@ -111,16 +113,25 @@ def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> lis
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:
-    """Judge the leading candidates again, with the noise model of the best of them."""
+    """Judge the leading candidates again, with the noise model of the best of them.
+
+    Under the noise model of a poor fit a mediocre candidate may lead, and its own hides less: who leads then
+    sets the next.
+    """
     if not finalists or finalists[0].score.error >= bench.base_score.error:
         return bench, finalists
-    # What a parameter that was left out would explain must not count as noise here: all are in.
-    sharp = bench.sharpened(finalists[0].full)
-    again = []
-    for i, trial in enumerate(finalists):
-        report(0.8 + 0.2 * i / len(finalists), f"judging {trial.id}")
-        again.append(_again(trial, sharp, finalists[0]))
-    return sharp, sorted(again, key=lambda t: t.score.error)
+    for _ in range(_LEADERS):
+        leader = finalists[0]
+        # What a parameter that was left out would explain must not count as noise here: all are in.
+        bench = bench.sharpened(leader.full)
+        again = []
+        for i, trial in enumerate(finalists):
+            report(0.8 + 0.2 * i / len(finalists), f"judging {trial.id}")
+            again.append(_again(trial, bench, leader))
+        finalists = sorted(again, key=lambda t: t.score.error)
+        if finalists[0].id == leader.id:
+            break
+    return bench, finalists
 
 
 def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:

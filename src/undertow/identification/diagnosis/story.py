@@ -224,7 +224,7 @@ def _without_surplus(found: Search, referee: Referee) -> Search:
     for place in range(len(found.winners)) if len(found.winners) > 1 else ():
         kept = [i for i in range(len(found.winners)) if i != place]
         shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
-        if referee.leaves_only_noise(shorter.fit):
+        if referee.leaves_only_noise(shorter.fit) and not referee.outdone(shorter.fit, found.chain.fit):
             rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
             return _without_surplus(replace(found, chain=shorter, rivals=rivals), referee)
     return found
@@ -238,8 +238,9 @@ def _hidden_in_noise(found: Search, referee: Referee) -> bool:
     """
     if not found.winners or not referee.quiet(found.bench.base, found.bench.test):
         return False
-    without = referee.contender(fitted(found.vehicle, [], found.bench))
-    return not clearly_worse(without.squares, referee.contender(found.chain).squares)
+    without = fitted(found.vehicle, [], found.bench)
+    squares = [referee.contender(c).squares for c in (without, found.chain)]
+    return not (clearly_worse(*squares) or referee.outdone(without.fit, found.chain.fit))
 
 
 def _only(chain: Chain, places: list[int]) -> Chain:

@@ -30,6 +30,8 @@ _MOVED = 0.05
 _MATCHING_STEPS = 4
 # Largest mean square of an equation that still counts as noise of the channels.
 _NOISE_EXPLAINS = 1.6
+# The same, up to which a fit without any disturbance may bring it down to that.
+_WORTH_A_LOOK = 30.0
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,21 @@ def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
         fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, _MAX_ITERATIONS)
         if changed < _NOISE_SETTLED or not np.any(disturbance):
             break
-    return fit
+    return _without_disturbance(fit)
+
+
+def _without_disturbance(fit: WeakFit) -> WeakFit:
+    """The fit under the noise of the sensors alone, if that explains what it leaves then.
+
+    A disturbance feeds on a poor fit and keeps it poor: where little is left, both ends are worth a look.
+    """
+    quiet = fit.model.whitening(fit.data, fit.p) if np.any(fit.disturbance) else fit.whitening
+    left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
+    if not np.any(fit.disturbance) or np.nanmax(left) > _WORTH_A_LOOK:
+        return fit
+    none = np.zeros_like(fit.disturbance)
+    other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
+    return other if _fits_noise(other.at, fit.data) else fit
 
 
 def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
