@@ -25,18 +25,19 @@ def sized(case: Planned) -> Planned:
     """
     if not case.aim:
         return case
-    strength = 1.0
+    strength, found = 1.0, {}
     for _ in range(_LOOKS):
         try:
             ratio = _worth(replace(case, strength=strength))
         except ValueError:  # it runs away
             strength *= _MILDER
             continue
-        if abs(np.log(ratio / case.aim)) < _NEAR:
+        found[strength] = abs(float(np.log(ratio / case.aim)))
+        if found[strength] < _NEAR:
             break
         factor = np.sqrt((case.aim**2 - 1.0) / max(ratio**2 - 1.0, 1e-3))
         strength *= float(np.clip(factor, 1.0 / _STRIDE, _STRIDE))
-    return replace(case, strength=strength)
+    return replace(case, strength=min(found, key=found.__getitem__, default=strength))
 
 
 def _worth(case: Planned) -> float:

@@ -182,11 +182,30 @@ class Referee:
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
         what is slow, which the estimated starts of short ones take up.
         """
-        looks = ((DECIDING, self.windows), (THOROUGH, self._long_windows))
-        return any(self._cost(weak, *look) - self._cost(by, *look) > _MORE_THAN_CHANCE for look in looks)
+        return bool(np.any(self._costs(weak) - self._costs(by) > _MORE_THAN_CHANCE))
 
-    def _cost(self, weak: WeakFit, horizon: float, windows: Windows) -> float:
-        return self._linearised(self._refined(weak, horizon), windows)[0].cost
+    def _costs(self, weak: WeakFit) -> Array:
+        """Sum of squares in units of the noise, in short windows and in long ones."""
+        looks = ((DECIDING, self.windows), (THOROUGH, self._long_windows))
+        return np.array([self._linearised(self._refined(weak, h), w)[0].cost for h, w in looks])
+
+    def standing(self, chains: Sequence[Chain]) -> list[Chain]:
+        """The best of a short list, then those that the simulation does not show to be worse.
+
+        All are fitted by output error, from where the weak form left them. Where they leave little but noise,
+        windows short and long together tell them apart.
+        """
+        ordered = sorted((self.contender(c) for c in chains), key=lambda c: c.error)
+        near = ordered[0].error ** 2 < _NEAR_NOISE
+        if near:
+            ordered.sort(key=lambda c: float(np.sum(self._costs(c.chain.fit))))
+        best = ordered[0]
+
+        def worse(c: Contender) -> bool:
+            by_far = near and self.outdone(c.chain.fit, best.chain.fit)
+            return by_far or clearly_worse(c.squares, best.squares)
+
+        return [best.chain, *(c.chain for c in ordered[1:] if not worse(c))]
 
     def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
         key = id(weak), horizon
@@ -206,13 +225,6 @@ class Referee:
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
         return refined
-
-
-def standing(contenders: Sequence[Contender]) -> list[Contender]:
-    """The best of a short list, then those that the simulation does not show to be worse."""
-    ordered = sorted(contenders, key=lambda c: c.error)
-    best = ordered[0]
-    return [best, *(c for c in ordered[1:] if not clearly_worse(c.squares, best.squares))]
 
 
 def clearly_worse(squares: Array, than: Array) -> bool:

@@ -23,7 +23,7 @@ from .equivalents import equivalents
 from .estimates import estimate, estimates
 from .final import last_fit
 from .finding import Finding
-from .referee import DECIDING, Referee, clearly_worse, standing
+from .referee import DECIDING, Referee, clearly_worse
 from .remaining import remaining
 from .repeats import repeats
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
@@ -204,8 +204,7 @@ def decided(found: Search, referee: Referee) -> Search:
     found = _without_surplus(found, referee)
     for place in range(len(found.rivals)):
         if found.rivals[place]:
-            chains = [found.chain, *found.rivals[place]]
-            best, *others = (c.chain for c in standing([referee.contender(c) for c in chains]))
+            best, *others = referee.standing([found.chain, *found.rivals[place]])
             rivals: list[list[Chain]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, chain=best, rivals=rivals)
