@@ -167,6 +167,8 @@ class Referee:
         if fit is weak:
             return False
         at, starts = self._linearised(fit, self._long_windows)
+        if not np.isfinite(at.cost):
+            return False
         used = at.counts > 0
         taken_up = 1.0 - starts.size / max(float(at.counts.sum()), 1.0)
         level = at.squares[used] / at.counts[used] / max(taken_up, 0.1)
@@ -182,7 +184,7 @@ class Referee:
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
         what is slow, which the estimated starts of short ones take up.
         """
-        return bool(np.any(self._costs(weak) - self._costs(by) > _MORE_THAN_CHANCE))
+        return bool(np.any(self._costs(weak) > self._costs(by) + _MORE_THAN_CHANCE))
 
     def _costs(self, weak: WeakFit) -> Array:
         """Sum of squares in units of the noise, in short windows and in long ones."""
