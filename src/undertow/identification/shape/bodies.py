@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,14 @@ class AddedMass:
         Where the formula is from.
     limits : str
         Up to where it holds.
+    error : (6, 6) array
+        How far the numbers may be off in ideal fluid; zero for an exact formula.
     """
 
     matrix: Array
     source: str
     limits: str
+    error: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 def ellipsoid(a: float, b: float, c: float, density: float = 1000.0) -> AddedMass:
