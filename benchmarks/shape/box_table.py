@@ -18,18 +18,18 @@ from ..progress import clear, teller
 Array = NDArray[np.float64]
 RATIOS = 2.0 ** (np.arange(6) / 2)
 #: Panels along half of the longest side; the finest two are extrapolated, the first tells the error.
-CELLS = (6, 12, 24)
+CELLS = (5, 10, 20)
 # Observed for panels that shrink with the cube of the distance to the edge: 1.81, 1.83, 1.84 for the forces
 # on a box of 0.60 x 0.42 x 0.24 m with 6, 12 and 24 cells.
 ORDER = 1.83
 OUT = Path("src/undertow/identification/shape/box_table.csv")
 HEAD = """\
 # Added mass of boxes with sides L >= B >= H in unbounded ideal fluid: source method, direct boundary-integral
-# equation, capytaine {version}. Panels shrink towards the edges; 12 and 24 of them along half of the longest side
-# (up to {most} in all), extrapolated with the order {order}.
+# equation, capytaine {version}. Panels shrink towards the edges; 10 and 20 of them along half of the longest
+# side (up to {most} in all), extrapolated with the order {order}.
 # long, middle, short: motion along that side, over density L B H.
-# about_long ...: rotation about it, over density L B H times (sum of the squares of the other two sides) / 12.
-# error: largest relative difference to the extrapolation from 6 and 12 panels. Written by
+# about_long ...: rotation about it, over density L B H (sum of the squares of the other two sides) / 12.
+# error: largest relative difference to the extrapolation from 5 and 10 panels. Written by
 # python -m benchmarks.shape.box_table
 """
 COLUMNS = "L/B,B/H,long,middle,short,about_long,about_middle,about_short,error"
@@ -41,9 +41,7 @@ def coefficients(sides: Array, cells: int) -> tuple[Array, int]:
     quarter = cpt.Mesh(*_quarter(sides / 2, cells))
     mesh = cpt.ReflectionSymmetricMesh(cpt.ReflectionSymmetricMesh(quarter, plane="xOz"), plane="yOz")
     body = cpt.FloatingBody(mesh=mesh, dofs=cpt.rigid_body_dofs(rotation_center=(0, 0, 0)), name="box")
-    solver = cpt.BEMSolver(
-        green_function=cpt.Delhommeau(tabulation_nr=0, tabulation_nz=0), method="direct"
-    )
+    solver = cpt.BEMSolver(green_function=cpt.Delhommeau(tabulation_nr=0, tabulation_nz=0), method="direct")
     problems = [
         cpt.RadiationProblem(body=body, radiating_dof=dof, omega=1.0, free_surface=np.inf, rho=1.0)
         for dof in body.dofs

@@ -122,23 +122,21 @@ def _bulge(mesh: Mesh, edges: Faces, of_face: Faces, along: Array, least_cosine:
     smooth = _corner_normals(mesh, flat, least_cosine)
     total = np.zeros((len(edges), 2, 3))
     sides = np.zeros((len(edges), 3))
-    squares = np.zeros(len(edges))
     for i in range(3):
         which, ends = of_face[:, i], np.stack([smooth[:, i], smooth[:, (i + 1) % 3]], axis=1)
         backward = mesh.faces[:, i] != edges[which, 0]
         np.add.at(total, which, np.where(backward[:, None, None], ends[:, ::-1], ends))
         np.add.at(sides, which, flat)
-        np.add.at(squares, which, 1.0)
     # |n_1 + n_2|^2 = 2 + 2 cos of the bend.
-    curved = np.sum(sides**2, axis=1) / 2 - 1 > least_cosine
+    bent = np.sum(sides**2, axis=1, keepdims=True) / 2 - 1 <= least_cosine
     normals = total / np.maximum(np.linalg.norm(total, axis=2, keepdims=True), 1e-300)
     slope = np.einsum("eki,ei->ek", normals, along)
     bulge = (slope[:, 1, None] * normals[:, 1] - slope[:, 0, None] * normals[:, 0]) / 8
-    return np.where(curved[:, None], bulge, 0.0)
+    return np.where(bent, 0.0, bulge)
 
 
 def _corner_normals(mesh: Mesh, flat: Array, least_cosine: float) -> Array:
-    """Normals at the corners of each triangle, shape (k, 3, 3): mean of the triangles around that bend little."""
+    """Normals at the corners of each triangle, shape (k, 3, 3): mean over neighbours that bend little."""
     corner = np.arange(3 * len(mesh.faces))
     order = np.argsort(mesh.faces.reshape(-1), kind="stable")
     vertex = mesh.faces.reshape(-1)[order]
@@ -159,5 +157,3 @@ def _angles(mesh: Mesh) -> Array:
     to_next /= np.linalg.norm(to_next, axis=2, keepdims=True)
     cosine = -np.sum(to_next * np.roll(to_next, 1, axis=1), axis=2)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-

@@ -76,7 +76,7 @@ def _neighbours(mesh: Mesh, name: str) -> Faces:
             x, y, z = mesh.vertices[edges[np.flatnonzero(wrong[place])[0]]].mean(axis=0)
             raise UndertowError(
                 f"{name}: the hull is {what}: {wrong.sum()} edges belong to {count[wrong].min()} triangle(s) "
-                f"instead of 2, one near ({x:.4g}, {y:.4g}, {z:.4g}) m: repair it in the CAD program and export anew"
+                f"instead of 2, one near ({x:.4g}, {y:.4g}, {z:.4g}) m: repair it where it was drawn"
             )
     order = np.argsort(place, kind="stable").reshape(-1, 2)
     triangles = order % len(mesh.faces)
@@ -110,9 +110,9 @@ def _consistent(mesh: Mesh, pairs: Faces) -> tuple[Mesh, int]:
 def _check_one_body(mesh: Mesh, pairs: NDArray[np.int64], name: str) -> None:
     count, part = connected_components(_graph(pairs, len(mesh.faces)), directed=False)
     if count > 1:
-        volumes = sorted((abs(Mesh(mesh.vertices, mesh.faces[part == i]).volume) for i in range(count)))[::-1]
+        volumes = sorted(abs(Mesh(mesh.vertices, mesh.faces[part == i]).volume) for i in range(count))[::-1]
         shown = ", ".join(f"{v:.3g}" for v in volumes[:4]) + (", ..." if count > 4 else "")
         raise UndertowError(
-            f"{name}: {count} separate bodies ({shown} m^3): unite them in the CAD program, fill cavities, or "
-            "export the hull alone"
+            f"{name}: {count} separate bodies ({shown} m^3): unite them where they were drawn, fill "
+            "cavities, or export the hull alone"
         )

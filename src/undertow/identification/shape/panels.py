@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
 
 from .bodies import AddedMass
 from .capytaine import quiet_capytaine
 from .curving import CREASE, panels
-from .matrices import moved, turned
+from .matrices import transformation, turned
 from .mesh import Mesh
 
 Array = NDArray[np.float64]
@@ -22,13 +22,13 @@ Report = Callable[[float, str], None]
 #: Panels of the finest of three meshes: some seconds, 0.5 GB.
 PANELS = 3200
 _FEWEST, _MOST = 320, 12_000
-# The error of constant panels falls with their size where edges are sharp, with its square where all is smooth.
+# The error of flat panels falls with their size where edges are sharp, with its square on a smooth hull.
 _ORDERS = (1.0, 2.0)
 # Between body axes (z down) and those of the panel method (z up).
 _UP = np.diag([1.0, -1.0, -1.0])
 _LIMITS = (
-    "ideal fluid: no separation, no boundary layer; appendages, thrusters and openings count as far as the mesh "
-    "has them"
+    "ideal fluid: no separation, no boundary layer; appendages, thrusters and openings count as far as the "
+    "mesh has them"
 )
 
 
@@ -50,6 +50,11 @@ class Radiation:
     damping: Array
     error: Array
 
+    def placed(self, rotation: ArrayLike, offset: ArrayLike) -> Radiation:
+        """The same hull turned by `rotation` and with its origin at `offset`; see `transformation`."""
+        T = transformation(rotation, offset)
+        return replace(self, damping=T @ self.damping @ T.T, error=np.abs(T) @ self.error @ np.abs(T).T)
+
 
 @dataclass(frozen=True)
 class PanelResult:
@@ -68,6 +73,11 @@ class PanelResult:
     added: AddedMass
     radiation: tuple[Radiation, ...]
     panels: tuple[int, ...]
+
+    def placed(self, rotation: ArrayLike, offset: ArrayLike) -> PanelResult:
+        """The same hull turned by `rotation` and with its origin at `offset`; see `transformation`."""
+        radiation = tuple(r.placed(rotation, offset) for r in self.radiation)
+        return replace(self, added=self.added.placed(rotation, offset), radiation=radiation)
 
 
 def added_mass_of_hull(
@@ -115,7 +125,7 @@ def added_mass_of_hull(
     report(0.0, "panels of three sizes")
     meshes = panels(mesh, finest, crease)
     cases = [np.inf, *omegas]
-    found: list[list[Array]] = []
+    found: list[list[NDArray[np.complex128]]] = []
     for i, omega in enumerate(cases):
         found.append([])
         for j, coarse in enumerate(meshes):
@@ -123,15 +133,16 @@ def added_mass_of_hull(
             found[-1].append(_solved(cpt, coarse, mesh.centroid, density, depth, omega))
     missed = abs(meshes[-1].volume / mesh.volume - 1) if len(mesh.faces) > len(meshes[0].faces) else 0.0
     parts = [_extrapolated([part(f) for f in fs], missed) for fs in found for part in (np.real, np.imag)]
-    about = [(moved(m, mesh.centroid), np.abs(moved(e, mesh.centroid))) for m, e in parts]
     sizes = tuple(len(m.faces) for m in meshes)
-    added = AddedMass(about[0][0], _source(cpt, sizes, depth), _LIMITS, about[0][1])
-    radiated = [Radiation(w, *about[2 * i + 1]) for i, w in enumerate(cases) if i]
-    return PanelResult(added, tuple(radiated), sizes)
+    added = AddedMass(parts[0][0], _source(cpt, sizes, depth), _LIMITS, parts[0][1])
+    radiated = tuple(Radiation(w, *parts[2 * i + 1]) for i, w in enumerate(cases) if i)
+    return PanelResult(added, radiated, sizes).placed(np.eye(3), mesh.centroid)
 
 
 def _source(cpt: Any, sizes: tuple[int, ...], depth: float | None) -> str:
-    where = "far from surface and bottom" if depth is None else f"{depth:g} m under the surface, high frequency"
+    where = (
+        "far from surface and bottom" if depth is None else f"{depth:g} m under the surface, high frequency"
+    )
     counts = f"{sizes[1]} and {sizes[2]} panels extrapolated, order from {sizes[0]}"
     return f"capytaine {cpt.__version__}, direct method, {where}; {counts}"
 
@@ -147,8 +158,8 @@ def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int
     above = 0.0 if depth is None else float(mesh.centroid[2] - mesh.bounds[0, 2])
     if depth is not None and not depth > above:
         raise UndertowError(
-            f"depth = {depth:g} m: the hull reaches {above:.4g} m above its centre and would stand out of the "
-            "water: go deeper, a hull that pierces the surface is not handled"
+            f"depth = {depth:g} m: the hull reaches {above:.4g} m above its centre and would stand out of "
+            "the water: go deeper, a hull that pierces the surface is not handled"
         )
 
 
@@ -167,17 +178,12 @@ def _solved(
     waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
     solver = cpt.BEMSolver(green_function=cpt.Delhommeau(**waves), method="direct")
     problems = [
-        cpt.RadiationProblem(
-            body=body, radiating_dof=dof, omega=frequency, free_surface=surface, rho=density
-        )
+        cpt.RadiationProblem(body=body, radiating_dof=dof, omega=frequency, free_surface=surface, rho=density)
         for dof in body.dofs
     ]
     results = solver.solve_all(problems, keep_details=False, progress_bar=False)
     found = np.array(
-        [
-            [r.added_masses[dof] + 1j * r.radiation_dampings[dof] for dof in body.dofs]
-            for r in results
-        ]
+        [[r.added_masses[dof] + 1j * r.radiation_dampings[dof] for dof in body.dofs] for r in results]
     )
     return turned(found.real, _UP) + 1j * turned(found.imag, _UP)
 
@@ -191,5 +197,10 @@ def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
     share = 1 / (2 ** np.clip(orders, *_ORDERS) - 1)
     result, before = fine + share * second, middle + share * first
     scale = np.sqrt(np.outer(*2 * [np.maximum(np.diag(result), 0.0)]))
-    parts = [np.abs(result - fine) / 2, np.abs(result - before), np.abs(found[-1] - found[-1].T), missed * scale]
+    parts = [
+        np.abs(result - fine) / 2,
+        np.abs(result - before),
+        np.abs(found[-1] - found[-1].T),
+        missed * scale,
+    ]
     return result, np.maximum.reduce(parts)

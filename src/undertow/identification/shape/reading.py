@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +90,8 @@ def _rotation(frame: str) -> Array:
         rotation[axis, column] = sign
     if len(letters) != 3 or not np.isclose(np.linalg.det(rotation), 1.0):
         raise UndertowError(
-            f"frame '{frame}' is no right-handed set of axes: say where x, y and z point, such as FRD (forward, "
-            "right, down) or FLU (forward, left, up)"
+            f"frame '{frame}' is no right-handed set of axes: say where x, y and z point, such as FRD "
+            "(forward, right, down) or FLU (forward, left, up)"
         )
     return rotation
 
@@ -102,8 +103,8 @@ def _check_size(path: Path, vertices: Array, unit: str | None) -> None:
         size = " x ".join(f"{e:.4g}" for e in extents)
         likely = "mm" if longest > _LONGEST else "in, ft or km"
         raise UndertowError(
-            f"{path}: {size} m is no likely hull ({_SHORTEST:g} to {_LONGEST:g} m): say the unit of its numbers, "
-            f"such as {likely} (or m if it is so)"
+            f"{path}: {size} m is no likely hull ({_SHORTEST:g} to {_LONGEST:g} m): say the unit of its "
+            f"numbers, such as {likely} (or m if it is so)"
         )
 
 
@@ -159,13 +160,13 @@ def _obj(path: Path) -> tuple[Array, Faces]:
     faces = np.array([t for polygon in polygons for t in _fan(polygon)], dtype=np.int64).reshape(-1, 3)
     # Counted from one, or backwards from the last.
     faces = np.where(faces > 0, faces - 1, len(points) + faces)
-    if faces.size and not (0 <= faces.min() and faces.max() < len(points)):
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(points)):
         raise UndertowError(f"{path}: a face names a vertex that is not there: export the hull anew")
     return points, faces
 
 
 def _fan(polygon: list[int]) -> list[list[int]]:
-    return [[polygon[0], b, c] for b, c in zip(polygon[1:], polygon[2:], strict=False)]
+    return [[polygon[0], b, c] for b, c in pairwise(polygon[1:])]
 
 
 # --- MSH -----------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from .mesh import Faces, Mesh
 
 Array = NDArray[np.float64]
 
+
 def base_mesh(mesh: Mesh, count: int) -> Mesh:
     """A mesh of at most some `count` triangles of similar size: simplified, or cut at the longest edges.
 
@@ -76,9 +77,7 @@ def quartered(mesh: Mesh, of_face: Faces, middles: Array) -> Mesh:
     ab, bc, ca = (len(mesh.vertices) + of_face).T
     p, q, r = mesh.faces.T
     faces = [(p, ab, ca), (ab, q, bc), (ca, bc, r), (ab, bc, ca)]
-    return Mesh(
-        np.concatenate([mesh.vertices, middles]), np.concatenate([np.column_stack(f) for f in faces])
-    )
+    return Mesh(np.concatenate([mesh.vertices, middles]), np.concatenate([np.column_stack(f) for f in faces]))
 
 
 def each_edge(mesh: Mesh) -> tuple[Faces, Faces]:
@@ -93,7 +92,8 @@ def _simplified(mesh: Mesh, count: int) -> Mesh:
         package: Any = importlib.import_module("fast_simplification")
     except ImportError as error:
         raise UndertowError(
-            f"a hull of {len(mesh.faces)} triangles has to be simplified, which needs fast-simplification: {INSTALL}"
+            f"a hull of {len(mesh.faces)} triangles has to be simplified, which needs "
+            f"fast-simplification: {INSTALL}"
         ) from error
     points, faces = package.simplify(
         mesh.vertices - mesh.centroid, mesh.faces.astype(np.int32), target_count=int(count)
