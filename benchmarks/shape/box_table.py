@@ -48,6 +48,8 @@ def coefficients(sides: Array, cells: int) -> tuple[Array, int]:
     ]
     results = solver.solve_all(problems, keep_details=False, progress_bar=False)
     found = np.array([r.added_masses[dof] for r, dof in zip(results, body.dofs, strict=True)])
+    if not np.isfinite(found).all():
+        raise SystemExit(f"box of {sides}: capytaine gave no numbers for {mesh.nb_faces} panels (memory?)")
     volume, squares = sides.prod(), sides**2
     return found / volume / np.concatenate([np.ones(3), (squares.sum() - squares) / 12]), mesh.nb_faces
 

@@ -121,7 +121,8 @@ def cylinder(length: float, diameter: float, density: float = 1000.0) -> AddedMa
         f"from {_SLENDER:g} diameters of length; real ends take away up to a tenth across, and along the "
         "axis there is some added mass, which depends on their shape"
     )
-    source = f"cylinder of {length:g} m by {diameter:g} m by strips; Lamb (1932), Hydrodynamics, chapter IV (circles)"
+    size = f"cylinder of {length:g} m by {diameter:g} m"
+    source = f"{size}, strip theory; Lamb (1932), Hydrodynamics, chapter IV (circular cylinder)"
     return AddedMass(np.diag([0.0, across, across, 0.0, about, about]), source, limits)
 
 

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import importlib
 import logging
+from importlib.util import find_spec
 from typing import Any
 
 from undertow.errors import UndertowError
 
 INSTALL = 'pip install "undertow[bem]"'
+
+
+def has_capytaine() -> bool:
+    """Whether the package is installed."""
+    return find_spec("capytaine") is not None
 
 
 def quiet_capytaine() -> Any:

@@ -72,11 +72,11 @@ def _on_triangles(points: Array, corners: Array) -> Array:
     flat = points - np.sum((points - a) * normal, axis=-1, keepdims=True) * normal
     inside = np.stack(
         [np.sum(np.cross(q - p, flat - p) * normal, axis=-1) >= 0 for p, q in ((a, b), (b, c), (c, a))]
-    ).all(axis=0)
+    )
     ends = np.stack([_on_edge(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
     nearest = np.argmin(np.sum((ends - points) ** 2, axis=-1), axis=0)
     edge = np.take_along_axis(ends, nearest[None, ..., None], axis=0)[0]
-    return np.where(inside[..., None], flat, edge)
+    return np.where(np.all(inside, axis=0)[..., None], flat, edge)
 
 
 def _on_edge(points: Array, a: Array, b: Array) -> Array:

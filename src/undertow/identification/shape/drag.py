@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .mesh import Mesh
+from .refining import bisected
 
 Array = NDArray[np.float64]
 _HOERNER = "Hoerner (1965), Fluid-Dynamic Drag, chapter 3"
 # Friction coefficient of a turbulent boundary layer on a hull of this size; only turning hulls get it, the
 # coefficients of silhouettes have it in them.
 _FRICTION = 0.005
+# Triangles are no longer than this part of the hull, so that the integrals over them are good to 1 %.
+_STRIPS = 30
 _BLUNT, _ROUND = 0.8, 0.4
 _CLASSES = {
     "blunt": (1.05, 0.4, f"between a cube face on (1.05) and a long plate; {_HOERNER}"),
@@ -72,6 +75,7 @@ def drag_of_hull(
     axis of revolution gets friction only.
     """
     areas = np.array([mesh.projected_area(i) for i in range(3)])
+    mesh = bisected(mesh, float(mesh.extents.max()) / _STRIPS)
     facing = np.abs(mesh.vector_areas) / mesh.areas[:, None]
     blunt = (mesh.areas @ facing**3) / 2 / areas
     chosen = [_coefficient(float(b), None if cd is None else float(cd[i])) for i, b in enumerate(blunt)]

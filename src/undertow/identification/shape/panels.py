@@ -22,6 +22,8 @@ Report = Callable[[float, str], None]
 #: Panels of the finest of three meshes: some seconds, 0.5 GB.
 PANELS = 3200
 _FEWEST, _MOST = 320, 12_000
+# Of memory for each pair of panels, three complex matrices.
+_BYTES = 48
 # The error of flat panels falls with their size where edges are sharp, with its square on a smooth hull.
 _ORDERS = (1.0, 2.0)
 # Between body axes (z down) and those of the panel method (z up).
@@ -185,6 +187,11 @@ def _solved(
     found = np.array(
         [[r.added_masses[dof] + 1j * r.radiation_dampings[dof] for dof in body.dofs] for r in results]
     )
+    if not np.isfinite(found).all():  # it goes on after an error, with numbers that are none
+        raise UndertowError(
+            f"capytaine gave no result for {len(mesh.faces)} panels, which take "
+            f"{_BYTES * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
+        )
     return turned(found.real, _UP) + 1j * turned(found.imag, _UP)
 
 
