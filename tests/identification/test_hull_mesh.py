@@ -51,9 +51,7 @@ def test_inertia_turns_with_the_hull() -> None:
 def test_a_spheroid_converges_to_what_is_known() -> None:
     a, r = 0.6, 0.2
     volume = 4 / 3 * np.pi * a * r**2
-    known = np.array(
-        [volume, np.pi * r**2, np.pi * a * r, volume * 2 / 5 * r**2, volume * (a**2 + r**2) / 5]
-    )
+    known = np.array([volume, np.pi * r**2, np.pi * a * r, volume * 2 / 5 * r**2, volume * (a**2 + r**2) / 5])
 
     def wrong(times: int) -> np.ndarray:
         m = spheroid_mesh(2 * a, 2 * r, times)
@@ -179,7 +177,9 @@ def test_triangles_that_look_inward_are_turned() -> None:
 
 def test_an_open_hull_is_refused_with_the_place() -> None:
     box = box_mesh()
-    with pytest.raises(UndertowError, match=r"hull: the hull is open: 3 edges belong to 1 triangle.* near \("):
+    with pytest.raises(
+        UndertowError, match=r"hull: the hull is open: 3 edges belong to 1 triangle.* near \("
+    ):
         mended(Mesh(box.vertices, box.faces[1:]), "hull")
 
 
@@ -228,7 +228,7 @@ def test_panels_of_a_box_are_three_flat_meshes() -> None:
 
 
 def test_a_coarsely_drawn_ball_is_rounded() -> None:
-    """128 flat triangles miss 9 % of the ball; four for each, by their normals, are as good as if drawn so."""
+    """128 flat triangles miss 9 % of the ball; four for each, by their normals, are as good as drawn."""
     coarse = ball(2)
     assert coarse.volume == pytest.approx(0.911 * 4 / 3 * np.pi, rel=0.002)
     assert curved(coarse, 45.0).volume == pytest.approx(ball(3).volume, rel=0.01)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.errors import UndertowError
+
 from .mesh import Mesh
 from .refining import bisected
 
@@ -68,12 +70,20 @@ def drag_of_hull(
     cd : (3,) sequence of float, optional
         Drag coefficients on the silhouettes seen along x, y and z; by the form of the hull if None.
 
+    Raises
+    ------
+    UndertowError
+        If a coefficient is negative.
+
     Notes
     -----
     Force: density/2 C_d times silhouette. Moment: every strip of surface gives half of that for its own
     normal velocity, so that a box gets what strip theory gives its sides, and a hull that turns about its
     axis of revolution gets friction only.
     """
+    for value in cd or ():
+        if not (value >= 0 and np.isfinite(value)):
+            raise UndertowError(f"drag coefficient {value:g} cannot be: give a number from 0, such as 1.0")
     areas = np.array([mesh.projected_area(i) for i in range(3)])
     mesh = bisected(mesh, float(mesh.extents.max()) / _STRIPS)
     facing = np.abs(mesh.vector_areas) / mesh.areas[:, None]

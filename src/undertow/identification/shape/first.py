@@ -12,6 +12,7 @@ import numpy as np
 import tomlkit
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
@@ -22,7 +23,7 @@ from undertow.model.vehicle_schema import VehicleTable
 from .bodies import AddedMass
 from .drag import Drag, drag_of_hull
 from .mesh import Mesh
-from .priors import coupled, derivative, sigma_of
+from .priors import coupled, derivative, entry, sigma_of
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
@@ -128,7 +129,10 @@ def first_vehicle(hull: Mesh, added: AddedMass, wish: Wish) -> str:
         forces=[_quoted(f"tau_{FORCE[i]}") for i in wish.own],
         effects=tables,
     )
-    vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
+    try:
+        vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
+    except ValidationError as error:
+        raise UndertowError(f"no vehicle file can be made of it: {error.errors()[0]['msg']}") from error
     return str(text).rstrip() + "\n"
 
 
@@ -228,7 +232,7 @@ def _water(mesh: Mesh, wish: Wish, volume: float) -> Iterator[str]:
 def _added_mass(added: AddedMass, wish: Wish) -> Iterator[str]:
     sigma = sigma_of(added)
     for i in wish.own:
-        value, spread = float(added.matrix[i, i]), float(sigma[i, i])
+        value, spread = entry(added, i, i), float(sigma[i, i])
         yield _entry(
             derivative(i, i), -value, _UNITS["m"][i > 2], sigma=spread, estimate=True, source=added.source
         )
@@ -287,7 +291,7 @@ def _entry(
 ) -> str:
     # What is zero by symmetry, and known to be so, leaves nothing to be estimated.
     open_ = bool(value) or sigma > _NOTHING
-    fields = [f"value = {_quoted(f'{value + 0.0:.6g} {unit}')}"]
+    fields = [f"value = {_quoted(f'{0.0 + value:.6g} {unit}')}"]
     fields += ["assumed = true"] if assumed else []
     fields += ["estimate = true"] if estimate and open_ else []
     fields += [f"sigma = {_quoted(f'{sigma:.3g} {unit}')}"] if sigma and open_ else []

@@ -124,7 +124,7 @@ def added_mass_of_hull(
     """
     cpt = quiet_capytaine()
     _check(mesh, depth, omegas, finest)
-    report(0.0, "panels of three sizes")
+    report(0.0, "cutting the hull into panels" if not omegas else "panels, and a table of waves (made once)")
     meshes = panels(mesh, finest, crease)
     cases = [np.inf, *omegas]
     found: list[list[NDArray[np.complex128]]] = []
@@ -203,7 +203,8 @@ def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
         orders = np.nan_to_num(np.log2(np.abs(first / second)), nan=1.0)
     share = 1 / (2 ** np.clip(orders, *_ORDERS) - 1)
     result, before = fine + share * second, middle + share * first
-    scale = np.sqrt(np.outer(*2 * [np.maximum(np.diag(result), 0.0)]))
+    result = _without_negative(result)
+    scale = np.sqrt(np.outer(*2 * [np.diag(result)]))
     parts = [
         np.abs(result - fine) / 2,
         np.abs(result - before),
@@ -211,3 +212,10 @@ def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
         missed * scale,
     ]
     return result, np.maximum.reduce(parts)
+
+
+def _without_negative(matrix: Array) -> Array:
+    """The nearest matrix that gives no negative energy: a body of revolution spins without moving water."""
+    values, vectors = np.linalg.eigh(matrix)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(root @ root.T)

@@ -43,6 +43,12 @@ def coupled(matrix: Array) -> list[tuple[int, int]]:
     return [(i, j) for i in range(6) for j in range(i + 1, 6) if abs(matrix[i, j]) > _SMALL * scales[i, j]]
 
 
+def entry(added: AddedMass, i: int, j: int) -> float:
+    """An entry of the matrix; what rounding has made negative on the diagonal is zero."""
+    value = float(added.matrix[i, j])
+    return max(value, 0.0) if i == j else value
+
+
 def derivative(i: int, j: int) -> str:
     """SNAME name of an entry of the added mass: `derivative(0, 0)` is X_udot."""
     return f"{FORCE[i]}_{VELOCITY[j]}dot"
@@ -67,7 +73,7 @@ def with_added_mass(vehicle: Vehicle, added: AddedMass, *, floor: float = FLOOR)
     off = {derivative(i, j): (i, j) for i, j in sorted(pairs | stated)}
     for cls, names, estimate in ((AddedMassEffect, diagonal, True), (AddedMassCoupling, off, False)):
         values = {
-            key: _prior(float(added.matrix[at]), estimate, float(sigma[at]), added.source)
+            key: _prior(entry(added, *at), estimate, float(sigma[at]), added.source)
             for name, at in names.items()
             for key in _keys(vehicle, name)
         }
@@ -77,7 +83,7 @@ def with_added_mass(vehicle: Vehicle, added: AddedMass, *, floor: float = FLOOR)
 
 def _prior(added: float, estimate: bool, sigma: float, source: str) -> Value:
     """A sphere that spins moves nothing, and there is nothing to be estimated."""
-    return Value(-added, estimate, sigma, source) if added or sigma > 1e-9 else Value(0.0, source=source)
+    return Value(0.0 - added, estimate, sigma, source) if added or sigma > 1e-9 else Value(0.0, source=source)
 
 
 def with_radiation(vehicle: Vehicle, radiation: Radiation, source: str) -> Vehicle:
