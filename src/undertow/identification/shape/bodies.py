@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 _LAMB = "Lamb (1932), Hydrodynamics, chapter V (ellipsoids)"
 #: Length over diameter from which strip theory counts for a cylinder across the flow.
 _SLENDER = 5.0
+# What flat ends change, by panels (docs/shape.md): shares of the strips times diameter over length, and what
+# they carry along the axis over density times diameter cubed.
+_ENDS_ACROSS, _ENDS_ABOUT, _ENDS_ALONG = 0.7, 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -117,13 +120,19 @@ def cylinder(length: float, diameter: float, density: float = 1000.0) -> AddedMa
         )
     across = density * np.pi / 4 * diameter**2 * length
     about = across * length**2 / 12
+    slender = diameter / length
     limits = (
-        f"from {_SLENDER:g} diameters of length; real ends take away up to a tenth across, and along the "
-        "axis there is some added mass, which depends on their shape"
+        f"from {_SLENDER:g} diameters of length; real ends take {_ENDS_ACROSS * slender:.0%} away across and "
+        f"{_ENDS_ABOUT * slender:.0%} in turning, and there is some added mass along the axis, depending on "
+        "their shape"
     )
+    shares = np.array([0.0, _ENDS_ACROSS, _ENDS_ACROSS, 0.0, _ENDS_ABOUT, _ENDS_ABOUT]) * slender
+    matrix = np.diag([0.0, across, across, 0.0, about, about])
+    error = shares * matrix
+    error[0, 0] = _ENDS_ALONG * density * diameter**3
     size = f"cylinder of {length:g} m by {diameter:g} m"
     source = f"{size}, strip theory; Lamb (1932), Hydrodynamics, chapter IV (circular cylinder)"
-    return AddedMass(np.diag([0.0, across, across, 0.0, about, about]), source, limits)
+    return AddedMass(matrix, source, limits, error)
 
 
 def _integral(squares: Array, i: int) -> float:

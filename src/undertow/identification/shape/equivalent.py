@@ -13,7 +13,8 @@ from .mesh import Mesh
 
 Array = NDArray[np.float64]
 _FILL_OF_ELLIPSOID = np.pi / 6
-# Cylinders, torpedoes and cones were within this part of the distance between box and ellipsoid.
+# Cylinders and torpedoes are within this part of the distance from box to ellipsoid, a cone is not
+# everywhere (docs/shape.md).
 _PART = 0.25
 # The same of an ellipsoid that had to be stretched because the table of boxes ends.
 _STRETCHED = 0.4
