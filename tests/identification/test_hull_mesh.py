@@ -247,7 +247,7 @@ def test_the_rim_of_a_cylinder_stays_sharp() -> None:
 
 
 def test_a_fine_mesh_is_simplified() -> None:
-    pytest.importorskip("fast_simplification", reason="simplifying needs undertow[bem]")
+    pytest.importorskip("igl", reason="simplifying needs undertow[bem]")
     drawn = spheroid_mesh(1.2, 0.4, 5)
     assert len(drawn.faces) == 8192
     assert len(base_mesh(drawn, 150).faces) <= 150

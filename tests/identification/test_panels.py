@@ -26,7 +26,7 @@ LAST_DIGIT = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
 @pytest.fixture(scope="module")
 def spheroid() -> PanelResult:
     """Three to one, drawn in 2048 triangles."""
-    return added_mass_of_hull(spheroid_mesh(1.2, 0.4, 4), RHO, finest=2400)
+    return added_mass_of_hull(spheroid_mesh(1.2, 0.4, 4), RHO)
 
 
 @needs_capytaine

@@ -15,6 +15,8 @@ from .mending import edges_of, mended
 from .mesh import Faces, Mesh
 
 Array = NDArray[np.float64]
+# Part of the triangles wanted to which a hull is simplified: cutting the longest edges then evens them out.
+_PART = 0.33
 
 
 def base_mesh(mesh: Mesh, count: int) -> Mesh:
@@ -25,7 +27,8 @@ def base_mesh(mesh: Mesh, count: int) -> Mesh:
     UndertowError
         If a simplified surface is no closed body any more, or the package for it is missing.
     """
-    found = _simplified(mesh, count) if len(mesh.faces) > count else mesh
+    fewest = round(count * _PART)
+    found = _simplified(mesh, fewest) if len(mesh.faces) > fewest else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:
         found, longest = finer, 0.9 * longest
@@ -43,7 +46,7 @@ def bisected(mesh: Mesh, longest: float) -> Mesh:
         # An edge is cut where it is the longest of both its triangles: no other edge has to give way.
         worst = of_face[np.arange(len(own)), _first_longest(own, of_face)]
         wanted, votes = np.unique(worst, return_counts=True)
-        mesh = _cut(mesh, edges, of_face, wanted[(votes == 2) & (lengths[wanted] > 0.5 * longest)], worst)
+        mesh = _cut(mesh, edges, of_face, wanted[(votes == 2) & (lengths[wanted] > longest)], worst)
 
 
 def _first_longest(own: Array, of_face: Faces) -> NDArray[np.intp]:
@@ -87,19 +90,16 @@ def each_edge(mesh: Mesh) -> tuple[Faces, Faces]:
 
 
 def _simplified(mesh: Mesh, count: int) -> Mesh:
-    """About `count` triangles with the volume of the original."""
+    """At most some `count` triangles, by the collapse of edges that changes the surface least."""
     try:
-        package: Any = importlib.import_module("fast_simplification")
+        package: Any = importlib.import_module("igl")
     except ImportError as error:
         raise UndertowError(
-            f"a hull of {len(mesh.faces)} triangles has to be simplified, which needs "
-            f"fast-simplification: {INSTALL}"
+            f"a hull of {len(mesh.faces)} triangles has to be simplified, which needs libigl: {INSTALL}"
         ) from error
-    points, faces = package.simplify(
-        mesh.vertices - mesh.centroid, mesh.faces.astype(np.int32), target_count=int(count)
-    )
+    points, faces, *_ = package.qslim(mesh.vertices - mesh.centroid, mesh.faces, count)
     found, _ = mended(
-        Mesh(np.asarray(points, dtype=float), faces.astype(np.int64)),
+        Mesh(np.asarray(points, dtype=float), np.asarray(faces, dtype=np.int64)),
         f"the hull simplified to {len(faces)} triangles",
     )
     return found.moved(mesh.centroid)
