@@ -1,9 +1,7 @@
-"""`undertow added-mass` and `undertow vehicle new` on the command line."""
+"""`undertow vehicle new` on the command line, and the drag and added mass behind it."""
 
 from __future__ import annotations
 
-import json
-import sys
 import tomllib
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from undertow.cli.main import main
 from undertow.codegen.export import Export
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
-from undertow.identification.shape import cylinder, ellipsoid, moved, turned
+from undertow.identification.shape import ellipsoid, moved
 from undertow.identification.shape.drag import drag_of_hull
 from undertow.identification.shape.equivalent import equivalent
 from undertow.model.hints import hints
@@ -29,145 +27,16 @@ Capture = pytest.CaptureFixture[str]
 MESH = ["vehicle", "new", "--mesh", "box.stl", "--unit", "mm", "--mass", "60"]
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder, the current one, with box.stl in mm and spheroid.stl in m, both about the origin."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    stl(box_mesh(), tmp_path / "box.stl", 1000.0)
-    stl(spheroid_mesh(1.2, 0.4, 3), tmp_path / "spheroid.stl")
-    return tmp_path
-
-
-@pytest.fixture
-def no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "capytaine", None)
-    monkeypatch.setattr("undertow.identification.shape.capytaine.find_spec", lambda name: None)
-
-
-def answer(capsys: Capture, *words: object) -> dict[str, object]:
-    capsys.readouterr()
-    assert main([*map(str, words), "--json"]) == 0
-    found: dict[str, object] = json.loads(capsys.readouterr().out)
-    return found
-
-
-# added-mass -------------------------------------------------------------------------------------------------
-
-
-def test_an_ellipsoid_in_any_direction_and_place(folder: Path, capsys: Capture) -> None:
-    words = ["added-mass", "ellipsoid", "--a", 0.6, "--b", 0.3, "--c", 0.2, "--density", 1025]
-    found = answer(capsys, *words, "--turn", "0,90,0", "--at", "0,0,0.5")
-    # Nose up: the body's x points up, its z forward.
-    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    expected = moved(turned(ellipsoid(0.6, 0.3, 0.2, 1025.0).matrix, turn), [0.0, 0.0, 0.5])
-    np.testing.assert_allclose(np.array(found["matrix"]), expected, atol=1e-9)
-    assert "Lamb" in str(found["source"])
-
-
-@pytest.mark.parametrize("turn", ["0,0,90", "0,0,-90", "30,180,90"])
-def test_a_cylinder_across(turn: str, folder: Path, capsys: Capture) -> None:
-    found = np.array(
-        answer(capsys, "added-mass", "cylinder", "--length", 2, "--diameter", 0.2, "--turn", turn)["matrix"]
-    )
-    own = np.diag(cylinder(2.0, 0.2).matrix)
-    np.testing.assert_allclose(np.diag(found), own[[1, 0, 2, 4, 3, 5]], atol=1e-9)
-
-
-def test_what_is_printed_names_the_derivatives(folder: Path, capsys: Capture) -> None:
-    assert main(["added-mass", "box", "--length", "0.6", "--beam", "0.42", "--height", "0.24"]) == 0
-    out = capsys.readouterr().out
-    rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if line.startswith("-")}
-    assert float(rows["-Z_wdot"][0]) == pytest.approx(BOX[2], rel=0.01)
-    assert rows["-N_rdot"][3:] == ["kg", "m^2"]
-    assert "source: box of 0.6 x 0.42 x 0.24 m; table" in out
-    assert "limits: sharp edges" in out
-
-
-def test_into_a_vehicle_as_priors(folder: Path, capsys: Capture) -> None:
-    words = ["added-mass", "spheroid", "--length", "1.2", "--diameter", "0.4", "--at", "0.1,0,0"]
-    assert main([*words, "--into", "mini-auv", "--out", "new.toml"]) == 0
-    new, old = load_vehicle("new.toml"), load_vehicle("mini-auv")
-    lamb = moved(ellipsoid(0.6, 0.2, 0.2).matrix, [0.1, 0, 0])
-    for name, i in (("X_udot_forward", 0), ("X_udot_backward", 0), ("Y_vdot", 1), ("N_rdot", 5)):
-        value = new.value_of(name)
-        assert value.value == pytest.approx(-lamb[i, i], rel=1e-9)
-        assert value.sigma == pytest.approx(0.1 * lamb[i, i], rel=1e-6)
-        assert (value.estimate, value.assumed) == (True, False)
-        assert value.source.startswith("ellipsoid with semi-axes 0.6, 0.2, 0.2 m; Lamb")
-    assert new.value_of("Y_rdot").value == pytest.approx(-lamb[1, 5], rel=1e-9)
-    assert not new.value_of("Y_rdot").estimate
-    # The file prints magnitudes.
-    stated = tomllib.loads((folder / "new.toml").read_text())
-    assert float(stated["effects"]["added_mass"]["Y_vdot"]["value"].split()[0]) > 0
-    assert stated["history"][-1]["command"] == "undertow added-mass"
-    kept = set(old.values) - {"X_udot_forward", "X_udot_backward", "Z_wdot_forward", "Z_wdot_backward"}
-    for name in kept - {"Y_vdot", "N_rdot"}:
-        assert new.values[name] == old.values[name]
-
-
-def test_a_spinning_sphere_leaves_nothing_to_be_estimated(folder: Path) -> None:
-    words = ["added-mass", "sphere", "--diameter", "0.5", "--into", "bluerov2", "--out", "new.toml"]
-    assert main(words) == 0
-    spin = load_vehicle("new.toml").value_of("K_pdot")
-    assert (spin.value, spin.estimate, spin.sigma) == (0.0, False, None)
-
-
-def test_in_place_twice_is_the_same(folder: Path) -> None:
-    assert main(["added-mass", "sphere", "--diameter", "0.5", "--into", "bluerov2", "--out", "a.toml"]) == 0
-    words = ["added-mass", "sphere", "--diameter", "0.4", "--into", "a.toml", "--in-place"]
-    assert main(words) == 0
-    first = load_vehicle("a.toml")
-    assert main(words) == 0
-    assert dict(load_vehicle("a.toml").values) == dict(first.values)
-
-
-@needs_capytaine
-def test_a_mesh_by_panels(folder: Path, capsys: Capture) -> None:
-    found = answer(capsys, "added-mass", "mesh", "box.stl", "--unit", "mm", "--panels", 800)
-    np.testing.assert_allclose(np.diag(np.array(found["matrix"])), BOX, rtol=0.02)
-    assert np.all(np.array(found["sigma"]) >= np.array(found["error"]))
-    assert str(found["source"]).startswith("box.stl; capytaine")
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["sphere", "--diameter", "-1"], "radius = -0.5 must be a positive number"),
-        (["sphere", "--diameter", "1", "--at", "1,2"], "--at '1,2' is not three numbers"),
-        (["sphere", "--diameter", "1", "--at", "1,2,inf"], "every number must be finite"),
-        (["sphere", "--diameter", "1", "--density", "0"], "density = 0 must be a positive number"),
-        (["sphere", "--diameter", "1", "--out", "x.toml"], "--out and --in-place are for --into VEHICLE"),
-        (["sphere", "--diameter", "1", "--sigma", "-1"], "--sigma -1 is no share"),
-        (["sphere", "--diameter", "1", "--into", "none.toml"], "neither a file nor a bundled vehicle"),
-        (["sphere", "--diameter", "1", "--into", "mini-auv", "--in-place"], "comes with undertow"),
-        (["cylinder", "--length", "1", "--diameter", "1"], "strips need 5"),
-        (["box", "--length", "9", "--beam", "1", "--height", "1"], "the table ends at 5.66"),
-        (["mesh", "none.stl"], "none.stl: cannot be read"),
-        (["mesh", "box.stl"], "600 x 420 x 240 m is no likely hull"),
-    ],
-)
-def test_one_line_for_each_mistake(words: list[str], message: str, folder: Path, capsys: Capture) -> None:
-    assert message in refusal(["added-mass", *words], capsys, folder)
-
-
-def test_without_the_extra_it_is_said_what_to_install(no_extra: None, folder: Path, capsys: Capture) -> None:
-    line = refusal(["added-mass", "mesh", "spheroid.stl"], capsys, folder)
-    assert line.endswith('pip install "undertow[bem]"')
-    line = refusal([*MESH, "--added-mass", "panels"], capsys, folder)
-    assert line.endswith('pip install "undertow[bem]"')
-
-
 # vehicle new ------------------------------------------------------------------------------------------------
 
 
-def made(folder: Path, *words: str) -> Vehicle:
+def made(hulls: Path, *words: str) -> Vehicle:
     assert main([*MESH, "--out", "my.toml", *words]) == 0
-    return load_vehicle(folder / "my.toml")
+    return load_vehicle(hulls / "my.toml")
 
 
-def test_a_first_vehicle_without_the_extra(no_extra: None, folder: Path, capsys: Capture) -> None:
-    vehicle = made(folder, "--cg", "0,0,0.02")
+def test_a_first_vehicle_without_the_extra(no_extra: None, hulls: Path, capsys: Capture) -> None:
+    vehicle = made(hulls, "--cg", "0,0,0.02")
     out = capsys.readouterr().out
     assert "hull 0.6 x 0.42 x 0.24 m, 0.06048 m^3; displaces 60.48 kg, weighs 60 kg" in out
     assert 'pip install "undertow[bem]"' in out
@@ -184,8 +53,8 @@ def test_a_first_vehicle_without_the_extra(no_extra: None, folder: Path, capsys:
     assert found["S_z"] == pytest.approx(0.02 * 60 * 9.81, rel=1e-5)
 
 
-def test_every_value_has_a_source_and_what_is_uncertain_a_sigma(no_extra: None, folder: Path) -> None:
-    vehicle = made(folder)
+def test_every_value_has_a_source_and_what_is_uncertain_a_sigma(no_extra: None, hulls: Path) -> None:
+    vehicle = made(hulls)
     for name, value in vehicle.values.items():
         assert value.source, name
         assert (value.sigma is not None) == (name[:2] not in {"m", "mx", "my", "mz", "W", "S_"}), name
@@ -197,19 +66,19 @@ def test_every_value_has_a_source_and_what_is_uncertain_a_sigma(no_extra: None, 
 
 
 def test_the_first_vehicle_is_shown_generated_and_simulated(
-    no_extra: None, folder: Path, capsys: Capture
+    no_extra: None, hulls: Path, capsys: Capture
 ) -> None:
-    vehicle = made(folder, "--cg", "0,0,0.02")
+    vehicle = made(hulls, "--cg", "0,0,0.02")
     assert main(["vehicles", "show", "my.toml"]) == 0
     assert "added_mass" in capsys.readouterr().out
-    assert Export(vehicle).write(folder / "build").folder.is_dir()
+    assert Export(vehicle).write(hulls / "build").folder.is_dir()
     heeled = np.zeros(12)
     heeled[3] = 0.2
     x = simulated(vehicle, heeled, np.zeros(6))
     assert np.abs(x[0, 3]) == 0.2
     assert np.max(np.abs(x[-50:, 3])) < 0.05  # it rights itself
     # Ahead, at the speed where drag is 10 N.
-    ahead = made(folder, "--dof", "surge", "--force")
+    ahead = made(hulls, "--dof", "surge", "--force")
     u = np.roots([52.92, 5.292, -10.0]).max()
     assert simulated(ahead, np.zeros(2), np.array([10.0]))[-1, 1] == pytest.approx(u, rel=1e-3)
 
@@ -222,12 +91,12 @@ def simulated(vehicle: Vehicle, start: np.ndarray, force: np.ndarray) -> np.ndar
     return Simulator(functions, compiled=False).run(start, t, np.tile(force, (len(t), 1)), p, max_step=0.05)
 
 
-def test_a_mesh_in_other_axes_about_another_point(no_extra: None, folder: Path) -> None:
-    stl(box_mesh().moved([1.0, 0.5, 0.3]), folder / "off.stl")
+def test_a_mesh_in_other_axes_about_another_point(no_extra: None, hulls: Path) -> None:
+    stl(box_mesh().moved([1.0, 0.5, 0.3]), hulls / "off.stl")
     words = ["vehicle", "new", "--mesh", "off.stl", "--frame", "FLU", "--mass", "60", "--out", "my.toml"]
     assert main([*words, "--origin", "mesh", "--cg", "1,-0.5,-0.28"]) == 0
     about_mesh = load_vehicle("my.toml")
-    stated = tomllib.loads((folder / "my.toml").read_text())["effects"]["restoring"]
+    stated = tomllib.loads((hulls / "my.toml").read_text())["effects"]["restoring"]
     place = [float(stated[f"{axis}_b"]["value"].removesuffix(" m")) for axis in "xyz"]
     np.testing.assert_allclose(place, [1.0, -0.5, -0.3], rtol=1e-5)
     assert main([*words, "--cg", "0,0,0.02", "--force"]) == 0
@@ -236,9 +105,9 @@ def test_a_mesh_in_other_axes_about_another_point(no_extra: None, folder: Path) 
     np.testing.assert_allclose(np.array(mass_matrix_at(about_mesh)), expected, rtol=1e-3, atol=0.01)
 
 
-def test_motions_name_volume_and_coefficients(no_extra: None, folder: Path, capsys: Capture) -> None:
+def test_motions_name_volume_and_coefficients(no_extra: None, hulls: Path, capsys: Capture) -> None:
     words = ["--dof", "yaw,surge,sway", "--name", "open frame", "--volume", "0.06", "--cd", "0.5,1,1"]
-    vehicle = made(folder, *words)
+    vehicle = made(hulls, *words)
     assert vehicle.degrees_of_freedom == ("surge", "sway", "yaw")
     assert vehicle.force_channels == ("tau_X", "tau_Y", "tau_N")
     assert vehicle.name == "open frame"
@@ -248,15 +117,15 @@ def test_motions_name_volume_and_coefficients(no_extra: None, folder: Path, caps
     assert capsys.readouterr().err == ""
 
 
-def test_a_mass_far_from_the_displacement_is_told(no_extra: None, folder: Path, capsys: Capture) -> None:
+def test_a_mass_far_from_the_displacement_is_told(no_extra: None, hulls: Path, capsys: Capture) -> None:
     assert main(["vehicle", "new", "--mesh", "box.stl", "--unit", "mm", "--mass", "12"]) == 0
     err = capsys.readouterr().err
     assert "mass 12 kg and displacement 60.48 kg are far apart" in err
-    assert (folder / "box.toml").is_file()
+    assert (hulls / "box.toml").is_file()
 
 
 @needs_capytaine
-def test_with_the_extra_the_hull_itself_is_computed(folder: Path) -> None:
+def test_with_the_extra_the_hull_itself_is_computed(hulls: Path) -> None:
     words = ["--mesh", "spheroid.stl", "--mass", "100", "--out", "my.toml", "--panels", "1600"]
     assert main(["vehicle", "new", *words]) == 0
     vehicle = load_vehicle("my.toml")
@@ -285,11 +154,11 @@ def test_with_the_extra_the_hull_itself_is_computed(folder: Path) -> None:
         (["--added-mass", "panels", "--panels", "5"], "5 panels are out of reach"),
     ],
 )
-def test_one_line_for_each_wrong_wish(words: list[str], message: str, folder: Path, capsys: Capture) -> None:
+def test_one_line_for_each_wrong_wish(words: list[str], message: str, hulls: Path, capsys: Capture) -> None:
     if "panels" in words:
         pytest.importorskip("capytaine", reason="needs undertow[bem]")
     base = [*MESH, "--added-mass", "box"] if "--added-mass" not in words else MESH
-    assert message in refusal([*base, *words], capsys, folder)
+    assert message in refusal([*base, *words], capsys, hulls)
 
 
 # drag, bodies in place of hulls -----------------------------------------------------------------------------
