@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from benchmarks.hidden_effects.files import toml_text
+from benchmarks.shape.hulls import box_mesh, spheroid_mesh, stl
 from tests.cli.bad import contents, text_of
 
 
@@ -34,3 +36,20 @@ def case(_texts: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.chdir(tmp_path)
     assert len(contents(tmp_path)) == len(_texts)
     return tmp_path
+
+
+@pytest.fixture
+def hulls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder, the current one, with box.stl in mm and spheroid.stl in m, both about the origin."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    stl(box_mesh(), tmp_path / "box.stl", 1000.0)
+    stl(spheroid_mesh(1.2, 0.4, 3), tmp_path / "spheroid.stl")
+    return tmp_path
+
+
+@pytest.fixture
+def no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if undertow[bem] were not installed."""
+    monkeypatch.setitem(sys.modules, "capytaine", None)
+    monkeypatch.setattr("undertow.identification.shape.capytaine.find_spec", lambda name: None)

@@ -50,7 +50,8 @@ def save_vehicle(
     history : mapping, optional
         How the values came about, appended as a table ``[[history]]``: `command`, `date`, `logs` (list of
         tables with `name`, `sha256`, `role`), `added`, `error_before`, `error_after` ... A `covariance`
-        (table of `parameters` and `matrix`, SI and SNAME signs) is turned into the file's signs.
+        (table of `parameters` and `matrix`, SI and SNAME signs) is turned into the file's signs. One without
+        `logs` is of no fit: values keep the source that the vehicle gives.
 
     Raises
     ------
@@ -157,7 +158,8 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Wa
 
 
 def _write(table: Any, key: str, wanted: Wanted, place: str, history: Mapping[str, object] | None) -> None:
-    if wanted.estimate and wanted.differs(table.get(key), place):
+    fitted = history is None or "logs" in history
+    if fitted and wanted.estimate and wanted.differs(table.get(key), place):
         wanted = wanted.fitted(fit_source(history, source_before(wanted.source)))
     entry = update_entry(table.get(key), wanted, place)
     if entry is None:

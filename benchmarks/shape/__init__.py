@@ -1,0 +1,1 @@
+"""Added mass of simple bodies by panels: the table that `undertow` ships for boxes, and docs/shape.md."""
