@@ -6,6 +6,11 @@ not determine, or that are far from what was stated before, are pointed out.
 
     undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
 
+The mass matrix stays positive, and coefficients keep within what is physical. Coefficients that are known
+to be alike are fitted as one, with --equal; stated standard deviations (sigma) hold what logs leave open.
+
+    undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
+
 Without --holdout, stretches of the logs are kept aside. Without --out and --in-place nothing is written.
 """
 
@@ -30,6 +35,12 @@ from undertow.cli._vehicle_and_logs import (
 )
 
 _METHOD = typer.Option("--method", help="The weak form, or simulation (output error).")
+_EQUAL = typer.Option(
+    "--equal", metavar='"A = B"', help='Fit A as B, or as a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
+)
+_DISSIPATIVE = typer.Option(
+    "--dissipative", help="Let linear damping take energy from every motion, coupling included."
+)
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
 
 
@@ -39,6 +50,8 @@ def fit(
     holdout: HoldoutOption = None,
     method: Annotated[Literal["weak", "output-error"], _METHOD] = "weak",
     horizon: Annotated[float, _HORIZON] = 5.0,
+    equal: Annotated[list[str] | None, _EQUAL] = None,
+    dissipative: Annotated[bool, _DISSIPATIVE] = False,
     out: OutOption = None,
     in_place: InPlaceOption = False,
     map: MapOption = None,
@@ -52,6 +65,8 @@ def fit(
     from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
+    from undertow.identification.estimators import Estimator
+    from undertow.identification.weak.constraints import Constraints, read_equalities
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *(effects or []), *([map] if map else [])]
@@ -59,8 +74,10 @@ def fit(
     loaded = load(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
     )
+    constraints = Constraints(read_equalities(equal or [], loaded.vehicle), dissipative)
+    estimator = Estimator(method, horizon, constraints)
     with progress("fitting") as tell:
-        done = refit(loaded.vehicle, loaded.train, loaded.holdout, method, horizon, tell)
+        done = refit(loaded.vehicle, loaded.train, loaded.holdout, estimator, horizon, tell)
     show(done)
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")

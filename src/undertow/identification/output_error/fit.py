@@ -9,17 +9,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import Windows, cut
+from ..weak.constraints import Constraints, active, fitted_vehicle
 from ..weak.data import prepare
-from ..weak.estimated import estimated
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import Linearised, WeakModel
-from ..weak.step import bounded_step, bounds_of, inverse_of, prior_of
+from ..weak.step import bounds_of, inverse_of, limited_step, physical, prior_of
 from .shooting import Reduced, Shooting
 
 Array = NDArray[np.float64]
@@ -33,6 +32,7 @@ _SETTLED = 0.05
 # A log without noise would weigh infinitely: no channel counts as better known than this share of its rms.
 _FINEST = 1e-6
 _DAMPING = (1e-3, 1e-9, 1e9)
+_PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class OutputErrorFit:
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with the fitted values and their standard errors."""
-        return estimated(self.model.functions.vehicle, self.values, self.standard_errors)
+        return fitted_vehicle(self.model, self.values, self.standard_errors)
 
     @property
     def values(self) -> dict[str, float]:
@@ -115,6 +115,11 @@ class OutputErrorFit:
         return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
 
     @property
+    def active(self) -> list[str]:
+        """Constraints that hold the estimates back, by name."""
+        return active(self.model, self.p)
+
+    @property
     def cost(self) -> float:
         """Weighted sum of squares of the simulation error."""
         return self.at.cost
@@ -132,6 +137,7 @@ def fit_output_error(
     *,
     start: Mapping[str, float] | None = None,
     compiled: bool | None = None,
+    constraints: Constraints = _PLAIN,
     progress: Report = lambda done, words: None,
 ) -> OutputErrorFit:
     """Fit the free parameters of a vehicle to several logs at once by the error of their simulation.
@@ -154,6 +160,8 @@ def fit_output_error(
         Starting values; by default those of a weak-form fit.
     compiled : bool, optional
         As for `Simulator`.
+    constraints : Constraints
+        What else is asked of the parameters.
     progress : callable
         Told what share is done, and what is being done.
 
@@ -164,22 +172,29 @@ def fit_output_error(
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
-    start = _weak_start(vehicle, runs, names) if start is None else start
-    model = WeakModel(Functions(vehicle), names)
-    p = np.array(model.functions.values(), dtype=float)
-    for name, value in start.items():
-        p[model.functions.parameter_names.index(name)] = value
-    p[list(model.places)] = np.clip(p[list(model.places)], *bounds_of(model))
+    model = constraints.model(vehicle, names)
+    p = started(model, weak_start(model, runs) if start is None else start)
     windows = cut(runs, vehicle, horizon)
     return _Descent(model, windows, compiled, progress).fit(p)
 
 
-def _weak_start(vehicle: Vehicle, runs: Sequence[Run], free: tuple[str, ...]) -> dict[str, float]:
+def weak_start(model: WeakModel, runs: Sequence[Run]) -> dict[str, float]:
+    """Values that a weak-form fit gives the free parameters; none where the runs are too short for one."""
     try:
-        data = prepare(runs, vehicle)
+        data = prepare(runs, model.functions.vehicle)
     except UndertowError:  # too short for test functions; the values of the file have to do
         return {}
-    return fit_weak(vehicle, data, free).values
+    return fit_weak(model, data).values
+
+
+def started(model: WeakModel, start: Mapping[str, float]) -> Array:
+    """All parameters at the start of a search: the vehicle's, some replaced, made physical."""
+    p = np.array(model.functions.values(), dtype=float)
+    for name, value in start.items():
+        p[model.functions.parameter_names.index(name)] = value
+    places, bounds = list(model.places), bounds_of(model)
+    p[places] = np.clip(p[places], *bounds)
+    return physical(model, p, bounds)
 
 
 @dataclass(frozen=True)
@@ -239,7 +254,7 @@ class _Descent:
         places = list(self.model.places)
         damping = state.damping
         while damping < _DAMPING[2]:
-            step = bounded_step(_damped(state.at, damping), state.p[places], self._bounds, self._prior)
+            step = limited_step(self.model, _damped(state.at, damping), state.p, self._bounds, self._prior)
             p = state.p.copy()
             p[places] = np.clip(p[places] + step, *self._bounds)
             starts = state.starts + state.at.start_step + state.at.start_slope @ step

@@ -177,7 +177,8 @@ class Shooting:
         reported, slope = self._late(*self._report_slopes(x, s, u[rows], t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
-        weighted = np.where(self._used[rows][..., None], slope * self.weight[:, None], 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is told by its cost
+            weighted = np.where(self._used[rows][..., None], slope * self.weight[:, None], 0.0)
         return self._eliminated(self._residual(reported, rows), weighted, t)
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:

@@ -11,14 +11,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
 
+from .constraints import Constraints, active, fitted_vehicle
 from .data import WeakData
-from .estimated import estimated
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
-from .step import bounded_step, bounds_of, inverse_of, prior_of, reach_of, within_reach
+from .step import bounds_of, inverse_of, limited_step, physical, prior_of, reach_of, within_reach
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -30,6 +29,7 @@ _MOVED = 0.05
 _MATCHING_STEPS = 4
 # Largest mean square of an equation that still counts as noise of the channels.
 _NOISE_EXPLAINS = 1.6
+_PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class WeakFit:
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with the fitted values and their standard errors."""
-        return estimated(self.model.functions.vehicle, self.values, self.standard_errors)
+        return fitted_vehicle(self.model, self.values, self.standard_errors)
 
     @cached_property
     def gram(self) -> Array:
@@ -117,6 +117,11 @@ class WeakFit:
         return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
 
     @property
+    def active(self) -> list[str]:
+        """Constraints that hold the estimates back, by name."""
+        return active(self.model, self.p)
+
+    @property
     def cost(self) -> float:
         """Sum of squares of the whitened residual."""
         return float(np.sum(self.at.r**2))
@@ -149,6 +154,7 @@ def fit_weak(
     disturbance: Array | None = None,
     max_iterations: int = _MAX_ITERATIONS,
     enough: float = 0.0,
+    constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle.
 
@@ -166,8 +172,10 @@ def fit_weak(
         Noise model to use; worked out from the residual of the fit itself where not given.
     enough : float
         Share of the sum of squares that a step has to promise for another to follow.
+    constraints : Constraints
+        What else is asked of the parameters of a vehicle; a WeakModel brings its own.
     """
-    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free)
+    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = _started(model.functions.vehicle, start or {})
     if whitening is not None and disturbance is not None:
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
@@ -176,8 +184,8 @@ def fit_weak(
     return settled(_solved(model, p, data, loud, disturbance, max_iterations))
 
 
-def _model_of(vehicle: Vehicle, free: Sequence[str] | None) -> WeakModel:
-    return WeakModel(Functions(vehicle), free_parameters(vehicle) if free is None else free)
+def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constraints) -> WeakModel:
+    return constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
 
 
 def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
@@ -247,7 +255,7 @@ def promise(
     fit = _solved(model, _started(model.functions.vehicle, start), data, whitening, disturbance, steps)
     places = list(model.places)
     bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
-    step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
+    step = limited_step(model, fit.at, fit.p, bounds, prior_of(model))
     after = np.clip(fit.p[places] + step, *bounds)
     return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True)), fit
 
@@ -270,10 +278,11 @@ def _solved(
     places = list(model.places)
     p = p.copy()
     p[places] = np.clip(p[places], *bounds)
+    p = physical(model, p, bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for _ in range(max_iterations):
-        step = bounded_step(at, p[places], within_reach(bounds, p[places], reach), prior)
+        step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break
