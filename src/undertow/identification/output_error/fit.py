@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..weak.data import prepare
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import Linearised, WeakModel
 from ..weak.step import bounds_of, inverse_of, limited_step, physical, prior_of
+from .losses import LOSSES, Loss, LossName, robust_scale
 from .shooting import Reduced, Shooting
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ HORIZON = 5.0
 _MAX_ITERATIONS = 40
 # Fall of the sum of squares below which nothing is left to gain.
 _ENOUGH = 1e-3
-_ROUNDS = 3
+_ROUNDS, _ROBUST_ROUNDS = 3, 20
 _SETTLED = 0.05
 # A log without noise would weigh infinitely: no channel counts as better known than this share of its rms.
 _FINEST = 1e-6
@@ -138,6 +139,7 @@ def fit_output_error(
     start: Mapping[str, float] | None = None,
     compiled: bool | None = None,
     constraints: Constraints = _PLAIN,
+    loss: LossName = "gaussian",
     progress: Report = lambda done, words: None,
 ) -> OutputErrorFit:
     """Fit the free parameters of a vehicle to several logs at once by the error of their simulation.
@@ -162,6 +164,9 @@ def fit_output_error(
         As for `Simulator`.
     constraints : Constraints
         What else is asked of the parameters.
+    loss : str
+        "gaussian" squares every error; "huber" and "student-t" let no outlier pull without limit, by weights
+        for each sample, worked out anew until they settle.
     progress : callable
         Told what share is done, and what is being done.
 
@@ -175,7 +180,8 @@ def fit_output_error(
     model = constraints.model(vehicle, names)
     p = started(model, weak_start(model, runs) if start is None else start)
     windows = cut(runs, vehicle, horizon)
-    return _Descent(model, windows, compiled, progress).fit(p)
+    descent = _Descent(model, windows, compiled, progress)
+    return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
 
 
 def weak_start(model: WeakModel, runs: Sequence[Run]) -> dict[str, float]:
@@ -207,6 +213,9 @@ class _State:
     damping: float
 
 
+_NOWHERE = Reduced(*[np.zeros(0)] * 2, float("inf"), *[np.zeros(0)] * 5)
+
+
 class _Descent:
     """Levenberg-Marquardt on the parameters, with the best starts for every step."""
 
@@ -233,6 +242,47 @@ class _Descent:
             state = self._settled(state.p, state.starts)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
+        )
+
+    def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
+        """Descend with weights for each sample by its error, until the parameters settle."""
+        state = _State(p, self._shooting.first_starts(p), _NOWHERE, _DAMPING[0])
+        for round_ in range(_ROBUST_ROUNDS):
+            self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")
+            scale = self._weighed(state, loss)
+            before, state = state.p, self._settled(state.p, state.starts)
+            if self._moved(state, before) < _SETTLED:
+                break
+        return self._robust(state, scale, loss)
+
+    def _weighed(self, state: _State, loss: Loss) -> Array:
+        """Weigh channels and samples by their errors at a state; scale of the errors of each channel."""
+        self._shooting.weight = self._weight
+        errors = self._shooting.errors(state.p, state.starts)
+        scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
+        scale = np.where(scale > 0, scale, 1.0)
+        self._shooting.weight = self._weight / scale
+        self._shooting.trust = loss.weight(np.nan_to_num(errors / scale))
+        return scale
+
+    def _moved(self, state: _State, before: Array) -> float:
+        """How far the parameters have come, in the standard deviations of the fit."""
+        places = list(self.model.places)
+        return float(np.linalg.norm(state.at.J @ (state.p[places] - before[places])))
+
+    def _robust(self, state: _State, scale: Array, loss: Loss) -> OutputErrorFit:
+        """The fit with weights by which its covariance is that of an estimate by this loss."""
+        errors = self._shooting.errors(state.p, state.starts)
+        found = [
+            loss.correction(e[np.isfinite(e)]) if used else (1.0, 1.0)
+            for e, used in zip(np.moveaxis(errors, 2, 0), state.at.counts > 0, strict=True)
+        ]
+        variance, score = np.array(found).T
+        self._shooting.weight = self._weight / (scale * np.sqrt(variance))
+        at = self._shooting.linearise(state.p, state.starts)
+        at = replace(at, scores=at.scores * float(np.average(score, weights=at.counts)))
+        return OutputErrorFit(
+            self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
         )
 
     def _settled(self, p: Array, starts: Array) -> _State:

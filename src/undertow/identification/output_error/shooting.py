@@ -74,6 +74,11 @@ class Shooting:
         Length of the parts of a window that count as independent of each other, s.
     compiled : bool, optional
         As for `Simulator`.
+
+    Attributes
+    ----------
+    trust : (b, k, 2n) array or None
+        Weight of each sample in the sum of squares, beside that of its channel; None: all alike.
     """
 
     def __init__(
@@ -87,6 +92,7 @@ class Shooting:
         compiled: bool | None = None,
     ) -> None:
         self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
+        self.trust: Array | None = None
         self.places = [functions.parameter_names.index(n) for n in free]
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
@@ -119,8 +125,17 @@ class Shooting:
     # --- simulation ---------------------------------------------------------------------------
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
         """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
-        error = (reported - self.windows.measured[rows]) * self.weight
+        error = (reported - self.windows.measured[rows]) * self._weights(rows)
         return np.where(self._used[rows], error, 0.0)
+
+    def _weights(self, rows: slice) -> Array:
+        """What errors are multiplied with, of a shape that broadcasts to (b, k, 2n)."""
+        return self.weight if self.trust is None else self.weight * np.sqrt(self.trust[rows])
+
+    def errors(self, p: Array, starts: Array) -> Array:
+        """Simulation error over the noise of its channel, whatever its trust; NaN where nothing was measured."""
+        reported = self.predictor.reports(self.windows, p, starts)
+        return np.where(self._used, (reported - self.windows.measured) * self.weight, np.nan)
 
     @cached_property
     def _used(self) -> NDArray[np.bool_]:
@@ -178,7 +193,7 @@ class Shooting:
         for k, values in finite.items():
             slope[..., k] = values[rows]
         with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is told by its cost
-            weighted = np.where(self._used[rows][..., None], slope * self.weight[:, None], 0.0)
+            weighted = np.where(self._used[rows][..., None], slope * self._weights(rows)[..., None], 0.0)
         return self._eliminated(self._residual(reported, rows), weighted, t)
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:

@@ -29,6 +29,9 @@ _SHORTEST_BLOCK = 1.0
 # Quadrature over samples is not exact, so no channel counts as better known than this share of its change
 # in 1 s.
 _FINEST = 2e-3
+# Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the covariance
+# of the residual stays well conditioned.
+DOUBT = 30.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ class Segment:
         Commands.
     functions : TestFunctions
         Test functions on the segment.
+    doubted : (N, 2n) array of bool or None
+        Samples that count as hardly known.
     """
 
     run: int
@@ -57,6 +62,7 @@ class Segment:
     measured: Array
     u: Array
     functions: TestFunctions
+    doubted: NDArray[np.bool_] | None = None
 
     @property
     def samples(self) -> slice:

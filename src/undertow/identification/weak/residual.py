@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
-from .data import Segment, WeakData
+from .data import DOUBT, Segment, WeakData
 from .drive import Chain, Driven, Memory, without_gaps
 from .entries import Entries
 from .lateness import Lateness
@@ -141,7 +141,8 @@ class WeakModel:
         function = self._points.noise
         (slope,) = nonzeros(function, [*inputs, p, s.t[:, None]], len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
-        noise = residual_covariance(s.functions, slopes, data.sigma, data.rows, data.derived, s.t)
+        sigma = data.sigma if s.doubted is None else np.where(s.doubted, DOUBT, 1.0) * data.sigma
+        noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
