@@ -11,9 +11,11 @@ from undertow.model.vehicle import Vehicle
 from .fitted import Fitted
 from .logs import Run
 from .output_error import fit_output_error
+from .output_error.losses import LossName
 from .weak.constraints import Constraints
 from .weak.data import prepare
 from .weak.fit import fit_weak
+from .weak.spikes import without_spikes
 
 Report = Callable[[float, str], None]
 Method = Literal["weak", "output-error"]
@@ -31,11 +33,16 @@ class Estimator:
         Length of the windows that output error simulates, s; None for whole stretches.
     constraints : Constraints
         What is asked of the parameters.
+    loss : str
+        "gaussian", or "huber" or "student-t" where there are outliers. Output error then weighs every sample by
+        its error; the weak form, whose residuals are sums over many samples, leaves samples out that stand
+        more than five standard deviations off their neighbours.
     """
 
     method: Method = "weak"
     horizon: float | None = 5.0
     constraints: Constraints = field(default_factory=Constraints)
+    loss: LossName = "gaussian"
 
     def fit(
         self,
@@ -63,7 +70,8 @@ class Estimator:
             If a channel is missing, a log is too short, or constraints contradict each other.
         """
         if self.method == "weak":
-            return fit_weak(vehicle, prepare(runs, vehicle), free, constraints=self.constraints)
-        return fit_output_error(
-            vehicle, runs, free, self.horizon, constraints=self.constraints, progress=progress
-        )
+            data = prepare(runs, vehicle)
+            data = data if self.loss == "gaussian" else without_spikes(data)
+            return fit_weak(vehicle, data, free, constraints=self.constraints)
+        asked = {"constraints": self.constraints, "progress": progress}
+        return fit_output_error(vehicle, runs, free, self.horizon, loss=self.loss, **asked)

@@ -213,9 +213,6 @@ class _State:
     damping: float
 
 
-_NOWHERE = Reduced(*[np.zeros(0)] * 2, float("inf"), *[np.zeros(0)] * 5)
-
-
 class _Descent:
     """Levenberg-Marquardt on the parameters, with the best starts for every step."""
 
@@ -246,7 +243,8 @@ class _Descent:
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Descend with weights for each sample by its error, until the parameters settle."""
-        state = _State(p, self._shooting.first_starts(p), _NOWHERE, _DAMPING[0])
+        starts = self._shooting.first_starts(p)
+        state = _State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
         for round_ in range(_ROBUST_ROUNDS):
             self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")
             scale = self._weighed(state, loss)

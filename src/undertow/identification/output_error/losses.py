@@ -14,7 +14,7 @@ LossName = Literal["gaussian", "huber", "student-t"]
 # Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber, Robust
 # Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
 _HUBER = 1.345
-# Degrees of freedom, kept fixed as Lange, Little and Taylor (J. American Statistical Association 84, 1989) do.
+# Degrees of freedom, kept fixed (Lange, Little and Taylor, J. American Statistical Association 84, 1989).
 _FREEDOM = 4.0
 _GAUSSIAN_MAD = 1.4826
 

@@ -133,7 +133,7 @@ class Shooting:
         return self.weight if self.trust is None else self.weight * np.sqrt(self.trust[rows])
 
     def errors(self, p: Array, starts: Array) -> Array:
-        """Simulation error over the noise of its channel, whatever its trust; NaN where nothing was measured."""
+        """Simulation error over the noise of its channel, whatever its trust; NaN where there is none."""
         reported = self.predictor.reports(self.windows, p, starts)
         return np.where(self._used, (reported - self.windows.measured) * self.weight, np.nan)
 

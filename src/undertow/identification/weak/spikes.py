@@ -1,7 +1,7 @@
 """Samples that stand far off what their neighbours say, taken out of the weak form.
 
-A test function spans many samples, so that one spike spoils all of it, and several residuals. So the sample is
-what is doubted, not the residual: it counts as hardly known, and takes no part where its neighbours do.
+A test function spans many samples, and a sample is seen by several: one spike spoils them all. So the sample
+is what is doubted, not the residual: it counts as hardly known.
 """
 
 from __future__ import annotations
