@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
+import numpy as np
+
 from undertow.cli._progress import Report
 from undertow.cli._show import console, section, table, text
 from undertow.errors import UndertowError
@@ -18,6 +20,7 @@ from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.estimators import Estimator
 from undertow.identification.fitted import Fitted, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.logs import Run
+from undertow.identification.prediction_error import PredictionErrorFit
 from undertow.identification.weak.constraints import follower_errors, followers, written
 from undertow.identification.weak.data import channel_noise
 from undertow.identification.weak.estimated import NOTHING_SAID
@@ -94,7 +97,7 @@ def show(done: Refit) -> None:
     out = console()
     section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
     out.print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
-    for line in [*_tied(done), *done.fit.active]:
+    for line in [*_tied(done), *done.fit.active, *_disturbed(done.fit)]:
         out.print(text(f"  {line}"), soft_wrap=True)
     for line in _combined(done.fit):
         out.print(text(f"  {line}", "yellow"), soft_wrap=True)
@@ -108,7 +111,12 @@ def show(done: Refit) -> None:
 
 
 _BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"
-_METHODS = {"weak": "the weak form", "output-error": "output error"}
+_METHODS = {
+    "weak": "the weak form",
+    "integral": "the integral form",
+    "output-error": "output error",
+    "prediction-error": "prediction error",
+}
 
 
 def _parameters(done: Refit) -> object:
@@ -135,6 +143,18 @@ def _tied(done: Refit) -> list[str]:
             f"{name} = {shown:.5g} ± {errors[name]:.2g}, tied to {fit.model.functions.equal[name][0]}"
         )
     return lines
+
+
+def _disturbed(fit: Fitted) -> list[str]:
+    """What prediction error found to push the vehicle beside its model."""
+    if not isinstance(fit, PredictionErrorFit):
+        return []
+    told = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
+    slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.wander.items())
+    return [
+        f"a disturbance changes velocities by {told} in a second (SI); its slow part wanders by {slow} in "
+        "acceleration"
+    ]
 
 
 def _combined(fit: Fitted) -> list[str]:
@@ -177,7 +197,8 @@ def history(done: Refit) -> dict[str, object]:
 def _options(done: Refit) -> list[str]:
     e = done.estimator
     tied = [f'--equal "{text}"' for text in written(e.constraints.equal, done.stated)]
-    return [f"--method {e.method}", *tied, *(["--dissipative"] if e.constraints.dissipative else [])]
+    loss = [] if e.loss == "gaussian" else [f"--loss {e.loss}"]
+    return [f"--method {e.method}", *loss, *tied, *(["--dissipative"] if e.constraints.dissipative else [])]
 
 
 def write(done: Refit, template: Path, target: Path) -> None:

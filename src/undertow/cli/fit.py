@@ -1,10 +1,17 @@
 """Refit the parameters that a vehicle file marks as estimated, and judge the result on data kept aside.
 
-By the weak form (quick, needs no simulation), or by output error: simulation of many windows with the start
-of each estimated, too (the final word). Every value comes with its standard error; values that the logs do
-not determine, or that are far from what was stated before, are pointed out.
+By the weak form (quick, needs no simulation; integral is its simplest kind), by output error: simulation of
+many windows with the start of each estimated, too (the final word), or by prediction error where something
+pushes the vehicle that no log holds: its strength is estimated with the parameters. Every value comes with
+its standard error; values that the logs do not determine, or that are far from what was stated before, are
+pointed out.
 
     undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
+
+Where sensors have outliers, --loss huber or student-t keeps them from pulling (by output error; the weak form
+leaves out samples that stand off their neighbours).
+
+    undertow fit rov.toml run1.csv run2.csv --method output-error --loss student-t
 
 The mass matrix stays positive, and coefficients keep within what is physical. Coefficients that are known
 to be alike are fitted as one, with --equal; stated standard deviations (sigma) hold what logs leave open.
@@ -34,7 +41,8 @@ from undertow.cli._vehicle_and_logs import (
     VehicleArgument,
 )
 
-_METHOD = typer.Option("--method", help="The weak form, or simulation (output error).")
+_METHOD = typer.Option("--method", help="Weak form, or simulation without or with a disturbance.")
+_LOSS = typer.Option("--loss", help="How much an error counts: squares, or less for outliers.")
 _EQUAL = typer.Option(
     "--equal", metavar='"A = B"', help='Fit A as B, or as a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
 )
@@ -48,7 +56,8 @@ def fit(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     holdout: HoldoutOption = None,
-    method: Annotated[Literal["weak", "output-error"], _METHOD] = "weak",
+    method: Annotated[Literal["weak", "integral", "output-error", "prediction-error"], _METHOD] = "weak",
+    loss: Annotated[Literal["gaussian", "huber", "student-t"], _LOSS] = "gaussian",
     horizon: Annotated[float, _HORIZON] = 5.0,
     equal: Annotated[list[str] | None, _EQUAL] = None,
     dissipative: Annotated[bool, _DISSIPATIVE] = False,
@@ -75,7 +84,7 @@ def fit(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
     )
     constraints = Constraints(read_equalities(equal or [], loaded.vehicle), dissipative)
-    estimator = Estimator(method, horizon, constraints)
+    estimator = Estimator(method, horizon, constraints, loss)
     with progress("fitting") as tell:
         done = refit(loaded.vehicle, loaded.train, loaded.holdout, estimator, horizon, tell)
     show(done)

@@ -6,19 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from .fitted import Fitted
 from .logs import Run
 from .output_error import fit_output_error
 from .output_error.losses import LossName
+from .prediction_error import fit_prediction_error
 from .weak.constraints import Constraints
 from .weak.data import prepare
 from .weak.fit import fit_weak
 from .weak.spikes import without_spikes
+from .weak.testfunctions import boxes, test_functions
 
 Report = Callable[[float, str], None]
-Method = Literal["weak", "output-error"]
+Method = Literal["weak", "integral", "output-error", "prediction-error"]
+_FAMILIES = {"weak": test_functions, "integral": boxes}
 
 
 @dataclass(frozen=True)
@@ -28,14 +32,15 @@ class Estimator:
     Attributes
     ----------
     method : str
-        "weak" or "output-error".
+        "weak", "integral" (the weak form with boxes for test functions), "output-error" or "prediction-error"
+        (output error with a disturbance).
     horizon : float or None
         Length of the windows that output error simulates, s; None for whole stretches.
     constraints : Constraints
         What is asked of the parameters.
     loss : str
-        "gaussian", or "huber" or "student-t" where there are outliers. Output error then weighs every sample by
-        its error; the weak form, whose residuals are sums over many samples, leaves samples out that stand
+        "gaussian", or "huber" or "student-t" where there are outliers. Output error then weighs every sample
+        by its error; the weak form, whose residuals are sums over many samples, leaves samples out that stand
         more than five standard deviations off their neighbours.
     """
 
@@ -67,11 +72,31 @@ class Estimator:
         Raises
         ------
         UndertowError
-            If a channel is missing, a log is too short, or constraints contradict each other.
+            If a channel is missing, a log is too short, constraints contradict each other, or the method has
+            no such loss.
         """
-        if self.method == "weak":
-            data = prepare(runs, vehicle)
+        if self.method in _FAMILIES:
+            data = prepare(runs, vehicle, family=_FAMILIES[self.method])
             data = data if self.loss == "gaussian" else without_spikes(data)
             return fit_weak(vehicle, data, free, constraints=self.constraints)
-        asked = {"constraints": self.constraints, "progress": progress}
-        return fit_output_error(vehicle, runs, free, self.horizon, loss=self.loss, **asked)
+        if self.method == "prediction-error":
+            return self._by_prediction(vehicle, runs, free, progress)
+        return fit_output_error(
+            vehicle,
+            runs,
+            free,
+            self.horizon,
+            constraints=self.constraints,
+            loss=self.loss,
+            progress=progress,
+        )
+
+    def _by_prediction(
+        self, vehicle: Vehicle, runs: Sequence[Run], free: Sequence[str] | None, progress: Report
+    ) -> Fitted:
+        if self.loss != "gaussian":
+            raise UndertowError(
+                f"loss '{self.loss}' is none of prediction error, which would take outliers for a "
+                "disturbance: use --method output-error, or weak"
+            )
+        return fit_prediction_error(vehicle, runs, free, constraints=self.constraints, progress=progress)

@@ -14,11 +14,12 @@ from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import Windows, cut
-from ..weak.constraints import Constraints, active, fitted_vehicle
+from ..weak.constraints import Constraints
 from ..weak.data import prepare
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import Linearised, WeakModel
-from ..weak.step import bounds_of, inverse_of, limited_step, physical, prior_of
+from ..weak.solution import Solution, clustered
+from ..weak.step import bounds_of, limited_step, physical, prior_of
 from .losses import LOSSES, Loss, LossName, robust_scale
 from .shooting import Reduced, Shooting
 
@@ -37,7 +38,7 @@ _PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
-class OutputErrorFit:
+class OutputErrorFit(Solution):
     """A model fitted to logs by its simulation error.
 
     Attributes
@@ -67,16 +68,6 @@ class OutputErrorFit:
     iterations: int
 
     @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle with the fitted values and their standard errors."""
-        return fitted_vehicle(self.model, self.values, self.standard_errors)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values of the free parameters, SI and SNAME signs."""
-        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
-
-    @property
     def gram(self) -> Array:
         """J' J of the weighted error with the starts eliminated, shape (n_free, n_free)."""
         return self.at.J.T @ self.at.J
@@ -97,28 +88,8 @@ class OutputErrorFit:
         with clusters inflates the covariance where errors of one window hang together.
         """
         information = self.gram + np.diag(prior_of(self.model)[1] ** 2)
-        inverse = inverse_of(information)
-        groups = self.at.scores
-        clustered = groups.T @ groups * len(groups) / max(len(groups) - 1, 1)
-        robust = np.diag(inverse @ clustered @ inverse)
-        inflation = np.sqrt(np.maximum(1.0, robust / np.maximum(np.diag(inverse), 1e-300)))
-        return inverse * np.outer(inflation, inflation)
-
-    @cached_property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard error of every free parameter."""
-        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the scaled sensitivities."""
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
-
-    @property
-    def active(self) -> list[str]:
-        """Constraints that hold the estimates back, by name."""
-        return active(self.model, self.p)
+        groups = len(self.at.scores)
+        return clustered(information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
 
     @property
     def cost(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -169,9 +169,21 @@ class Shooting:
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""
-        return {k: self._difference(p, starts, self.places[k]) for k in self._indirect}
+        return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts))
 
-    def _difference(self, p: Array, starts: Array, place: int) -> Array:
+    def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
+        """Derivatives in those free parameters that act before a window starts, by finite differences.
+
+        Parameters
+        ----------
+        p : (n_parameters,) array
+            Where to differentiate.
+        of : callable
+            What to differentiate, from all parameters.
+        """
+        return {k: self._difference(p, of, self.places[k]) for k in self._indirect}
+
+    def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
         step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
         high, low = p[place] + step, p[place] - step
@@ -181,7 +193,7 @@ class Shooting:
         for value in (high, low):
             moved = p.copy()
             moved[place] = value
-            ends.append(self.predictor.reports(self.windows, moved, starts))
+            ends.append(of(moved))
         return np.asarray((ends[0] - ends[1]) / (high - low))
 
     def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Reduced:
@@ -189,7 +201,7 @@ class Shooting:
         x, s = self.predictor.simulator.run_with_sensitivities(
             start[rows], t, u[rows], p, self.places, initial=range(self._size)
         )
-        reported, slope = self._late(*self._report_slopes(x, s, u[rows], t, p), rows, p)
+        reported, slope = self._late(*self.report_slopes(x, s, u[rows], t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
         with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is told by its cost
@@ -205,7 +217,7 @@ class Shooting:
         still = np.zeros((*before.shape, slope.shape[3]))
         return reported_late(reported, t, seconds, before), reported_late(slope, t, seconds, still)
 
-    def _report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
+    def report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
         """Report (b, k, 2n) and its derivative in free parameters and starts (b, k, 2n, n_free + 2n)."""
         if self.predictor.sensors_are_true:
             return x[..., : self._size], s[..., : self._size, :].copy()

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
 
-from .constraints import Constraints, active, fitted_vehicle
+from .constraints import Constraints
 from .data import WeakData
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
-from .step import bounds_of, inverse_of, limited_step, physical, prior_of, reach_of, within_reach
+from .solution import Solution, clustered
+from .step import bounds_of, limited_step, physical, prior_of, reach_of, within_reach
+from .step import inverse_of as inverse_of  # the diagnosis takes it from here
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -33,7 +35,7 @@ _PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
-class WeakFit:
+class WeakFit(Solution):
     """A model fitted to logs in the weak form.
 
     Attributes
@@ -62,11 +64,6 @@ class WeakFit:
     disturbance: Array
     iterations: int
 
-    @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle with the fitted values and their standard errors."""
-        return fitted_vehicle(self.model, self.values, self.standard_errors)
-
     @cached_property
     def gram(self) -> Array:
         """J' J of the whitened residual, shape (n_free, n_free)."""
@@ -91,35 +88,11 @@ class WeakFit:
 
         Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
         """
-        inverse = inverse_of(self.information)
         scores = self.at.J * self.at.r[:, None]
         block = self.data.block
         summed = np.zeros((int(block.max(initial=0)) + 1, scores.shape[1]))
         np.add.at(summed, block, scores)
-        robust = inverse @ (summed.T @ summed) @ inverse
-        inflation = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(inverse), 1e-300)))
-        return inverse * np.outer(inflation, inflation)
-
-    @property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard error of every free parameter."""
-        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)), strict=True))
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the scaled regressor."""
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values of the free parameters."""
-        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
-
-    @property
-    def active(self) -> list[str]:
-        """Constraints that hold the estimates back, by name."""
-        return active(self.model, self.p)
+        return clustered(self.information, summed)
 
     @property
     def cost(self) -> float:
