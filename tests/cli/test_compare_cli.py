@@ -89,7 +89,7 @@ def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
 # --- fit --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["weak", "integral", "output-error", "prediction-error"])
+@pytest.mark.parametrize("method", ["weak", "integral", "instrumental", "output-error", "prediction-error"])
 def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str], method: str) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml"]
     assert main(words) == 0
@@ -191,4 +191,4 @@ def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
     told = tomllib.loads(Path("new.toml").read_text())["history"][0]
     assert told["command"] == "undertow fit --method output-error --loss huber"
     assert main([*words, "--method", "prediction-error"]) == 2
-    assert "'huber' is none of prediction error" in capsys.readouterr().err
+    assert "'huber' is none of --method prediction-error" in capsys.readouterr().err

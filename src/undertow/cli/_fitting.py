@@ -114,6 +114,7 @@ _BOUND = "bound: the error that the noise of the sensors alone would leave (Cram
 _METHODS = {
     "weak": "the weak form",
     "integral": "the integral form",
+    "instrumental": "instrumental variables on the weak form",
     "output-error": "output error",
     "prediction-error": "prediction error",
 }

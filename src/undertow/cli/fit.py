@@ -2,9 +2,10 @@
 
 By the weak form (quick, needs no simulation; integral is its simplest kind), by output error: simulation of
 many windows with the start of each estimated, too (the final word), or by prediction error where something
-pushes the vehicle that no log holds: its strength is estimated with the parameters. Every value comes with
-its standard error; values that the logs do not determine, or that are far from what was stated before, are
-pointed out.
+pushes the vehicle that no log holds: its strength is estimated with the parameters. Instrumental variables
+take the bias out of the weak form that noisy velocities cause, by regressors of the simulated motion. Every
+value comes with its standard error; values that the logs do not determine, or that are far from what was
+stated before, are pointed out.
 
     undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
 
@@ -56,7 +57,9 @@ def fit(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     holdout: HoldoutOption = None,
-    method: Annotated[Literal["weak", "integral", "output-error", "prediction-error"], _METHOD] = "weak",
+    method: Annotated[
+        Literal["weak", "integral", "instrumental", "output-error", "prediction-error"], _METHOD
+    ] = "weak",
     loss: Annotated[Literal["gaussian", "huber", "student-t"], _LOSS] = "gaussian",
     horizon: Annotated[float, _HORIZON] = 5.0,
     equal: Annotated[list[str] | None, _EQUAL] = None,

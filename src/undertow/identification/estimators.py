@@ -17,11 +17,12 @@ from .prediction_error import fit_prediction_error
 from .weak.constraints import Constraints
 from .weak.data import prepare
 from .weak.fit import fit_weak
+from .weak.instrumental import fit_instrumental
 from .weak.spikes import without_spikes
 from .weak.testfunctions import boxes, test_functions
 
 Report = Callable[[float, str], None]
-Method = Literal["weak", "integral", "output-error", "prediction-error"]
+Method = Literal["weak", "integral", "instrumental", "output-error", "prediction-error"]
 _FAMILIES = {"weak": test_functions, "integral": boxes}
 
 
@@ -32,10 +33,11 @@ class Estimator:
     Attributes
     ----------
     method : str
-        "weak", "integral" (the weak form with boxes for test functions), "output-error" or "prediction-error"
-        (output error with a disturbance).
+        "weak", "integral" (the weak form with boxes for test functions), "instrumental" (the weak form with
+        simulated regressors), "output-error" or "prediction-error" (output error with a disturbance).
     horizon : float or None
-        Length of the windows that output error simulates, s; None for whole stretches.
+        Length of the windows that output error and instrumental variables simulate, s; None for whole
+        stretches.
     constraints : Constraints
         What is asked of the parameters.
     loss : str
@@ -79,8 +81,8 @@ class Estimator:
             data = prepare(runs, vehicle, family=_FAMILIES[self.method])
             data = data if self.loss == "gaussian" else without_spikes(data)
             return fit_weak(vehicle, data, free, constraints=self.constraints)
-        if self.method == "prediction-error":
-            return self._by_prediction(vehicle, runs, free, progress)
+        if self.method in ("prediction-error", "instrumental"):
+            return self._by_squares(vehicle, runs, free, progress)
         return fit_output_error(
             vehicle,
             runs,
@@ -91,12 +93,15 @@ class Estimator:
             progress=progress,
         )
 
-    def _by_prediction(
+    def _by_squares(
         self, vehicle: Vehicle, runs: Sequence[Run], free: Sequence[str] | None, progress: Report
     ) -> Fitted:
+        """Methods that have no other loss."""
         if self.loss != "gaussian":
             raise UndertowError(
-                f"loss '{self.loss}' is none of prediction error, which would take outliers for a "
-                "disturbance: use --method output-error, or weak"
+                f"loss '{self.loss}' is none of --method {self.method}, which would take outliers for "
+                "something else: use output-error, or weak"
             )
+        if self.method == "instrumental":
+            return fit_instrumental(vehicle, runs, free, self.horizon, constraints=self.constraints)
         return fit_prediction_error(vehicle, runs, free, constraints=self.constraints, progress=progress)
