@@ -55,8 +55,7 @@ def held_force(t: Array) -> Array:
     return force(t + STEP / 2)
 
 
-def drag(u: Array) -> Array:
-    """Drag at a velocity, N."""
+def _drag(u: Array) -> Array:
     return EXACT[1] * u + EXACT[2] * np.abs(u) * u
 
 
@@ -67,10 +66,10 @@ def _path() -> Array:
     u = np.zeros(1)
     path = [u]
     for push in force(grid[:-1] + STEP / 2):
-        k1 = (push - drag(u)) / EXACT[0]
-        k2 = (push - drag(u + STEP / 2 * k1)) / EXACT[0]
-        k3 = (push - drag(u + STEP / 2 * k2)) / EXACT[0]
-        k4 = (push - drag(u + STEP * k3)) / EXACT[0]
+        k1 = (push - _drag(u)) / EXACT[0]
+        k2 = (push - _drag(u + STEP / 2 * k1)) / EXACT[0]
+        k3 = (push - _drag(u + STEP / 2 * k2)) / EXACT[0]
+        k4 = (push - _drag(u + STEP * k3)) / EXACT[0]
         u = u + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         path.append(u)
     return np.concatenate(path)
@@ -104,7 +103,7 @@ def logs(noise: float, seed: int, mirrored: bool) -> tuple[Run, Run]:
     sign = -1.0 if mirrored else 1.0
     t, every = times(False), times(True)
     u, sigma = velocity(t), spread(noise)
-    rate = (force(t) - drag(u)) / EXACT[0] + ACCELERATION_NOISE * (noise > 0) * rng.standard_normal(len(t))
+    rate = (force(t) - _drag(u)) / EXACT[0] + ACCELERATION_NOISE * (noise > 0) * rng.standard_normal(len(t))
     reading = velocity(every) + sigma * rng.standard_normal(len(every))
     sampled = {"u": reading[np.isin(every, t)], "u_dot": rate, "tau_X": force(t)}
     held = {"u": reading, "tau_X": held_force(every)}

@@ -14,7 +14,7 @@ from undertow.identification.logs import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 
-from .profile import EXACT, MASS, drag, vehicle
+from .profile import EXACT, MASS, vehicle
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -79,9 +79,11 @@ def steps(rng: np.random.Generator, count: int, size: float) -> Array:
 def driven(force: Array, current: float) -> Array:
     """Velocity over ground at the samples, by the classical Runge-Kutta method."""
     step, u, path = INTERVAL / FINE, current, []
+    mass, linear, quadratic = EXACT.tolist()
 
     def rate(u: float, push: float) -> float:
-        return float((push - drag(np.array(u - current))) / EXACT[0])
+        through = u - current
+        return float((push - linear * through - quadratic * abs(through) * through) / mass)
 
     for push in force.tolist():
         path.append(u)
