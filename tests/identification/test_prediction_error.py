@@ -10,6 +10,7 @@ from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with
 from tests.identification.long_surge import EXACT, simulated, steps
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.errors import UndertowError
+from undertow.identification import velocities_from_pose
 from undertow.identification.fitted import cramer_rao, verdicts
 from undertow.identification.logs import Run
 from undertow.identification.output_error import fit_output_error
@@ -86,6 +87,18 @@ def test_three_degrees_of_freedom_with_pose_and_an_own_state() -> None:
     assert isinstance(fit, PredictionErrorFit)
     # Two runs: no window goes on from the end of one to the start of the other.
     assert int(np.sum(fit.passed.window == 0)) == 12
+
+
+def test_a_pose_alone_is_enough() -> None:
+    clean = surge_run()
+    x = np.concatenate([[0.0], np.cumsum(0.1 * (clean.channels["u"][1:] + clean.channels["u"][:-1]))])
+    noisy = x + 1e-3 * np.random.default_rng(2).standard_normal(len(x))
+    run = velocities_from_pose(Run("x", clean.t, {"x": noisy, "tau_X": clean.channels["tau_X"]}), ["surge"])
+    fit, other = fit_prediction_error(VEHICLE, [run]), fit_output_error(VEHICLE, [run], horizon=None)
+    assert np.isnan(fit.mean_square()[1])
+    for name, error in other.standard_errors.items():
+        assert fit.values[name] == pytest.approx(other.values[name], abs=4 * error)
+        assert fit.standard_errors[name] < 5 * error
 
 
 def test_what_it_cannot_follow_is_told() -> None:

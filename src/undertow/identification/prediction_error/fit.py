@@ -225,7 +225,10 @@ class _Search:
         self._finest = (_FINEST * rms) ** 2
         known = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 1.0) ** 2
         variance = np.maximum(known, self._finest)
-        velocity = variance[size // 2 :] / float(np.median(self._seconds))
+        seconds = float(np.median(self._seconds))
+        # What no sensor measures is known as well as differences of the pose tell it.
+        lacking, pose = weight[size // 2 :] == 0, variance[: size // 2]
+        velocity = np.where(lacking, pose / seconds**2, variance[size // 2 :]) / seconds
         intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / _SLOW**2])
         return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * _VAGUE))
 
@@ -253,7 +256,7 @@ class _Search:
             state = replace(state, passed=self._pass(state.linear, self._noise))
             if promised < _ENOUGH and abs(self._cost(state) - before) < _SETTLED:
                 break
-        quiet = replace(self._noise, intensity=0.0 * self._noise.intensity)
+        quiet = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
         passes = state.passed, self._pass(state.linear, quiet)
         return PredictionErrorFit(
             self.model, state.p, self._chained.windows, state.starts, *passes, self._noise, iteration
