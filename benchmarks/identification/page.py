@@ -61,10 +61,11 @@ four seconds, {draws} draws; noise of the velocity in shares of its rms; no acce
 of the truth ± its standard error by the number of draws:
 """
 _CURRENT = """\
-Integrals over test functions leave little of the bias of least squares, at noise that sensors have; the rest
-goes with instrumental variables (regressors of the simulated motion) or output error. None of them helps
-against water that moves by 0.1 or 0.2 m/s while the model takes the velocity over ground for that through
-the water (2 % noise): that takes the effect `ocean_current` in the model.
+Integrals over test functions leave little of the bias of least squares; what is left shows at noise that is
+large beside the motion, and goes with instrumental variables (regressors and weights by the simulated motion)
+or output error. None of them helps against water that moves by 0.1 or 0.2 m/s while the model takes the
+velocity over ground for that through the water (2 % noise): that takes the effect `ocean_current` in the
+model. (A bias of -100 % of X_u is its bound.)
 """
 _HARDSHIPS = """\
 ## Outliers, and forces that nobody logs

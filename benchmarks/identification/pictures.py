@@ -70,5 +70,5 @@ def against_noise(found: Sequence[Bias]) -> Figure:
             axis.axhline(0.0, color=INK, linewidth=0.8)
             axis.set_xlabel("noise of the velocity, % of its rms")
             axis.set_ylabel(f"bias of {label} [%]")
-        axes[0, 0].legend(fontsize=7, loc="lower left")
+        axes[0, 1].legend(fontsize=7, loc="lower left")
     return picture

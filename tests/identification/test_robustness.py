@@ -16,7 +16,7 @@ from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak
 from undertow.identification.weak.step import inverse_of
 
-DRAWS, SAMPLES = 24, 2000
+DRAWS, SAMPLES = 24, 1500
 VEHICLE = surge_vehicle()
 
 
@@ -88,4 +88,4 @@ def test_feedback_of_the_noise_does_not_bias_the_fit_but_least_squares() -> None
     # 24 draws know a mean to a fifth of a standard deviation.
     assert np.all(bias(by_output) < 0.6)
     assert np.all(bias(by_weak) < 0.8)
-    assert np.max(bias(by_squares)) > 5
+    assert np.all(bias(by_squares) > 2)

@@ -25,7 +25,7 @@ from ..compare.cutting import Windows, cut
 from ..compare.predictor import Predictor
 from .constraints import Constraints
 from .data import Segment, WeakData, prepare
-from .fit import WeakFit, fit_weak, free_parameters
+from .fit import WeakFit, disturbed, fit_weak, free_parameters
 from .residual import Linearised, WeakModel, whitened
 from .step import bounds_of, limited_step, prior_of
 
@@ -98,8 +98,11 @@ class _Instruments:
 
     def _at(self, p: Array) -> Linearised:
         """Whitened residual of the measured motion less its excess, and the instruments."""
-        data, whitening = self._plain.data, self._plain.whitening
+        data = self._plain.data
         simulated = self._simulated(p)
+        # Weights by the measured motion would know of its noise as well.
+        quiet = self._model.whitening(simulated, p)
+        whitening = disturbed(quiet, self._plain.disturbance, simulated)
         smooth = self._model.linearise(simulated, p)
         excess = self._excess(simulated, [part.r for part in smooth], p)
         measured = self._model.linearise(data, p)
