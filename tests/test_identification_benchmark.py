@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.identification import hardships, variables
 from benchmarks.identification.cfd import estimates
-from benchmarks.identification.page import page
+from benchmarks.identification.hardships import ESTIMATORS, OUTLIERS
+from benchmarks.identification.page import BIASES, Beyond, page
+from benchmarks.identification.pictures import draw_biases
 from benchmarks.identification.profile import EXACT, INTERVAL, JUMPS, logs
 from benchmarks.identification.study import METHODS, OUTPUT, study
 from tests.identification.test_least_squares import profile_p
@@ -44,6 +47,29 @@ def test_few_draws_give_the_known_bound_and_errors_near_it() -> None:
     assert "case 11, the paper's choice" in text
 
 
+def test_one_draw_of_everything_beside_profile_p_makes_its_sections(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(variables, "NOISES", (0.05,))
+    monkeypatch.setattr(variables, "CURRENTS", (0.2,))
+    monkeypatch.setattr(variables, "DURATION", 60.0)
+    found = variables.biases(1, lambda done, words: None)
+    known = [b for b in found if variables.KNOWN in b.method]
+    assert {b.method for b in found if not b.current} == set(variables.METHODS)
+    # One minute is enough to see the current, and to see what it does to a model without it.
+    assert all(abs(b.mean[0]) < 1 for b in known)
+    assert max(abs(b.mean[2]) for b in found if b.current and b not in known) > 30
+    hard = [hardships._of(OUTLIERS, m, e, [hardships.log(OUTLIERS, 1)]) for m, e in ESTIMATORS.items()]
+    off = {h.method: h.rmse[0] for h in hard}
+    assert off["output error, Huber"] < off["output error"]
+    text = "\n".join(Beyond(1, found, hard).parts())
+    assert "| 5 % | instrumental variables |" in text
+    assert f"| 0.2 m/s | output error, {variables.KNOWN} |" in text
+    assert f"| {OUTLIERS} | prediction error |" in text
+    draw_biases(found, tmp_path / "biases.png")
+    assert (tmp_path / "biases.png").stat().st_size > 10_000
+
+
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the CFD runs are not there ({DATA})")
 def test_the_box_hull_by_all_methods() -> None:
     found = {(e.log, e.method): e for e in estimates(DATA)}
@@ -58,4 +84,7 @@ def test_the_page_in_docs_is_of_this_program() -> None:
     text = (ROOT / "docs" / "identification.md").read_text(encoding="utf-8")
     for noise in ("0.5 %", "2 %", "5 %", "10 %"):
         assert f"| {noise} | output error |" in text
-    assert (ROOT / "docs" / "images" / "identification-spread.png").is_file()
+    for method in (*variables.METHODS, *ESTIMATORS):
+        assert f"| {method} |" in text
+    for picture in ("identification-spread.png", BIASES):
+        assert (ROOT / "docs" / "images" / picture).is_file()

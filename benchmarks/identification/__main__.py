@@ -16,9 +16,11 @@ from undertow.files import write_whole
 from undertow.identification.report.adapting import versions
 
 from .cfd import estimates
-from .page import page
-from .pictures import draw
+from .hardships import hardships
+from .page import BIASES, Beyond, page
+from .pictures import draw, draw_biases
 from .study import study
+from .variables import biases
 
 PICTURE = "identification-spread.png"
 
@@ -27,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Make the page; 0 when all went well, 2 when the data cannot be read."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.identification", description=__doc__)
     parser.add_argument("--draws", type=int, default=200, help="of each noise (default %(default)s)")
+    parser.add_argument("--more", type=int, default=40, help="draws of the rest (default %(default)s)")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="default: %(default)s")
     parser.add_argument(
         "--out", type=Path, default=Path("docs/identification.md"), help="default: %(default)s"
@@ -36,20 +39,24 @@ def main(arguments: list[str] | None = None) -> int:
         folder = options.data / "cfd-surge"
         box = estimates(folder) if folder.is_dir() else []
         levels = study(options.draws, teller("profile P"))
+        variables = biases(options.more, teller("errors in variables"))
+        hard = hardships(options.more, teller("outliers and disturbances"))
         clear()
     except UndertowError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     draw(levels[1], options.out.parent / "images" / PICTURE)
-    write_whole(options.out, page(levels, options.draws, box, _making(options.draws)))
+    beyond = Beyond(options.more, variables, hard)
+    draw_biases(variables, options.out.parent / "images" / BIASES)
+    write_whole(options.out, page(levels, options.draws, box, _making(options.draws, options.more), beyond))
     return 0
 
 
-def _making(draws: int) -> str:
+def _making(draws: int, more: int) -> str:
     used = ", ".join(f"{name} {version}" for name, version in versions().items())
     return (
         "## How it was made\n\n"
-        f"    python -m benchmarks.identification --draws {draws} --data ../shared/data\n\n"
+        f"    python -m benchmarks.identification --draws {draws} --more {more} --data ../shared/data\n\n"
         f"undertow {__version__}; {used}.\n"
     )
 

@@ -89,7 +89,7 @@ def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
 # --- fit --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["weak", "output-error"])
+@pytest.mark.parametrize("method", ["weak", "integral", "instrumental", "output-error", "prediction-error"])
 def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str], method: str) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml"]
     assert main(words) == 0
@@ -167,3 +167,28 @@ def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
         ("holdout", "holdout"),
         ("more", "holdout"),
     ]
+
+
+def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["fit", *LOG, "--holdout", "holdout.csv", "--equal", "Y_vdot = 1.5 X_udot", "--dissipative"]
+    assert main([*words, "--out", "new.toml"]) == 0
+    out = "\n".join(_lines(capsys))
+    assert "tied to X_udot" in out
+    after = load_vehicle("new.toml")
+    assert after.value_of("Y_vdot").value == pytest.approx(1.5 * after.value_of("X_udot").value, rel=1e-6)
+    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert told["command"] == 'undertow fit --method weak --equal "Y_vdot = 1.5 X_udot" --dissipative'
+    assert "Y_vdot" not in told["covariance"]["parameters"]
+    assert main(["fit", *LOG, "--equal", "Y_vdot = 1.5 Q_x"]) == 2
+    assert "'Q_x' is no parameter in the equations of 'usv'" in capsys.readouterr().err
+
+
+def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["fit", *LOG, "--holdout", "holdout.csv", "--loss", "huber"]
+    assert main([*words, "--method", "output-error", "--out", "new.toml"]) == 0
+    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert told["command"] == "undertow fit --method output-error --loss huber"
+    assert main([*words, "--method", "prediction-error"]) == 2
+    assert "'huber' is none of --method prediction-error" in capsys.readouterr().err

@@ -69,6 +69,17 @@ def test_the_chosen_set_goes_into_a_vehicle_file_with_its_covariance(logs: Path,
     assert "surge, backward: case 2" in history["command"]
 
 
+def test_logs_in_parts_give_the_same_tables(logs: Path, capsys: Capture) -> None:
+    words = ["identify", "mini-auv", "ahead.csv", "astern.csv"]
+    assert main([*words, "--json", "whole.json", "--out", "whole.toml"]) == 0
+    whole = capsys.readouterr().out
+    assert main([*words, "--json", "parts.json", "--out", "parts.toml", "--stream"]) == 0
+    assert capsys.readouterr().out.replace("parts.toml", "whole.toml") == whole
+    assert (logs / "parts.toml").read_text() == (logs / "whole.toml").read_text()
+    assert main([*words, "ahead.csv", "--stream"]) == 2
+    assert "ahead.csv is given twice" in capsys.readouterr().err
+
+
 def test_mistakes_are_one_line(logs: Path, capsys: Capture) -> None:
     (logs / "still.csv").write_text("t,u,tau_X\n0,0,1\n0.2,0,1\n0.4,0,1\n")
     for words, said in (

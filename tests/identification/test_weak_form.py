@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
 from undertow.identification import read_log
 from undertow.identification.weak.data import prepare
@@ -16,6 +17,7 @@ from undertow.identification.weak.drive import shifted_mean
 from undertow.identification.weak.fit import fit_weak, free_parameters
 from undertow.identification.weak.noise import white_noise
 from undertow.identification.weak.residual import WeakModel
+from undertow.identification.weak.testfunctions import boxes
 from undertow.identification.weak.testfunctions import test_functions as functions_on
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -212,3 +214,38 @@ def test_a_place_that_the_data_do_not_feel_stays_where_it_is() -> None:
     assert fit.values["c_tether"] == pytest.approx(case.truth["values"]["tether_drag"]["c"], rel=0.1)
     assert fit.vehicle.value_of("x_winch").sigma is None
     assert fit.vehicle.value_of("c_tether").sigma == fit.standard_errors["c_tether"]
+
+
+# --- the integral form ------------------------------------------------------------------------------------
+
+
+def test_a_box_gives_the_change_less_the_integral() -> None:
+    t = np.sort(np.random.default_rng(1).permutation(CLOCK)[: len(CLOCK) * 5 // 6])
+    functions = boxes(t, 0.25)
+    assert functions is not None
+    assert functions.count == len(t) - 5
+    g, held = 50.0 + np.sin(3 * t), np.random.default_rng(2).standard_normal(len(t))
+    np.testing.assert_allclose(-(functions.rate @ g), g[5:] - g[:-5], atol=1e-12)
+    exact = 50.0 * t - np.cos(3 * t) / 3
+    np.testing.assert_allclose(functions.value @ g, exact[5:] - exact[:-5], atol=2e-4)
+    steps = np.array([np.sum((held * np.append(np.diff(t), 0))[i : i + 5]) for i in range(functions.count)])
+    np.testing.assert_allclose(functions.held @ held, steps, atol=1e-12)
+    assert boxes(CLOCK[:3], 0.25) is None
+
+
+def test_the_integral_form_is_as_good_as_the_weak_form() -> None:
+    vehicle = surge_vehicle()
+    exact = fit_weak(vehicle, prepare([surge_run()], vehicle, family=boxes))
+    for name, value in TRUTH.items():
+        assert exact.values[name] == pytest.approx(-value, rel=3e-3)
+    off: dict[str, list[list[float]]] = {"weak": [], "integral": []}
+    claimed = []
+    for seed in range(16):
+        run = surge_run(0.02, seed)
+        for name, family in (("weak", functions_on), ("integral", boxes)):
+            fit = fit_weak(vehicle, prepare([run], vehicle, family=family))
+            off[name].append([fit.values[n] + v for n, v in TRUTH.items()])
+        claimed.append(list(fit.standard_errors.values()))
+    rmse = {name: np.sqrt(np.mean(np.square(found), axis=0)) for name, found in off.items()}
+    np.testing.assert_array_less(rmse["integral"], 1.15 * rmse["weak"])
+    np.testing.assert_allclose(np.median(claimed, axis=0), rmse["integral"], rtol=0.4)

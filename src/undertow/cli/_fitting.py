@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
+import numpy as np
+
 from undertow.cli._progress import Report
 from undertow.cli._show import console, section, table, text
 from undertow.errors import UndertowError
@@ -15,12 +17,15 @@ from undertow.identification.compare.windows import Prediction, cut, predict, pr
 from undertow.identification.diagnosis.estimates import estimates
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.split import keep_blocks_aside
+from undertow.identification.estimators import Estimator
 from undertow.identification.fitted import Fitted, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.logs import Run
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.weak.data import channel_noise, prepare
+from undertow.identification.prediction_error import PredictionErrorFit
+from undertow.identification.weak.constraints import follower_errors, followers, written
+from undertow.identification.weak.data import channel_noise
 from undertow.identification.weak.estimated import NOTHING_SAID
-from undertow.identification.weak.fit import fit_weak, free_parameters
+from undertow.identification.weak.fit import free_parameters
+from undertow.model.parameter import bare_name, printed
 from undertow.model.vehicle import Vehicle
 
 
@@ -34,8 +39,8 @@ class Refit:
         The model as given.
     fit : Fitted
         The fit.
-    method : str
-        "weak" or "output-error".
+    estimator : Estimator
+        How it was made.
     train, test : list of Run
         Logs that were fitted, and logs kept aside.
     before, after : Prediction
@@ -44,7 +49,7 @@ class Refit:
 
     stated: Vehicle
     fit: Fitted
-    method: str
+    estimator: Estimator
     train: list[Run]
     test: list[Run]
     before: Prediction
@@ -57,7 +62,12 @@ class Refit:
 
 
 def refit(
-    vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run], method: str, horizon: float, tell: Report
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    holdout: Sequence[Run],
+    estimator: Estimator,
+    horizon: float,
+    tell: Report,
 ) -> Refit:
     """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
 
@@ -74,23 +84,21 @@ def refit(
     train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
     tell(0.0, "fitting")
-    fit: Fitted
-    if method == "weak":
-        fit = fit_weak(vehicle, prepare(train, vehicle))
-    else:
-        fit = fit_output_error(vehicle, train, horizon=horizon, progress=lambda done, w: tell(0.8 * done, w))
+    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words))
     tell(0.8, "predicting kept-aside data")
     longest = max(float(r.t[-1] - r.t[0]) for r in test)
     windows = cut(test, vehicle, min(horizon, 0.9 * longest))
     before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
-    return Refit(vehicle, fit, method, train, test, before, after)
+    return Refit(vehicle, fit, estimator, train, test, before, after)
 
 
 def show(done: Refit) -> None:
     """Print parameters, how far they can be trusted, and the error before and after."""
     out = console()
-    section(f"Parameters by {_METHODS[done.method]}", _parameters(done))
+    section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
     out.print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
+    for line in [*_tied(done), *done.fit.active, *_disturbed(done.fit)]:
+        out.print(text(f"  {line}"), soft_wrap=True)
     for line in _combined(done.fit):
         out.print(text(f"  {line}", "yellow"), soft_wrap=True)
     for name, said in remarks(done.fit, done.stated).items():
@@ -103,7 +111,13 @@ def show(done: Refit) -> None:
 
 
 _BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"
-_METHODS = {"weak": "the weak form", "output-error": "output error"}
+_METHODS = {
+    "weak": "the weak form",
+    "integral": "the integral form",
+    "instrumental": "instrumental variables on the weak form",
+    "output-error": "output error",
+    "prediction-error": "prediction error",
+}
 
 
 def _parameters(done: Refit) -> object:
@@ -117,6 +131,31 @@ def _parameters(done: Refit) -> object:
             (e.name, f"{e.value:.5g}", spread, bound, e.unit, prior, f"{sure[e.name]:.3g}", said[e.name])
         )
     return table(("parameter", "value", "", "bound", "unit", "before", "|t|", "by these logs"), rows)
+
+
+def _tied(done: Refit) -> list[str]:
+    """Parameters that were asked to be a multiple of another one."""
+    fit, vehicle = done.fit, done.stated
+    values, errors = followers(fit.model, fit.values), follower_errors(fit.model, fit.standard_errors)
+    lines = []
+    for name, value in values.items():
+        shown = printed(vehicle.declared_parameters[bare_name(name)], value, vehicle.signs)
+        lines.append(
+            f"{name} = {shown:.5g} ± {errors[name]:.2g}, tied to {fit.model.functions.equal[name][0]}"
+        )
+    return lines
+
+
+def _disturbed(fit: Fitted) -> list[str]:
+    """What prediction error found to push the vehicle beside its model."""
+    if not isinstance(fit, PredictionErrorFit):
+        return []
+    told = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
+    slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.wander.items())
+    return [
+        f"a disturbance changes velocities by {told} in a second (SI); its slow part wanders by {slow} in "
+        "acceleration"
+    ]
 
 
 def _combined(fit: Fitted) -> list[str]:
@@ -147,13 +186,20 @@ def history(done: Refit) -> dict[str, object]:
     roles = [("train", r) for r in done.train] + [("holdout", r) for r in done.test]
     before, after = done.errors
     return {
-        "command": f"undertow fit --method {done.method}",
+        "command": " ".join(["undertow fit", *_options(done)]),
         "date": date.today().isoformat(),
         "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in roles],
         "error_before": before,
         "error_after": after,
         "covariance": {"parameters": list(done.fit.model.free), "matrix": done.fit.covariance.tolist()},
     }
+
+
+def _options(done: Refit) -> list[str]:
+    e = done.estimator
+    tied = [f'--equal "{text}"' for text in written(e.constraints.equal, done.stated)]
+    loss = [] if e.loss == "gaussian" else [f"--loss {e.loss}"]
+    return [f"--method {e.method}", *loss, *tied, *(["--dissipative"] if e.constraints.dissipative else [])]
 
 
 def write(done: Refit, template: Path, target: Path) -> None:

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from undertow.cli._progress import Report
 from undertow.cli._show import console, section, table, text
 from undertow.errors import UndertowError
 from undertow.identification.fitted import SURE, t_value, t_values
@@ -25,7 +26,9 @@ from undertow.identification.least_squares import (
     selected,
 )
 from undertow.identification.least_squares.cases import Edges
+from undertow.identification.least_squares.streaming import estimate_streaming
 from undertow.identification.logs import Run
+from undertow.identification.logs.chunks import LongLog
 from undertow.model.dimensions import short_unit
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
@@ -66,6 +69,15 @@ def identified(vehicle: Vehicle, runs: Sequence[Run], cases: str, edges: Edges) 
     wanted = chosen_cases(cases)
     found = [(e, [estimate(e, case, edges) for case in wanted]) for e in experiments(vehicle, runs)]
     return Identified(vehicle, found, edges)
+
+
+def identified_in_parts(
+    vehicle: Vehicle, logs: Sequence[LongLog], cases: str, edges: Edges, tell: Report
+) -> Identified:
+    """The same from logs that are read in parts."""
+    return Identified(
+        vehicle, estimate_streaming(vehicle, logs, chosen_cases(cases), edges, progress=tell), edges
+    )
 
 
 def show(done: Identified) -> None:

@@ -16,6 +16,7 @@ from ._progress import Report, progress
 
 if TYPE_CHECKING:
     from undertow.identification.logs import Mapping, Run
+    from undertow.identification.logs.chunks import LongLog
     from undertow.model.vehicle import Vehicle
 
 MOST_SAMPLES = 300_000
@@ -139,6 +140,40 @@ def load(
         _refuse_dead(runs[: len(logs)], model)
     runs = _distinct(runs)
     return Loaded(model, resolve_vehicle(vehicle), runs[: len(logs)], runs[len(logs) :])
+
+
+def load_in_parts(
+    vehicle: str,
+    logs: Sequence[Path],
+    *,
+    map: Path | None = None,
+    effects: Sequence[Path] | None = None,
+    window: Window = (None, None),
+    fill: Fill | None = None,
+) -> tuple[Vehicle, Path, list[LongLog]]:
+    """A vehicle, its file, and logs that are read in parts, later.
+
+    Parameters
+    ----------
+    vehicle, logs, map, effects, window, fill
+        As for `load`.
+
+    Raises
+    ------
+    UndertowError
+        If a file cannot be read, or a log is given twice.
+    """
+    from undertow.identification.logs import Mapping, read_mapping
+    from undertow.identification.logs.chunks import LongLog
+    from undertow.model.loading import load_vehicle, resolve_vehicle
+
+    model = load_vehicle(vehicle, effect_files=effects or ())
+    mapping = Mapping() if map is None else read_mapping(map)
+    twice = [path for path, count in Counter(p.resolve() for p in logs).items() if count > 1]
+    if twice:
+        raise UndertowError(f"log {twice[0]} is given twice: give each once")
+    found = [LongLog(path, mapping, model.command_names, window, fill) for path in logs]
+    return model, resolve_vehicle(vehicle), found
 
 
 def _runs(

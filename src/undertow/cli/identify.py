@@ -11,6 +11,11 @@ logs that go that way.
 
 Of the cases whose estimates are all physical, the one with the least residual variance is taken.
 
+Logs of any length are read in parts, in constant memory and with the same answer: those of more than 200 MB
+by themselves, shorter ones with --stream.
+
+    undertow identify mini-auv week.parquet --stream
+
 This is the baseline that others are held against: filtering the motion and not the force biases the
 estimates, and the errors that it states take smoothed samples as independent. `undertow fit` has neither
 fault.
@@ -19,7 +24,7 @@ fault.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -38,6 +43,8 @@ from undertow.cli._vehicle_and_logs import (
 _METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squares.")
 _CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
 _EDGES = typer.Option("--edges", help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
+_STREAM = typer.Option("--stream", help="Read the logs in parts, however short they are.")
+_LONG = 200_000_000
 _JSON = typer.Option("--json", metavar="FILE.json", help="Write all numbers.")
 
 
@@ -47,6 +54,7 @@ def identify(
     method: Annotated[Literal["sg-ls"], _METHOD] = "sg-ls",
     cases: Annotated[str, _CASES] = "all",
     edges: Annotated[Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"], _EDGES] = "interp",
+    stream: Annotated[bool, _STREAM] = False,
     json: Annotated[Path | None, _JSON] = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
@@ -57,19 +65,26 @@ def identify(
     fill: FillOption = None,
 ) -> None:
     from undertow.cli._adding import target_of
-    from undertow.cli._identifying import identified, show, write, written
-    from undertow.cli._vehicle_and_logs import load
+    from undertow.cli._identifying import identified, identified_in_parts, show, write, written
+    from undertow.cli._progress import progress
+    from undertow.cli._vehicle_and_logs import load, load_in_parts
     from undertow.files import check_writable, write_whole
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(effects or []), *([map] if map else [])]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
-    loaded = load(vehicle, logs, map=map, effects=effects, window=(since, until), fill=fill, one_motion=True)
-    done = identified(loaded.vehicle, loaded.train, cases, edges)
+    given: dict[str, Any] = {"map": map, "effects": effects, "window": (since, until), "fill": fill}
+    if stream or sum(path.stat().st_size for path in logs if path.is_file()) > _LONG:
+        model, path, long = load_in_parts(vehicle, logs, **given)
+        with progress("reading logs") as tell:
+            done = identified_in_parts(model, long, cases, edges, tell)
+    else:
+        loaded = load(vehicle, logs, one_motion=True, **given)
+        path, done = loaded.path, identified(loaded.vehicle, loaded.train, cases, edges)
     show(done)
     if json is not None:
         write_whole(json, written(done))
     if target is None:
         typer.echo("no vehicle file was written: --out NEW.toml or --in-place does that")
     else:
-        write(done, loaded.path, target)
+        write(done, path, target)

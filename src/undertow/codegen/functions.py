@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import casadi as ca
@@ -24,10 +25,13 @@ class Functions:
     ----------
     vehicle : Vehicle
         The model.
+    equal : mapping, optional
+        Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs. Their
+        own entry of p has no effect.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle = vehicle
+    def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
+        self.vehicle, self.equal = vehicle, dict(equal or {})
         composition = vehicle.composition
         self._chain, self._chain_rates, self._chain_rest = composition.chain
         self._memory = composition.wrench_states
@@ -47,6 +51,10 @@ class Functions:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the entries of p."""
         return self.vehicle.parameter_names
+
+    def followers(self, name: str) -> dict[str, float]:
+        """Parameters that are multiples of one, with their factors."""
+        return {follower: factor for follower, (other, factor) in self.equal.items() if other == name}
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -70,13 +78,19 @@ class Functions:
             (composition.signals.actuation, self.actuation),
             (list(self._memory), self.memory),
             (list(self._chain_rates), self.actuator_states),
-            (names, self.p),
+            (names, self._own_or_tied() if self.equal else self.p),
             ([composition.signals.t], self.t),
         )
         known = {
             s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)
         }
         return known | {s: ca.SX(0) for s in composition.locked}
+
+    def _own_or_tied(self) -> ca.SX:
+        """Every parameter in the equations: its own entry of p, or a multiple of another one."""
+        names = self.parameter_names
+        tied = [self.equal.get(name, (name, 1.0)) for name in names]
+        return ca.vertcat(*[factor * self.p[names.index(other)] for other, factor in tied])
 
     def _define_relations(self) -> None:
         composition = self.vehicle.composition

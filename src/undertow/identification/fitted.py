@@ -11,7 +11,7 @@ from undertow.model.vehicle import Vehicle
 
 from .base_parameters import undetermined
 from .weak.residual import WeakModel
-from .weak.step import bounds_of, inverse_of
+from .weak.step import at_bounds, inverse_of
 
 Array = NDArray[np.float64]
 #: |value| over its standard error below which a parameter could as well be zero.
@@ -68,6 +68,10 @@ class Fitted(Estimates, Protocol):
     @property
     def condition(self) -> float:
         """Condition number of the scaled regressor."""
+
+    @property
+    def active(self) -> list[str]:
+        """Constraints that hold the estimates back, by name."""
 
 
 Verdict = Literal["identified", "weakly identified", "not identifiable"]
@@ -150,11 +154,7 @@ def _tied(fit: Fitted) -> dict[str, str]:
 
 
 def _bound(fit: Fitted) -> dict[str, str]:
-    low, high = bounds_of(fit.model)
-    values = np.array([fit.values[n] for n in fit.model.free])
-    room = 1e-9 * np.maximum(np.abs(values), 1e-6)
-    at = (values - low <= room) | (high - values <= room)
-    return {n: "at the limit of what is physical" for n, hit in zip(fit.model.free, at, strict=True) if hit}
+    return dict.fromkeys(at_bounds(fit.model, fit.p), "at the limit of what is physical")
 
 
 def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:

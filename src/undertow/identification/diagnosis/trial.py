@@ -15,9 +15,10 @@ from undertow.model.vehicle import Vehicle
 
 from ..fitted import Fitted
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, disturbed, fit_weak, inverse_of, mean_square, settled
+from ..weak.fit import WeakFit, disturbed, fit_weak, mean_square, settled
 from ..weak.noise import Whitening
 from ..weak.residual import Linearised, WeakModel, whitened
+from ..weak.step import inverse_of
 from .beat import beat
 from .candidates import Candidate
 

@@ -15,7 +15,7 @@ from ..base_parameters import base_parameters, undetermined
 from ..logs import Run
 from .axis import Axis, axis_of, moving
 from .cases import Case, Edges
-from .rows import Regression
+from .rows import Regression, Rows
 
 Array = NDArray[np.float64]
 # Condition number of the scaled regressor from which rounding alone decides the estimates.
@@ -153,18 +153,57 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
     UndertowError
         If there are fewer samples than parameters, or the samples leave a combination of them open.
     """
+    triangle = Triangle(len(experiment.regression.free))
+    for run in experiment.runs:
+        triangle.add(experiment.regression.rows(run, case, edges))
+    return estimated_by(experiment, case, triangle)
+
+
+class Triangle:
+    """Any number of rows of a regression as the triangular factor of their QR decomposition.
+
+    Rows are added in blocks and not kept: what is held are (k + 1)^2 numbers for k parameters. The solution
+    is that of all rows together, with the precision of a QR decomposition (not that of normal equations).
+
+    Parameters
+    ----------
+    parameters : int
+        How many there are.
+    """
+
+    def __init__(self, parameters: int) -> None:
+        self.factor, self.count = np.zeros((0, parameters + 1)), 0
+
+    def add(self, rows: Rows) -> None:
+        """Take in some rows."""
+        block = np.vstack([self.factor, np.column_stack([rows.H, rows.target])])
+        self.factor = np.asarray(np.linalg.qr(block, mode="r"), dtype=float)
+        self.count += len(rows.target)
+
+    def split(self) -> tuple[Array, Array]:
+        """Regressor and target with few rows that have the same products as all."""
+        return self.factor[:, :-1], self.factor[:, -1]
+
+
+def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Estimation:
+    """Estimates from the rows of one case that a triangle holds.
+
+    Raises
+    ------
+    UndertowError
+        As for `estimate`.
+    """
     regression = experiment.regression
-    parts = [regression.rows(run, case, edges) for run in experiment.runs]
-    H, target = np.concatenate([p.H for p in parts]), np.concatenate([p.target for p in parts])
+    H, target = triangle.split()
     size = np.linalg.norm(H, axis=0)
-    _enough(experiment.axis, regression.free, H, case)
+    _enough(experiment.axis, regression.free, H, triangle.count, case)
     scaled = H / size
     condition = float(np.linalg.cond(scaled))
     if condition > _CONDITION:
-        raise UndertowError(_open(experiment.axis, regression.free, H, case))
+        raise UndertowError(_open(experiment.axis, regression.free, H, triangle.count, case))
     theta = np.linalg.lstsq(scaled, target, rcond=None)[0] / size
     residual = target - H @ theta
-    variance = float(residual @ residual) / (len(target) - len(theta))
+    variance = float(residual @ residual) / (triangle.count - len(theta))
     inverse = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
     covariance = variance * inverse
     return Estimation(
@@ -173,7 +212,7 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
         theta=theta,
         covariance=covariance,
         residual_variance=variance,
-        samples=len(target),
+        samples=triangle.count,
         condition=condition,
         inertia=regression.inertia(theta, covariance),
         inertial=regression.inertial,
@@ -181,27 +220,27 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
     )
 
 
-def _enough(axis: Axis, names: Sequence[str], H: Array, case: Case) -> None:
+def _enough(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> None:
     silent = [n for n, column in zip(names, H.T, strict=True) if not column.any()]
     if silent:
         raise UndertowError(
             f"these logs do not feel {silent[0]} of {axis} (case {case.name}): state it as known, or log a "
             "motion that does"
         )
-    if len(H) <= len(names):
+    if count <= len(names):
         raise UndertowError(
-            f"{len(H)} samples of {axis} are too few for {len(names)} parameters (case {case.name}): give "
+            f"{count} samples of {axis} are too few for {len(names)} parameters (case {case.name}): give "
             "longer logs"
         )
 
 
-def _open(axis: Axis, names: Sequence[str], H: Array, case: Case) -> str:
+def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> str:
     """What to say where samples determine sums of parameters only."""
     gram, nothing = H.T @ H, 1.0 / _CONDITION**2
     tied = {n for group in undetermined(gram, names, nothing) for n in group}
     seen = [*(n for n in names if n not in tied), *map(str, base_parameters(gram, names, nothing))]
     return (
-        f"{len(H)} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
+        f"{count} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
         f"only {', '.join(seen)}: log other speeds and accelerations, or state one as known"
     )
 

@@ -34,10 +34,18 @@ class Rows:
         Regressor, one row for each sample.
     target : (n,) array
         What theta does not contribute: commanded force less that of the known parameters, N or N m.
+    t : (n,) array
+        Time of the samples, s.
     """
 
     H: Array
     target: Array
+    t: Array
+
+    def between(self, after: float, until: float) -> Rows:
+        """The rows with after < t <= until."""
+        kept = (self.t > after) & (self.t <= until)
+        return Rows(self.H[kept], self.target[kept], self.t[kept])
 
 
 class Regression:
@@ -67,8 +75,21 @@ class Regression:
 
     def rows(self, run: Run, case: Case, edges: Edges) -> Rows:
         """Rows of a run whose velocity and acceleration were smoothed as a case says."""
-        parts = [self._part(run, piece, case, edges) for piece in self._pieces(run, case, edges)]
-        return Rows(np.concatenate([p.H for p in parts]), np.concatenate([p.target for p in parts]))
+        pieces = self._pieces(run, case, edges)
+        if not pieces:
+            raise UndertowError(self._short(run, case, edges))
+        return self._joined(run, pieces, case, edges)
+
+    def rows_if_any(self, run: Run, case: Case, edges: Edges) -> Rows:
+        """The same of a part of a log, which may have no stretch that is long enough."""
+        return self._joined(run, self._pieces(run, case, edges), case, edges)
+
+    def _joined(self, run: Run, pieces: list[slice], case: Case, edges: Edges) -> Rows:
+        parts = [self._part(run, piece, case, edges) for piece in pieces]
+        nothing = Rows(np.zeros((0, len(self.free))), np.zeros(0), np.zeros(0))
+        return Rows(
+            *(np.concatenate([getattr(p, n) for p in [nothing, *parts]]) for n in ("H", "target", "t"))
+        )
 
     def _part(self, run: Run, piece: slice, case: Case, edges: Edges) -> Rows:
         vehicle, t = self.axis.vehicle, run.t[piece]
@@ -81,7 +102,7 @@ class Regression:
         inputs = [np.column_stack([pose, velocity])[used], rate[used, None], commands[used]]
         f, p = self.functions, self._still
         (residual,), (slope,) = (mapped(g, inputs, p, t[used]) for g in (f.residual_function, f.regressor))
-        return Rows(slope[:, 0, self._places], -residual[:, 0, 0])
+        return Rows(slope[:, 0, self._places], -residual[:, 0, 0], t[used])
 
     def _pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
         """Stretches without gaps that are long enough for the filters."""
@@ -90,17 +111,25 @@ class Regression:
                 f"run '{run.name}' has no channel '{self._pose}', which the {self.axis.motion} of "
                 f"'{self.axis.vehicle.name}' depends on: name its column in a mapping file (--map)"
             )
+        needed = case.needs(edges)
+        return [p for p in run.segments(self._needed(run, case)) if p.stop - p.start >= needed]
+
+    def _needed(self, run: Run, case: Case) -> list[str]:
         names = [self.axis.velocity, *self.axis.vehicle.command_names]
         names += [self._pose] if self._feels_pose else []
-        names += [self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else []
-        needed = case.needs(edges)
-        long = [p for p in run.segments(names) if p.stop - p.start >= needed]
-        if not long:
-            raise UndertowError(
-                f"run '{run.name}': no stretch without gaps in {', '.join(names)} has the {needed} samples "
-                f"that case {case.name} needs: fill the gaps, or choose other cases (--cases)"
-            )
-        return long
+        return names + ([self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else [])
+
+    def _short(self, run: Run, case: Case, edges: Edges) -> str:
+        return (
+            f"run '{run.name}': no stretch without gaps in {', '.join(self._needed(run, case))} has the "
+            f"{case.needs(edges)} samples that case {case.name} needs: fill the gaps, or choose other cases "
+            "(--cases)"
+        )
+
+    @property
+    def feels_time(self) -> bool:
+        """Whether the equations contain the time itself."""
+        return bool(ca.depends_on(self.functions.driven_residual, self.functions.t))
 
     @property
     def _pose(self) -> str:
@@ -157,6 +186,9 @@ def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
 def _step(run: Run, piece: slice, *, even: bool) -> float:
     steps = np.diff(run.t[piece])
     step = float(np.median(steps))
+    if len(steps) and np.max(np.abs(steps - step)) <= _EVEN * step:
+        # Of an even clock the mean is known better: late in a long log, times are rounded to 1e-10 s.
+        step = float((run.t[piece][-1] - run.t[piece][0]) / len(steps))
     worst = float(np.max(np.abs(steps - step)))
     if even and worst > _EVEN * step:
         raise UndertowError(

@@ -66,13 +66,40 @@ def read_log(
         If the file cannot be read, or holds what no log may hold; the message names the place and the remedy.
     """
     path, mapping = Path(path), mapping or Mapping()
-    where = f"log {path}"
     data = file_bytes(path)
-    table = read_table(data, mapping, where).gather_every(mapping.time.every)
+    table = read_table(data, mapping, f"log {path}")
+    run = run_of_table(table, path, mapping, channels, window, missing_commands, also)
+    return replace(run, sha256=hashlib.sha256(data).hexdigest())
+
+
+def run_of_table(
+    table: pl.DataFrame,
+    path: Path,
+    mapping: Mapping,
+    channels: Iterable[str] = (),
+    window: tuple[float | None, float | None] = (None, None),
+    missing_commands: CommandPolicy | None = None,
+    also: Iterable[str] = (),
+    origin: float | None = None,
+) -> Run:
+    """A run from the rows of a log, or of a part of it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        The rows.
+    path, mapping, channels, window, missing_commands, also
+        As for `read_log`.
+    origin : float, optional
+        Time in the file that counts as zero, for parts of one log; by default that of the first row, where it
+        is a date.
+    """
+    where = f"log {path}"
+    table = table.gather_every(mapping.time.every)
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}.union(table.columns)
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
-    table, t, notes = _time(table, mapping, where)
+    table, t, notes = _time(table, mapping, where, origin)
     run = Run(
         name=path.name.split(".")[0],
         t=t,
@@ -85,7 +112,6 @@ def read_log(
             where,
         ),
         source=str(path),
-        sha256=hashlib.sha256(data).hexdigest(),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         mapping=mapping,
         dropped=rows - table.height,
@@ -94,6 +120,11 @@ def read_log(
     slow = [column.channel for column in sources.values() if column.fresh is not None]
     run = on_the_clock(run, [frames.turned_name(name, mapping.frames.position) for name in slow])
     return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where)
+
+
+def origin_of(raw: Array, scale: float) -> float:
+    """Time in a file that counts as zero: that of its first row where it is a date, else zero."""
+    return float(raw[0]) if len(raw) and abs(scale * raw[0]) > _EPOCH else 0.0
 
 
 def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where: str) -> dict[str, Column]:
@@ -136,7 +167,9 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
     )
 
 
-def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[pl.DataFrame, Array, list[str]]:
+def _time(
+    table: pl.DataFrame, mapping: Mapping, where: str, origin: float | None
+) -> tuple[pl.DataFrame, Array, list[str]]:
     """Return the rows that are used, their times and notes."""
     spec, notes = mapping.time, []
     if spec.unit == "iso" or is_dates(table, spec.column):
@@ -146,7 +179,7 @@ def _time(table: pl.DataFrame, mapping: Mapping, where: str) -> tuple[pl.DataFra
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
         raw = numbers(table, spec.column, mapping, where)
         # Subtract before scaling: seconds since 1970 in a float are good to 0.2 us only.
-        start = raw[0] if len(raw) and abs(scale * raw[0]) > _EPOCH else 0.0
+        start = origin_of(raw, scale) if origin is None else origin
         t = scale * (raw - start) + offset
         notes += [f"time counts from the first sample, {start:.17g} {spec.unit} in the file"] if start else []
     if spec.disorder == "drop":

@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +50,29 @@ def read_table(data: bytes, mapping: Mapping, where: str) -> pl.DataFrame:
     """
     if not data:
         raise UndertowError(f"{where} is empty (0 bytes): check that the log was written to its end")
+    return _tidy(
+        lambda: pl.read_parquet(io.BytesIO(data)) if is_parquet(data) else _csv(data, mapping, where), where
+    )
+
+
+def read_rows(path: Path, first: int, count: int, where: str) -> pl.DataFrame:
+    """Some rows of a Parquet file; no more of it is held in memory than the row groups they are in."""
+    return _tidy(lambda: pl.scan_parquet(path).slice(first, count).collect(), where)
+
+
+def is_parquet(data: bytes) -> bool:
+    """Tell whether a file that begins so is a Parquet file."""
+    return data.startswith(_PARQUET)
+
+
+def is_gzip(data: bytes) -> bool:
+    """Tell whether a file that begins so is packed by gzip."""
+    return data.startswith(_GZIP)
+
+
+def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
     try:
-        table = pl.read_parquet(io.BytesIO(data)) if data.startswith(_PARQUET) else _csv(data, mapping, where)
+        table = read()
     except (pl.exceptions.PolarsError, OSError) as error:
         reason = str(error).split("\n")[0].strip()
         raise UndertowError(
@@ -62,7 +83,7 @@ def read_table(data: bytes, mapping: Mapping, where: str) -> pl.DataFrame:
 
 
 def _csv(data: bytes, mapping: Mapping, where: str) -> pl.DataFrame:
-    text = _unpacked(data, where) if data.startswith(_GZIP) else data
+    text = _unpacked(data, where) if is_gzip(data) else data
     try:
         header = text.decode("utf-8").lstrip("\ufeff \r\n")
     except UnicodeDecodeError as error:

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import Windows, cut
+from ..weak.constraints import Constraints
 from ..weak.data import prepare
-from ..weak.estimated import estimated
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import Linearised, WeakModel
-from ..weak.step import bounded_step, bounds_of, inverse_of, prior_of
+from ..weak.solution import Solution, clustered
+from ..weak.step import bounds_of, limited_step, physical, prior_of
+from .losses import LOSSES, Loss, LossName, robust_scale
 from .shooting import Reduced, Shooting
 
 Array = NDArray[np.float64]
@@ -28,15 +29,16 @@ HORIZON = 5.0
 _MAX_ITERATIONS = 40
 # Fall of the sum of squares below which nothing is left to gain.
 _ENOUGH = 1e-3
-_ROUNDS = 3
+_ROUNDS, _ROBUST_ROUNDS = 3, 20
 _SETTLED = 0.05
 # A log without noise would weigh infinitely: no channel counts as better known than this share of its rms.
 _FINEST = 1e-6
 _DAMPING = (1e-3, 1e-9, 1e9)
+_PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
-class OutputErrorFit:
+class OutputErrorFit(Solution):
     """A model fitted to logs by its simulation error.
 
     Attributes
@@ -66,16 +68,6 @@ class OutputErrorFit:
     iterations: int
 
     @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle with the fitted values and their standard errors."""
-        return estimated(self.model.functions.vehicle, self.values, self.standard_errors)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values of the free parameters, SI and SNAME signs."""
-        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
-
-    @property
     def gram(self) -> Array:
         """J' J of the weighted error with the starts eliminated, shape (n_free, n_free)."""
         return self.at.J.T @ self.at.J
@@ -96,23 +88,8 @@ class OutputErrorFit:
         with clusters inflates the covariance where errors of one window hang together.
         """
         information = self.gram + np.diag(prior_of(self.model)[1] ** 2)
-        inverse = inverse_of(information)
-        groups = self.at.scores
-        clustered = groups.T @ groups * len(groups) / max(len(groups) - 1, 1)
-        robust = np.diag(inverse @ clustered @ inverse)
-        inflation = np.sqrt(np.maximum(1.0, robust / np.maximum(np.diag(inverse), 1e-300)))
-        return inverse * np.outer(inflation, inflation)
-
-    @cached_property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard error of every free parameter."""
-        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the scaled sensitivities."""
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
+        groups = len(self.at.scores)
+        return clustered(information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
 
     @property
     def cost(self) -> float:
@@ -132,6 +109,8 @@ def fit_output_error(
     *,
     start: Mapping[str, float] | None = None,
     compiled: bool | None = None,
+    constraints: Constraints = _PLAIN,
+    loss: LossName = "gaussian",
     progress: Report = lambda done, words: None,
 ) -> OutputErrorFit:
     """Fit the free parameters of a vehicle to several logs at once by the error of their simulation.
@@ -154,6 +133,11 @@ def fit_output_error(
         Starting values; by default those of a weak-form fit.
     compiled : bool, optional
         As for `Simulator`.
+    constraints : Constraints
+        What else is asked of the parameters.
+    loss : str
+        "gaussian" squares every error; "huber" and "student-t" let no outlier pull without limit, by weights
+        for each sample, worked out anew until they settle.
     progress : callable
         Told what share is done, and what is being done.
 
@@ -164,22 +148,30 @@ def fit_output_error(
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
-    start = _weak_start(vehicle, runs, names) if start is None else start
-    model = WeakModel(Functions(vehicle), names)
+    model = constraints.model(vehicle, names)
+    p = started(model, weak_start(model, runs) if start is None else start)
+    windows = cut(runs, vehicle, horizon)
+    descent = _Descent(model, windows, compiled, progress)
+    return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
+
+
+def weak_start(model: WeakModel, runs: Sequence[Run]) -> dict[str, float]:
+    """Values that a weak-form fit gives the free parameters; none where the runs are too short for one."""
+    try:
+        data = prepare(runs, model.functions.vehicle)
+    except UndertowError:  # too short for test functions; the values of the file have to do
+        return {}
+    return fit_weak(model, data).values
+
+
+def started(model: WeakModel, start: Mapping[str, float]) -> Array:
+    """All parameters at the start of a search: the vehicle's, some replaced, made physical."""
     p = np.array(model.functions.values(), dtype=float)
     for name, value in start.items():
         p[model.functions.parameter_names.index(name)] = value
-    p[list(model.places)] = np.clip(p[list(model.places)], *bounds_of(model))
-    windows = cut(runs, vehicle, horizon)
-    return _Descent(model, windows, compiled, progress).fit(p)
-
-
-def _weak_start(vehicle: Vehicle, runs: Sequence[Run], free: tuple[str, ...]) -> dict[str, float]:
-    try:
-        data = prepare(runs, vehicle)
-    except UndertowError:  # too short for test functions; the values of the file have to do
-        return {}
-    return fit_weak(vehicle, data, free).values
+    places, bounds = list(model.places), bounds_of(model)
+    p[places] = np.clip(p[places], *bounds)
+    return physical(model, p, bounds)
 
 
 @dataclass(frozen=True)
@@ -220,6 +212,48 @@ class _Descent:
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
         )
 
+    def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
+        """Descend with weights for each sample by its error, until the parameters settle."""
+        starts = self._shooting.first_starts(p)
+        state = _State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
+        for round_ in range(_ROBUST_ROUNDS):
+            self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")
+            scale = self._weighed(state, loss)
+            before, state = state.p, self._settled(state.p, state.starts)
+            if self._moved(state, before) < _SETTLED:
+                break
+        return self._robust(state, scale, loss)
+
+    def _weighed(self, state: _State, loss: Loss) -> Array:
+        """Weigh channels and samples by their errors at a state; scale of the errors of each channel."""
+        self._shooting.weight = self._weight
+        errors = self._shooting.errors(state.p, state.starts)
+        scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
+        scale = np.where(scale > 0, scale, 1.0)
+        self._shooting.weight = self._weight / scale
+        self._shooting.trust = loss.weight(np.nan_to_num(errors / scale))
+        return scale
+
+    def _moved(self, state: _State, before: Array) -> float:
+        """How far the parameters have come, in the standard deviations of the fit."""
+        places = list(self.model.places)
+        return float(np.linalg.norm(state.at.J @ (state.p[places] - before[places])))
+
+    def _robust(self, state: _State, scale: Array, loss: Loss) -> OutputErrorFit:
+        """The fit with weights by which its covariance is that of an estimate by this loss."""
+        errors = self._shooting.errors(state.p, state.starts)
+        found = [
+            loss.correction(e[np.isfinite(e)]) if used else (1.0, 1.0)
+            for e, used in zip(np.moveaxis(errors, 2, 0), state.at.counts > 0, strict=True)
+        ]
+        variance, score = np.array(found).T
+        self._shooting.weight = self._weight / (scale * np.sqrt(variance))
+        at = self._shooting.linearise(state.p, state.starts)
+        at = replace(at, scores=at.scores * float(np.average(score, weights=at.counts)))
+        return OutputErrorFit(
+            self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
+        )
+
     def _settled(self, p: Array, starts: Array) -> _State:
         state = _State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
         if not np.isfinite(state.at.cost):
@@ -239,7 +273,7 @@ class _Descent:
         places = list(self.model.places)
         damping = state.damping
         while damping < _DAMPING[2]:
-            step = bounded_step(_damped(state.at, damping), state.p[places], self._bounds, self._prior)
+            step = limited_step(self.model, _damped(state.at, damping), state.p, self._bounds, self._prior)
             p = state.p.copy()
             p[places] = np.clip(p[places] + step, *self._bounds)
             starts = state.starts + state.at.start_step + state.at.start_slope @ step

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -74,6 +74,11 @@ class Shooting:
         Length of the parts of a window that count as independent of each other, s.
     compiled : bool, optional
         As for `Simulator`.
+
+    Attributes
+    ----------
+    trust : (b, k, 2n) array or None
+        Weight of each sample in the sum of squares, beside that of its channel; None: all alike.
     """
 
     def __init__(
@@ -87,6 +92,7 @@ class Shooting:
         compiled: bool | None = None,
     ) -> None:
         self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
+        self.trust: Array | None = None
         self.places = [functions.parameter_names.index(n) for n in free]
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
@@ -119,8 +125,17 @@ class Shooting:
     # --- simulation ---------------------------------------------------------------------------
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
         """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
-        error = (reported - self.windows.measured[rows]) * self.weight
+        error = (reported - self.windows.measured[rows]) * self._weights(rows)
         return np.where(self._used[rows], error, 0.0)
+
+    def _weights(self, rows: slice) -> Array:
+        """What errors are multiplied with, of a shape that broadcasts to (b, k, 2n)."""
+        return self.weight if self.trust is None else self.weight * np.sqrt(self.trust[rows])
+
+    def errors(self, p: Array, starts: Array) -> Array:
+        """Simulation error over the noise of its channel, whatever its trust; NaN where there is none."""
+        reported = self.predictor.reports(self.windows, p, starts)
+        return np.where(self._used, (reported - self.windows.measured) * self.weight, np.nan)
 
     @cached_property
     def _used(self) -> NDArray[np.bool_]:
@@ -154,9 +169,21 @@ class Shooting:
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""
-        return {k: self._difference(p, starts, self.places[k]) for k in self._indirect}
+        return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts))
 
-    def _difference(self, p: Array, starts: Array, place: int) -> Array:
+    def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
+        """Derivatives in those free parameters that act before a window starts, by finite differences.
+
+        Parameters
+        ----------
+        p : (n_parameters,) array
+            Where to differentiate.
+        of : callable
+            What to differentiate, from all parameters.
+        """
+        return {k: self._difference(p, of, self.places[k]) for k in self._indirect}
+
+    def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
         step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
         high, low = p[place] + step, p[place] - step
@@ -166,7 +193,7 @@ class Shooting:
         for value in (high, low):
             moved = p.copy()
             moved[place] = value
-            ends.append(self.predictor.reports(self.windows, moved, starts))
+            ends.append(of(moved))
         return np.asarray((ends[0] - ends[1]) / (high - low))
 
     def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Reduced:
@@ -174,10 +201,11 @@ class Shooting:
         x, s = self.predictor.simulator.run_with_sensitivities(
             start[rows], t, u[rows], p, self.places, initial=range(self._size)
         )
-        reported, slope = self._late(*self._report_slopes(x, s, u[rows], t, p), rows, p)
+        reported, slope = self._late(*self.report_slopes(x, s, u[rows], t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
-        weighted = np.where(self._used[rows][..., None], slope * self.weight[:, None], 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is told by its cost
+            weighted = np.where(self._used[rows][..., None], slope * self._weights(rows)[..., None], 0.0)
         return self._eliminated(self._residual(reported, rows), weighted, t)
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
@@ -189,7 +217,7 @@ class Shooting:
         still = np.zeros((*before.shape, slope.shape[3]))
         return reported_late(reported, t, seconds, before), reported_late(slope, t, seconds, still)
 
-    def _report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
+    def report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
         """Report (b, k, 2n) and its derivative in free parameters and starts (b, k, 2n, n_free + 2n)."""
         if self.predictor.sensors_are_true:
             return x[..., : self._size], s[..., : self._size, :].copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from .polynomial import smooth_rate
 from .testfunctions import DEGREE, TestFunctions, knot_spacing, test_functions
 
 Array = NDArray[np.float64]
+Family = Callable[[Array, float], TestFunctions | None]
 # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
 _WIDER_FOR_DERIVED = 2.0
 # Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there a
@@ -29,6 +30,9 @@ _SHORTEST_BLOCK = 1.0
 # Quadrature over samples is not exact, so no channel counts as better known than this share of its change
 # in 1 s.
 _FINEST = 2e-3
+# Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the covariance
+# of the residual stays well conditioned.
+DOUBT = 30.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class Segment:
         Commands.
     functions : TestFunctions
         Test functions on the segment.
+    doubted : (N, 2n) array of bool or None
+        Samples that count as hardly known.
     """
 
     run: int
@@ -57,6 +63,7 @@ class Segment:
     measured: Array
     u: Array
     functions: TestFunctions
+    doubted: NDArray[np.bool_] | None = None
 
     @property
     def samples(self) -> slice:
@@ -139,7 +146,9 @@ class WeakData:
         return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
 
 
-def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -> WeakData:
+def prepare(
+    runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None, family: Family = test_functions
+) -> WeakData:
     """Cut runs into segments and put test functions on them.
 
     Parameters
@@ -150,6 +159,9 @@ def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -
         Whose degrees of freedom and commands are wanted.
     sigma : (2n,) array, optional
         Noise of the channels; estimated from the runs where it is not given.
+    family : callable
+        Makes the test functions on a segment from its times and their spacing: B-splines, or boxes for the
+        integral form.
 
     Raises
     ------
@@ -160,7 +172,9 @@ def prepare(runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None) -
     for run in runs:
         _require(run, [*vehicle.velocity_names, *vehicle.command_names], vehicle.name)
     measured_pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
-    segments = [s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle)]
+    segments = [
+        s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle, family)
+    ]
     if not segments:
         raise UndertowError(_too_short(runs))
     derived = any(r.derived for r in runs)
@@ -198,7 +212,12 @@ def _require(run: Run, names: list[str], vehicle: str) -> None:
 
 
 def _segments(
-    index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...], vehicle: Vehicle
+    index: int,
+    run: Run,
+    names: tuple[str, ...],
+    pose: tuple[str, ...],
+    vehicle: Vehicle,
+    family: Family,
 ) -> list[Segment]:
     needed = [n for n in names if n in pose or n in vehicle.velocity_names]
     commands = run.matrix(vehicle.command_names)
@@ -206,7 +225,7 @@ def _segments(
     found = []
     for piece in run.segments([*needed, *vehicle.command_names]):
         t = run.t[piece]
-        functions = test_functions(t, spacing) if len(t) > 1 else None
+        functions = family(t, spacing) if len(t) > 1 else None
         if functions is not None:
             columns = [run.channels[n][piece] if n in needed else np.zeros(len(t)) for n in names]
             found.append(Segment(index, piece.start, t, np.column_stack(columns), commands[piece], functions))

@@ -11,14 +11,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
 
+from .constraints import Constraints
 from .data import WeakData
-from .estimated import estimated
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
-from .step import bounded_step, bounds_of, inverse_of, prior_of, reach_of, within_reach
+from .solution import Solution, clustered
+from .step import bounds_of, limited_step, physical, prior_of, reach_of, within_reach
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -32,10 +32,11 @@ _MATCHING_STEPS = 4
 _NOISE_EXPLAINS = 1.6
 # The same, up to which a fit without any disturbance may bring it down to that.
 _WORTH_A_LOOK = 30.0
+_PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
-class WeakFit:
+class WeakFit(Solution):
     """A model fitted to logs in the weak form.
 
     Attributes
@@ -64,11 +65,6 @@ class WeakFit:
     disturbance: Array
     iterations: int
 
-    @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle with the fitted values and their standard errors."""
-        return estimated(self.model.functions.vehicle, self.values, self.standard_errors)
-
     @cached_property
     def gram(self) -> Array:
         """J' J of the whitened residual, shape (n_free, n_free)."""
@@ -93,30 +89,11 @@ class WeakFit:
 
         Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
         """
-        inverse = inverse_of(self.information)
         scores = self.at.J * self.at.r[:, None]
         block = self.data.block
         summed = np.zeros((int(block.max(initial=0)) + 1, scores.shape[1]))
         np.add.at(summed, block, scores)
-        robust = inverse @ (summed.T @ summed) @ inverse
-        inflation = np.sqrt(np.maximum(1.0, np.diag(robust) / np.maximum(np.diag(inverse), 1e-300)))
-        return inverse * np.outer(inflation, inflation)
-
-    @property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard error of every free parameter."""
-        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)), strict=True))
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the scaled regressor."""
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values of the free parameters."""
-        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
+        return clustered(self.information, summed)
 
     @property
     def cost(self) -> float:
@@ -151,6 +128,7 @@ def fit_weak(
     disturbance: Array | None = None,
     max_iterations: int = _MAX_ITERATIONS,
     enough: float = 0.0,
+    constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle.
 
@@ -168,8 +146,10 @@ def fit_weak(
         Noise model to use; worked out from the residual of the fit itself where not given.
     enough : float
         Share of the sum of squares that a step has to promise for another to follow.
+    constraints : Constraints
+        What else is asked of the parameters of a vehicle; a WeakModel brings its own.
     """
-    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free)
+    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = _started(model.functions.vehicle, start or {})
     if whitening is not None and disturbance is not None:
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
@@ -178,8 +158,8 @@ def fit_weak(
     return settled(_solved(model, p, data, loud, disturbance, max_iterations))
 
 
-def _model_of(vehicle: Vehicle, free: Sequence[str] | None) -> WeakModel:
-    return WeakModel(Functions(vehicle), free_parameters(vehicle) if free is None else free)
+def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constraints) -> WeakModel:
+    return constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
 
 
 def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
@@ -269,7 +249,7 @@ def promise(fit: WeakFit) -> tuple[float, dict[str, float]]:
     """Sum of squares that one more Gauss-Newton step promises, and the parameters after it."""
     model, places = fit.model, list(fit.model.places)
     bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
-    step = bounded_step(fit.at, fit.p[places], bounds, prior_of(model))
+    step = limited_step(model, fit.at, fit.p, bounds, prior_of(model))
     after = np.clip(fit.p[places] + step, *bounds)
     return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True))
 
@@ -292,10 +272,11 @@ def _solved(
     places = list(model.places)
     p = p.copy()
     p[places] = np.clip(p[places], *bounds)
+    p = physical(model, p, bounds)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for _ in range(max_iterations):
-        step = bounded_step(at, p[places], within_reach(bounds, p[places], reach), prior)
+        step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
         promised = _squares(at.r) - _squares(at.r + at.J @ step)
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break

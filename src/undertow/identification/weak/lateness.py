@@ -161,14 +161,14 @@ def stencil(t: Array, when: Array) -> tuple[Index, Array]:
     for reach in range(_REACH, 0, -1):
         rows = np.flatnonzero(waiting & (left + 1 >= reach) & (left + reach < len(t)))
         columns = slice(_REACH - reach, _REACH + reach)
-        found = _lagrange(t[index[rows, columns]], when[rows])
+        found = lagrange(t[index[rows, columns]], when[rows])
         good = (np.sum(found**2, axis=1) <= _LOUDEST) | (reach == 1)
         weight[rows[good], columns] = found[good]
         waiting[rows[good]] = False
     return index, weight
 
 
-def _lagrange(nodes: Array, when: Array) -> Array:
+def lagrange(nodes: Array, when: Array) -> Array:
     """Weights of the polynomial through values at `nodes` (M, k)."""
     weight = np.ones(nodes.shape)
     for j in range(nodes.shape[1]):

@@ -137,8 +137,8 @@ def residual_covariance(
         K test functions over N samples.
     slopes : Entries
         Derivative of the 5n pointwise rows in the 2n measured poses and velocities, at the samples.
-    sigma : (2n,) array
-        Standard deviations of the measured channels.
+    sigma : (2n,) or (N, 2n) array
+        Standard deviations of the measured channels, the same at all samples or not.
     rows : sequence of int
         Equations that are used, among the 2n (forces first, then kinematics).
     derived : sequence of int
@@ -151,7 +151,7 @@ def residual_covariance(
     sparse (K len(rows), K len(rows))
         Ordered by test function, then by equation.
     """
-    n = len(sigma) // 2
+    n = sigma.shape[-1] // 2
     block = slopes.row // n
     equation = slopes.row % n + np.where((block == 2) | (block == 3), n, 0)
     weights = _on_one_pattern(functions)
@@ -160,8 +160,10 @@ def residual_covariance(
     for row in rows:
         for channel in range(2 * n):
             chosen = np.flatnonzero((equation == row) & (slopes.column == channel))
-            level = sigma[channel - n if channel in derived else channel]
-            if level > 0 and len(chosen):
+            level = sigma[..., channel - n if channel in derived else channel]
+            if level.ndim:
+                level = level[pattern.indices]
+            if np.all(level > 0) and len(chosen):
                 terms = (weights[_WEIGHTS[block[e]]].data * slopes.data[pattern.indices, e] for e in chosen)
                 felt[channel in derived].append((rows.index(row), channel, level * sum(terms)))
     measured = _stacked(felt[0], pattern, len(rows), 2 * n)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
-from .data import Segment, WeakData
+from .data import DOUBT, Segment, WeakData
 from .drive import Chain, Driven, Memory, without_gaps
 from .entries import Entries
 from .lateness import Lateness
+from .limits import Limits
 from .mapping import nonzeros
 from .noise import Whitening, overlap, residual_covariance
 from .pointwise import Pointwise
@@ -52,16 +54,23 @@ class WeakModel:
         The model.
     free : sequence of str
         Names of the parameters that may change.
+    dissipative : bool
+        Whether a fit keeps linear damping from feeding energy into any motion.
     """
 
-    def __init__(self, functions: Functions, free: Sequence[str]) -> None:
-        self.functions = functions
+    def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
+        self.functions, self._dissipative = functions, dissipative
         self.free = tuple(free)
         self.places = tuple(functions.parameter_names.index(n) for n in self.free)
         self._points = Pointwise(functions, self.places)
         self._chain = Chain(functions, self.places)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
         self._late = Lateness(functions, self.places)
+
+    @cached_property
+    def limits(self) -> Limits:
+        """What the parameters can be together."""
+        return Limits(self.functions, self.places, dissipative=self._dissipative)
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
@@ -132,7 +141,8 @@ class WeakModel:
         function = self._points.noise
         (slope,) = nonzeros(function, [*inputs, p, s.t[:, None]], len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
-        noise = residual_covariance(s.functions, slopes, data.sigma, data.rows, data.derived, s.t)
+        sigma = data.sigma if s.doubted is None else np.where(s.doubted, DOUBT, 1.0) * data.sigma
+        noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, nnls
 
+from undertow.errors import UndertowError
 from undertow.model.parameter import Parameter, bare_name
 
+from .limits import Cut
 from .residual import Linearised, WeakModel
 
 Array = NDArray[np.float64]
@@ -19,19 +23,53 @@ _REACH = 10.0
 _REACH_OF_BOUNDS = 0.02
 # Square of a derivative, in units of the noise per SI unit, below which there is none but rounding.
 _UNFELT = 1e-24
+# Cutting planes that a step may need; each is a direction of a matrix of at most six motions.
+_MOST_CUTS = 60
+# Norm of the residual of a dual problem from which no step satisfies all inequalities.
+_IMPOSSIBLE = 1e-9
 
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
-    """Physical bounds of the free parameters, SNAME signs."""
-    vehicle = model.functions.vehicle
-    pairs = []
-    for name in model.free:
-        low, high = vehicle.declared_parameters[bare_name(name)].bounds
-        value = vehicle.value_of(name).value
-        # A value that the user allowed against its sign keeps its freedom.
-        pairs.append((min(low, value) if value else low, max(high, value) if value else high))
-    table = np.array(pairs).reshape(-1, 2)
+    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too.
+
+    Raises
+    ------
+    UndertowError
+        If parameters that are to be equal cannot be by their bounds.
+    """
+    table = np.array([_joint_bounds(model, name) for name in model.free]).reshape(-1, 2)
     return table[:, 0], table[:, 1]
+
+
+def _joint_bounds(model: WeakModel, name: str) -> tuple[float, float]:
+    low, high = _bounds(model, name)
+    for other, factor in model.functions.followers(name).items():
+        ends = sorted(bound / factor for bound in _bounds(model, other))
+        low, high = max(low, ends[0]), min(high, ends[1])
+        if low > high or (low == high == 0.0):
+            raise UndertowError(
+                f"{other} = {factor:g} {name} leaves no value that is physical for both: check the sign of "
+                "the factor"
+            )
+    return low, high
+
+
+def _bounds(model: WeakModel, name: str) -> tuple[float, float]:
+    vehicle = model.functions.vehicle
+    low, high = vehicle.declared_parameters[bare_name(name)].bounds
+    value = vehicle.value_of(name).value
+    # A value that the user allowed against its sign keeps its freedom.
+    return (min(low, value) if value else low, max(high, value) if value else high)
+
+
+def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
+    """Free parameters that are at a limit of what is physical, with that limit."""
+    low, high = bounds_of(model)
+    values = p[list(model.places)]
+    room = 1e-9 * np.maximum(np.abs(values), 1e-6)
+    below, above = values - low <= room, high - values <= room
+    ends = np.where(below, low, high)
+    return {n: float(e) for n, e, hit in zip(model.free, ends, below | above, strict=True) if hit}
 
 
 def prior_of(model: WeakModel) -> tuple[Array, Array]:
@@ -40,7 +78,19 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
     # A value without a stated error is no prior, and may be infinite (a limit that is not there).
     centre = np.array([0.0 if v.sigma is None else v.value for v in values])
     weight = np.array([0.0 if v.sigma is None else 1.0 / (_PRIOR_WIDTH * v.sigma) for v in values])
+    for k, name in enumerate(model.free):
+        for other, factor in model.functions.followers(name).items():
+            stated = model.functions.vehicle.value_of(other)
+            if stated.sigma is not None:
+                centre[k], weight[k] = _both(centre[k], weight[k], stated.value, stated.sigma, factor)
     return centre, weight
+
+
+def _both(centre: float, weight: float, value: float, sigma: float, factor: float) -> tuple[float, float]:
+    """One prior for two: of a parameter, and of its multiple."""
+    other = abs(factor) / (_PRIOR_WIDTH * sigma)
+    total = weight**2 + other**2
+    return (weight**2 * centre + other**2 * value / factor) / total, float(np.sqrt(total))
 
 
 def reach_of(model: WeakModel) -> Array:
@@ -66,19 +116,71 @@ def within_reach(bounds: tuple[Array, Array], now: Array, reach: Array) -> tuple
     return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
 
 
+def limited_step(
+    model: WeakModel, at: Linearised, p: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]
+) -> Array:
+    """Bounded least-squares step after which the model is physical: its mass matrix positive, and the like.
+
+    A direction in which a matrix would be negative becomes an inequality, and the step is made again; that
+    converges to the solution under the matrix inequality. Without a violation it is the plain bounded step.
+    """
+    now, limits = p[list(model.places)], model.limits
+    step = bounded_step(at, now, bounds, prior)
+    cuts: list[Cut] = []
+    while len(cuts) < _MOST_CUTS and (found := limits.cuts(limits.moved(p, step))):
+        cuts += [Cut(c.slope, c.lacking + float(c.slope @ step)) for c in found]
+        step = bounded_step(at, now, bounds, prior, cuts)
+    return _held_back(model, p, step) if cuts else step
+
+
+def _held_back(model: WeakModel, p: Array, step: Array) -> Array:
+    """The largest share of a step that leaves the model physical; all of it where it was not before."""
+    limits = model.limits
+    if limits.broken(p) or not limits.broken(limits.moved(p, step)):
+        return step
+    good, bad = 0.0, 1.0
+    for _ in range(40):
+        middle = (good + bad) / 2
+        good, bad = (good, middle) if limits.broken(limits.moved(p, middle * step)) else (middle, bad)
+    return good * step
+
+
+def physical(model: WeakModel, p: Array, bounds: tuple[Array, Array]) -> Array:
+    """The parameters themselves where the model is physical with them, else the nearest for which it is."""
+    if not model.limits.broken(p):
+        return p
+    now = p[list(model.places)]
+    alike = np.diag(1.0 / np.maximum(np.abs(now), 1e-3))
+    at = Linearised(np.zeros(len(now)), alike, np.zeros((len(now), 0)))
+    nothing = np.zeros(len(now)), np.zeros(len(now))
+    return model.limits.moved(p, limited_step(model, at, p, bounds, nothing))
+
+
 def bounded_step(
-    at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]
+    at: Linearised,
+    now: Array,
+    bounds: tuple[Array, Array],
+    prior: tuple[Array, Array],
+    cuts: Sequence[Cut] = (),
 ) -> Array:
     """Bounded least-squares step of the linearised problem; what the data do not feel stays where it is."""
     felt = np.sum(at.J**2, axis=0) + prior[1] ** 2 > _UNFELT
     step = np.zeros(len(now))
     if felt.any():
         chosen = Linearised(at.r, at.J[:, felt], at.start)
-        step[felt] = _step(chosen, now[felt], *((a[felt], b[felt]) for a, b in (bounds, prior)))
+        kept = [Cut(c.slope[felt], c.lacking) for c in cuts]
+        limits, stated = ((a[felt], b[felt]) for a, b in (bounds, prior))
+        step[felt] = _step(chosen, now[felt], limits, stated, kept)
     return step
 
 
-def _step(at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]) -> Array:
+def _step(
+    at: Linearised,
+    now: Array,
+    bounds: tuple[Array, Array],
+    prior: tuple[Array, Array],
+    cuts: Sequence[Cut],
+) -> Array:
     centre, stiffness = prior
     gram = at.J.T @ at.J + np.diag(stiffness**2)
     slope = at.J.T @ at.r + stiffness**2 * (now - centre)
@@ -87,9 +189,36 @@ def _step(at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[
     factor = np.linalg.cholesky(scaled).T
     target = np.linalg.solve(factor.T, -slope * scale)
     low, high = ((b - now) / scale for b in bounds)
+    if cuts:
+        table = np.array([c.slope * scale for c in cuts])
+        least = np.array([c.lacking for c in cuts])
+        return _within(np.asarray(factor), np.asarray(target), low, high, table, least) * scale
     if np.all(np.isinf(low)) and np.all(np.isinf(high)):
         return np.linalg.solve(factor, target) * scale
     return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x * scale
+
+
+def _within(factor: Array, target: Array, low: Array, high: Array, table: Array, least: Array) -> Array:
+    """Least squares under bounds and `table @ z >= least`, as a least distance problem.
+
+    That is solved by non-negative least squares (Lawson and Hanson, Solving Least Squares Problems, 1974,
+    chapter 23). Where no step satisfies all, the one that satisfies the bounds is returned.
+    """
+    unit = np.eye(len(target))
+    rows = np.vstack([unit[np.isfinite(low)], -unit[np.isfinite(high)], table])
+    limit = np.concatenate([low[np.isfinite(low)], -high[np.isfinite(high)], least])
+    G = np.linalg.solve(factor.T, rows.T).T
+    h = limit - G @ target
+    size = np.linalg.norm(G, axis=1)
+    G, h = G / size[:, None], h / size
+    reach = max(float(np.max(h)), 1e-300)
+    dual = np.vstack([G.T, h / reach])
+    multiplier, rest = nnls(dual, np.append(np.zeros(len(target)), 1.0))
+    if rest < _IMPOSSIBLE or np.max(h) <= 0.0:
+        return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x
+    missing = dual @ multiplier
+    missing[-1] -= 1.0
+    return np.linalg.solve(factor, target - reach * missing[:-1] / missing[-1])
 
 
 def inverse_of(information: Array) -> Array:

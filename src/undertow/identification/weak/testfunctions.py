@@ -77,6 +77,57 @@ def test_functions(t: Array, spacing: float) -> TestFunctions | None:
 
 test_functions.__test__ = False  # type: ignore[attr-defined]
 
+
+def boxes(t: Array, spacing: float) -> TestFunctions | None:
+    """Boxes, one from every sample on: with them the weak form is the integral form.
+
+    A box has no derivative but a peak at either end, so that its residual is the change of velocity less the
+    integral of the acceleration, of position less that of velocity. All of a segment is used, since boxes
+    overlap, and generalised least squares knows how they hang together. Signals are integrated by the cubic
+    through the four samples around each interval.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Sample times, s.
+    spacing : float
+        Length of a box, s, brought to whole samples.
+    """
+    width = max(round(spacing / float(np.median(np.diff(t)))), 1)
+    count = len(t) - width
+    if count < 1 or len(t) < 4:
+        return None
+    first = np.repeat(np.arange(count), width)
+    inside = csr_array((np.ones(count * width), (first, first + np.tile(np.arange(width), count))))
+    inside.resize(count, len(t) - 1)
+    step = np.diff(t)
+    place = np.arange(count)
+    ends = (np.concatenate([place, place]), np.concatenate([place, place + width]))
+    jumps = np.repeat([1.0, -1.0], count)
+    return TestFunctions(
+        value=csr_array(inside @ _interval_integrals(t)),
+        rate=csr_array((jumps, ends), shape=(count, len(t))),
+        held=csr_array(
+            (inside.data * step[inside.indices], inside.indices, inside.indptr), shape=(count, len(t))
+        ),
+        centre=(t[width:] + t[:count]) / 2,
+    )
+
+
+def _interval_integrals(t: Array) -> csr_array:
+    """Weights for the integral from each sample to the next by the cubic through four, (N - 1, N)."""
+    count = len(t) - 1
+    first = np.clip(np.arange(count) - 1, 0, len(t) - 4)
+    index = first[:, None] + np.arange(4)
+    step = np.diff(t)[:, None]
+    place = (t[index] - t[:-1, None]) / step
+    moments = 1.0 / np.arange(1.0, 5.0)
+    powers = np.swapaxes(place[:, :, None] ** np.arange(4), 1, 2)
+    weight = np.linalg.solve(powers, np.broadcast_to(moments[:, None], (count, 4, 1)))[..., 0] * step
+    rows = np.repeat(np.arange(count), 4)
+    return csr_array((weight.ravel(), (rows, index.ravel())), shape=(count, len(t)))
+
+
 _SUPPORT = np.arange(DEGREE + 2.0)
 _PHI = BSpline.basis_element(_SUPPORT, extrapolate=False)
 _PHI_RATE = _PHI.derivative()

@@ -1,0 +1,177 @@
+"""A long log in parts that overlap, so that it is never in memory as a whole."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.model.units import scale_offset
+
+from .mapping import CommandPolicy, Mapping
+from .reading import origin_of, run_of_table
+from .run import Run
+from .table import is_dates, is_gzip, is_parquet, numbers, read_rows, read_table
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_HASHED = 1 << 20
+
+
+@dataclass(frozen=True)
+class LongLog:
+    """A log that is read in parts.
+
+    Attributes
+    ----------
+    path : Path
+        CSV, CSV.gz or Parquet file.
+    mapping : Mapping
+        What its columns mean.
+    commands : tuple of str
+        Names of commands that are read where the log has them.
+    window : (t_min, t_max)
+        Part that is used, s; None: no limit.
+    missing_commands : "refuse", "hold" or "gap", optional
+        What to do where a command has no sample.
+    """
+
+    path: Path
+    mapping: Mapping
+    commands: tuple[str, ...]
+    window: tuple[float | None, float | None] = (None, None)
+    missing_commands: CommandPolicy | None = None
+
+    def parts(self, rows: int, overlap: int) -> Iterator[Run]:
+        """Runs of `rows` rows, each beginning with the last `overlap` rows of the one before.
+
+        Raises
+        ------
+        UndertowError
+            If the file cannot be read, or holds what no log may hold; if its time is a date in words, or the
+            mapping thins out or puts signals on another clock, which cannot be done part by part.
+        """
+        self._refuse()
+        origin: float | None = None
+        for table in self._tables(rows, overlap):
+            if origin is None:
+                origin = self._origin(table)
+            run = self._run(table, origin)
+            if run is not None:
+                yield run
+
+    def _run(self, table: pl.DataFrame, origin: float) -> Run | None:
+        """The run of some rows; None where the window leaves fewer than two of them."""
+        low, high = (w if w is not None else s * np.inf for w, s in zip(self.window, (-1, 1), strict=True))
+        where = f"log {self.path}"
+        scale, offset = scale_offset(self.mapping.time.unit, "s", of=where)
+        raw = numbers(table, self.mapping.time.column, self.mapping, where)
+        t = scale * (raw - origin) + offset + self.mapping.time.offset
+        if np.count_nonzero((t >= low) & (t <= high)) < 2:
+            return None
+        also, fill = self.commands, self.missing_commands
+        return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin)
+
+    def _origin(self, table: pl.DataFrame) -> float:
+        spec, where = self.mapping.time, f"log {self.path}"
+        if spec.column not in table.columns:
+            return 0.0  # told with the other columns
+        if is_dates(table, spec.column):
+            raise UndertowError(f"{where}: {_DATES}")
+        scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
+        return origin_of(numbers(table.head(1), spec.column, self.mapping, where), scale)
+
+    def _refuse(self) -> None:
+        if not self.path.is_file():
+            raise UndertowError(f"log {self.path} does not exist or is not a file: give the path of a log")
+        if self.mapping.time.unit == "iso":
+            raise UndertowError(f"log {self.path}: {_DATES}")
+        if self.mapping.time.every > 1 or any(c.fresh for c in self.mapping.columns.values()):
+            raise UndertowError(
+                f"log {self.path}: `every` and `fresh` in a mapping file need the whole log: leave them "
+                "out, or leave out --stream"
+            )
+
+    def _tables(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
+        with self.path.open("rb") as file:
+            begin = file.read(4)
+        if not is_parquet(begin):
+            yield from self._text_tables(rows, overlap, packed=is_gzip(begin))
+            return
+        first = 0
+        while True:
+            table = read_rows(self.path, first, rows, f"log {self.path}")
+            if first and table.height <= overlap:
+                return
+            yield table
+            first += rows - overlap
+
+    def _text_tables(self, rows: int, overlap: int, *, packed: bool) -> Iterator[pl.DataFrame]:
+        where = f"log {self.path}"
+        with _opened(self.path, where, packed=packed) as file:
+            header = self._header(file)
+            kept: list[bytes] = []
+            while fresh := list(islice(file, rows - len(kept))):
+                lines = kept + fresh
+                yield read_table(header + b"".join(lines), self.mapping, where)
+                kept = lines[-overlap:] if overlap else []
+
+    def _header(self, file: IO[bytes]) -> bytes:
+        comment = (self.mapping.comment or "\0").encode()
+        for line in file:
+            if line.strip(b"\xef\xbb\xbf \r\n") and not line.startswith(comment):
+                return line
+        raise UndertowError(f"log {self.path} is empty (no header): check that it was written to its end")
+
+
+_DATES = (
+    "its time is a date, which parts of a log cannot be counted from: give the time as a number, or leave "
+    "out --stream"
+)
+
+
+@contextmanager
+def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
+    try:
+        with gzip.open(path, "rb") if packed else path.open("rb") as file:
+            yield file  # type: ignore[misc]
+    except (OSError, EOFError) as error:
+        raise UndertowError(f"{where} cannot be read to its end ({error}): copy it again") from error
+
+
+def hash_of(path: Path) -> str:
+    """SHA-256 of a file, read in pieces."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(_HASHED):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
+    """Two samples that stand for a long log where it is asked what moves in it, and which way.
+
+    Of every channel they have the sum of what is positive and the sum of what is negative; a channel that
+    never changes has its value.
+    """
+    found: dict[str, list[float]] = {}
+    for run in parts:
+        for channel, values in run.channels.items():
+            known = values[np.isfinite(values)]
+            if not len(known):
+                continue
+            low, high, up, down = found.get(channel, [np.inf, -np.inf, 0.0, 0.0])
+            more = [float(np.sum(np.maximum(s * known, 0.0))) for s in (1.0, -1.0)]
+            ends = min(low, float(known.min())), max(high, float(known.max()))
+            found[channel] = [*ends, up + more[0], down + more[1]]
+    channels = {n: [a, a] if a == b else [up, -down] for n, (a, b, up, down) in found.items()}
+    return Run(name, np.array([0.0, 1.0]), {n: np.array(v) for n, v in channels.items()}, sha256=sha256)

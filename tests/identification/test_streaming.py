@@ -1,0 +1,117 @@
+"""Long logs in parts: the same answer as in one piece, and nothing that grows with the log."""
+
+from __future__ import annotations
+
+import gzip
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.identification.surge import surge_vehicle
+from undertow.errors import UndertowError
+from undertow.identification.least_squares import CASES, estimate, experiments
+from undertow.identification.least_squares.chain import Triangle
+from undertow.identification.least_squares.rows import Rows
+from undertow.identification.least_squares.streaming import estimate_streaming
+from undertow.identification.logs import Mapping, read_log
+from undertow.identification.logs.chunks import LongLog
+
+VEHICLE = surge_vehicle()
+STEP = 0.2
+
+
+def long_log(count: int, gaps: bool = False) -> pl.DataFrame:
+    """A velocity that is a sum of sines, the force that the truth needs for it, noise on both."""
+    rng, t = np.random.default_rng(8), STEP * np.arange(count)
+    waves = ((0.2, 0.31), (0.1, 1.17), (0.05, 2.9))
+    u = sum(a * np.sin(w * t) for a, w in waves)
+    rate = sum(a * w * np.cos(w * t) for a, w in waves)
+    force = 9.13 * rate + 0.14 * u + 5.15 * np.abs(u) * u
+    u = u + 0.003 * rng.standard_normal(count)
+    if gaps:
+        u[1000:1010] = np.nan
+        u[count // 2 : count // 2 + 3] = np.nan
+    return pl.DataFrame({"t": t, "u": u, "tau_X": force}, nan_to_null=True)
+
+
+def written(frame: pl.DataFrame, path: Path) -> Path:
+    if path.suffix == ".parquet":
+        frame.write_parquet(path)
+    elif path.suffix == ".gz":
+        path.write_bytes(gzip.compress(frame.write_csv().encode()))
+    else:
+        frame.write_csv(path)
+    return path
+
+
+@pytest.mark.parametrize("name", ["long.csv", "long.csv.gz", "long.parquet"])
+def test_parts_give_the_answer_of_one_piece(tmp_path: Path, name: str) -> None:
+    path = written(long_log(20_000, gaps=True), tmp_path / name)
+    cases = list(CASES.values())
+    (surge,) = experiments(VEHICLE, [read_log(path)])
+    ((_, found),) = estimate_streaming(VEHICLE, [LongLog(path, Mapping(), ("tau_X",))], cases, rows=3_000)
+    for case, streamed in zip(cases, found, strict=True):
+        whole = estimate(surge, case)
+        assert streamed.samples == whole.samples
+        np.testing.assert_allclose(streamed.theta, whole.theta, rtol=1e-10)
+        np.testing.assert_allclose(streamed.covariance, whole.covariance, rtol=1e-9, atol=1e-20)
+        assert streamed.residual_variance == pytest.approx(whole.residual_variance, rel=1e-10)
+
+
+@pytest.mark.parametrize("edges", ["drop", "mirror"])
+def test_what_filters_do_at_the_ends_is_done_at_the_ends_only(tmp_path: Path, edges) -> None:
+    path = written(long_log(4_000), tmp_path / "long.csv")
+    (surge,) = experiments(VEHICLE, [read_log(path)])
+    log = LongLog(path, Mapping(), ("tau_X",), window=(50.0, 700.0))
+    whole = experiments(VEHICLE, [read_log(path, window=(50.0, 700.0))])[0]
+    ((_, found),) = estimate_streaming(VEHICLE, [log], [CASES["11"]], edges, rows=700)
+    np.testing.assert_allclose(found[0].theta, estimate(whole, CASES["11"], edges).theta, rtol=1e-10)
+    assert found[0].samples < estimate(surge, CASES["11"], edges).samples
+
+
+def test_two_hundred_thousand_rows_in_constant_memory(tmp_path: Path) -> None:
+    frame = long_log(200_000)
+    cases = [CASES["2"], CASES["11"]]
+    peaks = []
+    for count in (50_000, 200_000):
+        path = written(frame.head(count), tmp_path / f"long{count}.csv")
+        log = LongLog(path, Mapping(), ("tau_X",))
+        tracemalloc.start()
+        ((_, found),) = estimate_streaming(VEHICLE, [log], cases, rows=10_000)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # Four times the rows, the same memory; in one piece they would take four times as much.
+    assert peaks[1] < 1.15 * peaks[0]
+    (surge,) = experiments(VEHICLE, [read_log(path)])
+    for case, streamed in zip(cases, found, strict=True):
+        whole = estimate(surge, case)
+        assert streamed.samples == whole.samples == 200_000
+        np.testing.assert_allclose(streamed.theta, whole.theta, rtol=1e-10)
+
+
+def test_a_triangle_holds_no_more_than_its_factor() -> None:
+    rng = np.random.default_rng(0)
+    triangle, H, y = Triangle(3), [], []
+    for _ in range(50):
+        H.append(rng.standard_normal((40, 3)) * [1.0, 1e4, 1e-3])
+        y.append(rng.standard_normal(40))
+        triangle.add(Rows(H[-1], y[-1], np.zeros(40)))
+        assert triangle.factor.shape == (4, 4)
+    left, right = triangle.split()
+    exact = np.linalg.lstsq(np.vstack(H), np.concatenate(y), rcond=None)[0]
+    np.testing.assert_allclose(np.linalg.lstsq(left, right, rcond=None)[0], exact, rtol=1e-10)
+    assert triangle.count == 2000
+
+
+def test_what_cannot_be_done_in_parts_is_told(tmp_path: Path) -> None:
+    path = written(long_log(100), tmp_path / "long.csv")
+    thinned = Mapping.model_validate({"time": {"every": 2}})
+    dated = Mapping.model_validate({"time": {"unit": "iso"}})
+    for mapping, said in ((thinned, "need the whole log"), (dated, "its time is a date")):
+        with pytest.raises(UndertowError, match=said):
+            estimate_streaming(VEHICLE, [LongLog(path, mapping, ("tau_X",))], [CASES["2"]])
+    with pytest.raises(UndertowError, match="does not exist"):
+        estimate_streaming(VEHICLE, [LongLog(tmp_path / "no.csv", Mapping(), ())], [CASES["2"]])
