@@ -14,10 +14,12 @@ from benchmarks.identification.page import BIASES, Beyond, page
 from benchmarks.identification.pictures import draw_biases
 from benchmarks.identification.profile import EXACT, INTERVAL, JUMPS, logs
 from benchmarks.identification.study import METHODS, OUTPUT, study
+from benchmarks.identification.towing import towing
 from tests.identification.test_least_squares import profile_p
 
 ROOT = Path(__file__).parents[1]
-DATA = ROOT.parent / "shared" / "data" / "cfd-surge"
+SHARED = ROOT.parent / "shared" / "data"
+DATA, BASIN = SHARED / "cfd-surge", SHARED / "ntnu-cse1"
 
 
 def test_profile_p_is_simulated_as_elsewhere() -> None:
@@ -88,3 +90,21 @@ def test_the_page_in_docs_is_of_this_program() -> None:
         assert f"| {method} |" in text
     for picture in ("identification-spread.png", BIASES):
         assert (ROOT / "docs" / "images" / picture).is_file()
+
+
+@pytest.mark.skipif(not BASIN.is_dir(), reason=f"the towing tests are not there ({BASIN})")
+def test_towing_gives_the_drag_that_its_providers_fitted_and_no_added_mass() -> None:
+    found = towing(BASIN, methods=["weak"])
+    assert found.runs == 54
+    assert found.mass == "not identifiable"
+    means, samples, weak, *free = found.rows
+    # README of the data: X = -0.14 u - 3.09 u|u| over the full range.
+    np.testing.assert_allclose(means.values, (0.14, 3.09), atol=0.005)
+    for other in (samples, weak):
+        gap = np.abs(np.subtract(other.values, means.values))
+        assert np.all(gap < 3 * np.hypot(other.errors, means.errors))
+        np.testing.assert_allclose(other.drag, found.measured, rtol=0.15)
+    assert all(np.all(np.abs(f.drag / found.measured - 1) < 1) for f in free)
+    text = page([], 1, [], "", None, found)
+    assert "not identifiable" in text
+    assert "0.137 ± 0.06" in text

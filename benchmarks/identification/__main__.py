@@ -20,6 +20,7 @@ from .hardships import hardships
 from .page import BIASES, Beyond, page
 from .pictures import draw, draw_biases
 from .study import study
+from .towing import towing
 from .variables import biases
 
 PICTURE = "identification-spread.png"
@@ -38,6 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         folder = options.data / "cfd-surge"
         box = estimates(folder) if folder.is_dir() else []
+        basin = options.data / "ntnu-cse1"
+        towed = towing(basin) if basin.is_dir() else None
         levels = study(options.draws, teller("profile P"))
         variables = biases(options.more, teller("errors in variables"))
         hard = hardships(options.more, teller("outliers and disturbances"))
@@ -48,7 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
     draw(levels[1], options.out.parent / "images" / PICTURE)
     beyond = Beyond(options.more, variables, hard)
     draw_biases(variables, options.out.parent / "images" / BIASES)
-    write_whole(options.out, page(levels, options.draws, box, _making(options.draws, options.more), beyond))
+    making = _making(options.draws, options.more)
+    write_whole(options.out, page(levels, options.draws, box, making, beyond, towed))
     return 0
 
 

@@ -13,6 +13,7 @@ from .cfd import Estimate
 from .hardships import NOTHING, OUTLIERS, ROBUST, Hardship
 from .profile import EXACT
 from .study import OUTPUT, RULE, WEAK, Level
+from .towing import SPEEDS, Towed, Towing
 from .variables import SQUARES, Bias
 
 BIASES = "identification-biases.png"
@@ -51,6 +52,20 @@ in other parameters. Standard errors are what each method believes of itself.
 """
 
 
+_TOWING = """\
+## Towing tests of a model ship
+
+C/S Enterprise I (NTNU; [results](results.md) has the rest of its tests) towed at {runs} constant speeds up to
+0.6 m/s, each for half a minute, and one of its free runs under joystick. Where nothing accelerates, least
+squares is all that is left of the paper's chain, and the added mass is **{mass}** from these tests; a free
+run determines it, and hardly the drag. Magnitudes:
+"""
+_TOWED = """\
+Measured: {measured}. The sum of both terms is known far better than either. Samples of one towing run
+hang together (waves of the basin, a 5-Hz filter), and stated errors follow from what each method takes for
+independent. A free run knows the drag of speeds that it has, as a sum with all that its model lacks: its
+thrusters have a dead band and a delay.
+"""
 _VARIABLES = """\
 ## Noise and an unknown current in the regressors
 
@@ -114,6 +129,19 @@ class Beyond:
         yield _HARD
 
 
+def _towing(towing: Towing) -> Iterator[str]:
+    yield _TOWING.format(runs=towing.runs, mass=towing.mass)
+    heads = ("X_u [kg/s]", "X_u\\|u\\| [kg/m]", *(f"drag at {v:g} m/s [N]" for v in SPEEDS))
+    yield table(("tests", "estimator", *heads, "by these tests"), map(_towed, towing.rows), left=2)
+    pairs = zip(towing.measured, SPEEDS, strict=True)
+    yield _TOWED.format(measured=", ".join(f"{force:.2g} N at {v:g} m/s" for force, v in pairs))
+
+
+def _towed(row: Towed) -> list[str]:
+    cells = (f"{v:.3g} ± {s:.1g}" for v, s in zip(row.values, row.errors, strict=True))
+    return [row.source, row.method, *cells, *(f"{f:.2g}" for f in row.drag), "; ".join(row.known) or "–"]
+
+
 def _biases(found: Sequence[Bias], setting: Callable[[Bias], str]) -> Iterator[list[str]]:
     for b in found:
         cells = (f"{number(m, 2)} ± {number(s, 1)}" for m, s in zip(b.mean, b.unsure, strict=True))
@@ -131,6 +159,7 @@ def page(
     cfd: Sequence[Estimate],
     making: str,
     beyond: Beyond | None = None,
+    towing: Towing | None = None,
 ) -> str:
     """The whole page, Markdown."""
     parts = [
@@ -146,6 +175,7 @@ def page(
     parts += [] if beyond is None else beyond.parts()
     if cfd:
         parts += [_CFD, table(("log", "estimator", *PARAMETERS, "by the log"), _box(cfd), left=2)]
+    parts += [] if towing is None else _towing(towing)
     tables = "`undertow audit-tables` lists what does not fit in the paper's own tables A1 to A6.\n"
     return "\n".join([*parts, "## The paper's tables\n", tables, making])
 
