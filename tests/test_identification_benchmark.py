@@ -108,3 +108,4 @@ def test_towing_gives_the_drag_that_its_providers_fitted_and_no_added_mass() -> 
     text = page([], 1, [], "", None, found)
     assert "not identifiable" in text
     assert "0.137 ± 0.06" in text
+    assert "## Towing tests of a model ship" in text

@@ -32,7 +32,10 @@ def test_a_hidden_effect_comes_first_and_explains_the_logs(case: str, effect: st
     assert found.judged == "right"
     before, after = found.diagnosis.steps
     assert before.error > 5
-    assert after.error < 1.15
+    # What simulates best leaves a little more under the test functions than what was fitted to them.
+    assert after.error < 1.25
+    assert after.simulation is not None
+    assert after.simulation < 1.05
     assert before.prediction is not None
     assert after.prediction is not None
     assert after.prediction < 0.6 * before.prediction

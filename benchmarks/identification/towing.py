@@ -124,7 +124,7 @@ def _trace(name: str, part: pl.DataFrame) -> Run:
     t = part["t_s"].to_numpy()
     # Front minus rear cell is the force of the water; what holds the hull against it is the opposite.
     force = (part["F8113_N"] - part["F8111_N"]).to_numpy()
-    return Run(name, t, {"x": np.cumsum(speed) * 0.1, "u": speed, "tau_X": force})
+    return Run(name, t, {"u": speed, "tau_X": force})
 
 
 def _steady(source: str, u: np.ndarray, force: np.ndarray) -> Towed:

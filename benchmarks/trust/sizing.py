@@ -37,7 +37,9 @@ def sized(case: Planned) -> Planned:
             break
         factor = np.sqrt((case.aim**2 - 1.0) / max(ratio**2 - 1.0, 1e-3))
         strength *= float(np.clip(factor, 1.0 / _STRIDE, _STRIDE))
-    return replace(case, strength=min(found, key=found.__getitem__, default=strength))
+    if not found:
+        raise ValueError(f"{case.id}: the vehicle runs away with any size of its effect that was tried")
+    return replace(case, strength=min(found, key=found.__getitem__))
 
 
 def _worth(case: Planned) -> float:

@@ -14,9 +14,10 @@ from undertow.codegen.functions import Functions
 from undertow.identification import read_log
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.drive import shifted_mean
-from undertow.identification.weak.fit import fit_weak, free_parameters
+from undertow.identification.weak.fit import disturbed, fit_weak, free_parameters
 from undertow.identification.weak.noise import white_noise
 from undertow.identification.weak.residual import WeakModel
+from undertow.identification.weak.step import at_bounds, prior_of
 from undertow.identification.weak.testfunctions import boxes
 from undertow.identification.weak.testfunctions import test_functions as functions_on
 from undertow.model.catalogue import catalogue
@@ -249,3 +250,25 @@ def test_the_integral_form_is_as_good_as_the_weak_form() -> None:
     rmse = {name: np.sqrt(np.mean(np.square(found), axis=0)) for name, found in off.items()}
     np.testing.assert_array_less(rmse["integral"], 1.15 * rmse["weak"])
     np.testing.assert_allclose(np.median(claimed, axis=0), rmse["integral"], rtol=0.4)
+
+
+def test_a_fit_ends_where_data_and_stated_priors_balance(tmp_path: Path) -> None:
+    model, runs = _case(tmp_path, "usv", (), 5, 20.0)
+    tight = {
+        n: Value(3.0 * model.value_of(n).value, estimate=True, sigma=1e-3) for n in ("X_u", "Y_v", "N_r")
+    }
+    weak = WeakModel(Functions(model.with_values(tight)), free_parameters(model))
+    data = prepare(runs[:1], model)
+    # A large disturbance leaves much to the priors, which the search begins far from.
+    loud = np.full(len(data.names), 1e-2)
+    whitening = disturbed(weak.whitening(data, np.array(weak.functions.values())), loud, data)
+    start = {n: model.value_of(n).value for n in tight}
+    fit = fit_weak(weak, data, start=start, whitening=whitening, disturbance=loud)
+    centre, stiffness = prior_of(weak)
+    values = fit.p[list(weak.places)]
+    slope = fit.at.J.T @ fit.at.r + stiffness**2 * (values - centre)
+    inside = ~np.isin(weak.free, list(at_bounds(weak, fit.p)))
+    errors = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    # One more step would move no parameter by a tenth of its standard error.
+    assert np.all(np.abs(slope[inside] * errors[inside] ** 2) < 0.1 * errors[inside])
+    assert fit.values["X_u"] == pytest.approx(tight["X_u"].value, rel=0.05)

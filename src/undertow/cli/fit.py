@@ -15,7 +15,8 @@ leaves out samples that stand off their neighbours).
     undertow fit rov.toml run1.csv run2.csv --method output-error --loss student-t
 
 The mass matrix stays positive, and coefficients keep within what is physical. Coefficients that are known
-to be alike are fitted as one, with --equal; stated standard deviations (sigma) hold what logs leave open.
+to be alike are fitted as one, with --equal; stated standard deviations (sigma), taken five times
+as wide, hold what logs leave open.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 

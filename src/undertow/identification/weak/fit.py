@@ -277,11 +277,12 @@ def _solved(
     iteration = 0
     for _ in range(max_iterations):
         step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
-        promised = _squares(at.r) - _squares(at.r + at.J @ step)
+        now, then = (_pull(prior, p[places] + s) for s in (0.0, step))
+        promised = _squares(at.r) + now - _squares(at.r + at.J @ step) - then
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break
         before = p
-        p, at = _line_search(model, p, places, step, at, data, whitening, bounds)
+        p, at = _line_search(model, p, step, at, data, whitening, bounds, prior)
         iteration += 1
         if p is before:  # no share of the step helps, and the next one would be the same
             break
@@ -292,22 +293,29 @@ def _squares(r: Array) -> float:
     return float(np.sum(r**2))
 
 
+def _pull(prior: tuple[Array, Array], values: Array) -> float:
+    """What stated priors add to the sum of squares."""
+    centre, stiffness = prior
+    return float(np.sum((stiffness * (values - centre)) ** 2))
+
+
 def _line_search(
     model: WeakModel,
     p: Array,
-    places: list[int],
     step: Array,
     at: Linearised,
     data: WeakData,
     whitening: list[Whitening],
     bounds: tuple[Array, Array],
+    prior: tuple[Array, Array],
 ) -> tuple[Array, Linearised]:
-    """Halve the step until the weighted error falls."""
-    before = _squares(at.r)
+    """Halve the step until the weighted error falls, what stated priors add to it included."""
+    places = list(model.places)
+    before = _squares(at.r) + _pull(prior, p[places])
     for share in (1.0, 0.5, 0.25, 0.1, 0.02):
         tried = p.copy()
         tried[places] = np.clip(p[places] + share * step, *bounds)
         after = whitened(model.linearise(data, tried), whitening)
-        if _squares(after.r) <= before * (1 + 1e-12):
+        if _squares(after.r) + _pull(prior, tried[places]) <= before * (1 + 1e-12):
             return tried, after
     return p, at
