@@ -32,9 +32,10 @@ THOROUGH = 20.0
 # Mean square of the simulation error, in units of the noise, that still counts as noise: in the worst channel
 # and over all of them. The noise of a channel is known to a few per cent.
 _ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
-# Mean square of the simulation error from which no fit by output error brings it down to the noise, and from
-# which it is left as it is.
+# Mean square of the simulation error below which it is nearly noise, from which no fit by output error brings
+# it down to that, and from which none is made.
 _NEAR_NOISE = 2.0
+_WITHIN_REACH = 10.0
 _FAR_OFF = 100.0
 _START_STEPS = 3
 _SURE = 0.01
@@ -154,7 +155,7 @@ class Referee:
         if only_noise(noise_ratio(weak, test)):
             return True
         # The fit by output error is dear, and no help to a model that is far off.
-        return bool(np.mean(self.squares(weak)) < _NEAR_NOISE and self.leaves_only_noise(weak))
+        return bool(np.mean(self.squares(weak)) < _WITHIN_REACH and self.leaves_only_noise(weak))
 
     def leaves_only_noise(self, weak: WeakFit) -> bool:
         """Whether a model, fitted by output error, simulates the kept-aside runs to within the noise.

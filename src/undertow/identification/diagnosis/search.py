@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
@@ -28,6 +28,8 @@ Quiet = Callable[[WeakFit, WeakData], bool]
 MAX_EFFECTS = 3
 _PAIRS = 2
 _RIVALS = 5
+# Significant effects of which one may leave only noise although another has the smaller weak residual.
+_LEADING = 4
 # Parameters more than the plainest of equally good effects from which one is none of them.
 _BENDABLE = 3
 
@@ -105,7 +107,7 @@ def _stepwise(
     rounds: list[Round] = []
     chain: list[Finding] = []
     while len(chain) < MAX_EFFECTS:
-        current = try_all(bench, known, _share_of(report, len(rounds)))
+        current = _sound_first(try_all(bench, known, _share_of(report, len(rounds))), quiet)
         rounds.append(current)
         if current.winner is None:
             break
@@ -122,6 +124,21 @@ def _stepwise(
                 break
         bench = _on_top(current.bench, vehicle, chain, fit)
     return rounds, chain
+
+
+def _sound_first(current: Round, quiet: Quiet) -> Round:
+    """The round led by an effect with which nothing but noise is left, where the leading one leaves more.
+
+    Under a noise model with room for disturbances, some effects look alike that simulation tells apart.
+    """
+    leading = [f for f in current.findings if f.significant][:_LEADING]
+    test = current.bench.test
+    if not leading or quiet(leading[0].trial.fit, test):
+        return current
+    sound = next((f for f in leading[1:] if quiet(f.trial.fit, test)), None)
+    if sound is None:
+        return current
+    return replace(current, findings=[sound, *(f for f in current.findings if f is not sound)])
 
 
 def _on_top(bench: Bench, vehicle: Vehicle, chain: list[Finding], fit: WeakFit) -> Bench:
