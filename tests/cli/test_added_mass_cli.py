@@ -106,12 +106,14 @@ def test_a_mesh_by_panels(hulls: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["sphere", "--diameter", "-1"], "radius = -0.5 must be a positive number"),
+        (["sphere", "--diameter", "-1"], "diameter = -1 must be a positive number"),
         (["sphere", "--diameter", "1", "--at", "1,2"], "--at '1,2' is not three numbers"),
         (["sphere", "--diameter", "1", "--at", "1,2,inf"], "every number must be finite"),
         (["sphere", "--diameter", "1", "--density", "0"], "density = 0 must be a positive number"),
         (["sphere", "--diameter", "1", "--out", "x.toml"], "--out and --in-place are for --into VEHICLE"),
         (["sphere", "--diameter", "1", "--sigma", "-1"], "--sigma -1 is no share"),
+        (["sphere", "--diameter", "1", "--sigma", "0"], "--sigma 0 is no share: give a number above 0"),
+        (["sphere", "--diameter", "1", "--sigma", "nan"], "--sigma nan is no share"),
         (["sphere", "--diameter", "1", "--into", "none.toml"], "neither a file nor a bundled vehicle"),
         (["sphere", "--diameter", "1", "--into", "mini-auv", "--in-place"], "comes with undertow"),
         (["cylinder", "--length", "1", "--diameter", "1"], "strips need 5"),
@@ -122,6 +124,13 @@ def test_a_mesh_by_panels(hulls: Path, capsys: Capture) -> None:
 )
 def test_one_line_for_each_mistake(words: list[str], message: str, hulls: Path, capsys: Capture) -> None:
     assert message in refusal(["added-mass", *words], capsys, hulls)
+
+
+@pytest.mark.parametrize("out", ["box.stl", "link.stl"])
+def test_the_hull_is_not_written_over(out: str, hulls: Path, capsys: Capture) -> None:
+    (hulls / "link.stl").symlink_to(hulls / "box.stl")
+    words = ["mesh", "box.stl", "--unit", "mm", "--into", "mini-auv", "--out", out]
+    assert f"output '{out}' is the input 'box.stl'" in refusal(["added-mass", *words], capsys, hulls)
 
 
 def test_without_the_extra_it_is_said_what_to_install(no_extra: None, hulls: Path, capsys: Capture) -> None:

@@ -99,6 +99,18 @@ def test_obj_with_quadrilaterals(tmp_path: Path) -> None:
     np.testing.assert_allclose(hull.mesh.centroid, 0.5)
 
 
+def test_obj_counts_backwards_from_the_vertices_before_the_face(tmp_path: Path) -> None:
+    corners = box_mesh().vertices
+    blocks = [
+        "\n".join(["v {} {} {}".format(*corners[i]) for i in face] + ["f -3 -2 -1"])
+        for face in box_mesh().faces
+    ]
+    (tmp_path / "box.obj").write_text("\n".join(blocks))
+    hull = read_hull(tmp_path / "box.obj").mesh
+    assert (len(hull.vertices), len(hull.faces)) == (8, 12)
+    assert hull.volume == pytest.approx(np.prod(SIDES), rel=1e-9)
+
+
 def test_msh_by_meshio(tmp_path: Path) -> None:
     meshio = pytest.importorskip("meshio", reason="MSH files need undertow[bem]")
     hull = box_mesh()
@@ -134,6 +146,9 @@ def test_axes_of_a_file(tmp_path: Path) -> None:
         ("a.stl", b"solid x\nvertex 0 0 q\nendsolid", "a vertex is not three numbers"),
         ("a.stl", b"solid x\n" + b"vertex 0 0 nan\n" * 3, "is no finite number"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "names a vertex that is not there"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nf -1 -2 -3\nv 2 0 0\n", "names a vertex that is not there"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nf 0 1 2\nv 2 0 0\n", "names a vertex that is not there"),
+        ("a.obj", b"v 0 0 0\nf 1 1 99999999999999999999\n", "a line of it is not as OBJ has it"),
         ("a.obj", b"v 0 0\n", "a line of it is not as OBJ has it"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 2\n", "every triangle has no area"),
         ("a.step", b"", r"hulls are read from .stl, .obj and .msh files"),
@@ -225,6 +240,32 @@ def test_panels_of_a_box_are_three_flat_meshes() -> None:
     assert 16 * len(coarse.faces) == 4 * len(middle.faces) == len(fine.faces) <= 1600
     for mesh in (coarse, middle, fine):
         assert mesh.volume == pytest.approx(np.prod(SIDES), rel=1e-9)
+
+
+@pytest.mark.parametrize("finest", [320, 3200])
+def test_what_is_coarse_enough_is_not_simplified(finest: int) -> None:
+    count = finest // 16
+    drawn = box_mesh()
+    while 2 * len(drawn.faces) <= count:
+        drawn = bisected(drawn, 0.99 * float(np.linalg.norm(np.diff(drawn.corners, axis=1), axis=2).max()))
+    assert count / 3 < len(drawn.faces) <= count
+    base = base_mesh(drawn, count)
+    assert len(base.faces) <= count
+    assert base.volume == pytest.approx(np.prod(SIDES), rel=1e-12)
+    assert {tuple(v) for v in drawn.vertices} <= {tuple(v) for v in base.vertices}
+
+
+def test_panels_that_miss_the_hull_are_refused() -> None:
+    pytest.importorskip("igl", reason="simplifying needs undertow[bem]")
+    drawn = spheroid_mesh(1.2, 0.4, 4)
+    with pytest.raises(UndertowError, match=r"miss the volume of the hull by 7.\d% \(limit 5%\)"):
+        panels(drawn, 320)
+    assert panels(drawn, 800)[2].volume == pytest.approx(drawn.volume, rel=0.05)
+
+
+@pytest.mark.parametrize("crease", [1e-9, 179.9])
+def test_any_crease_gives_numbers(crease: float) -> None:
+    assert np.isfinite(curved(ball(2), crease).vertices).all()
 
 
 def test_a_coarsely_drawn_ball_is_rounded() -> None:

@@ -59,6 +59,15 @@ def test_a_box_from_twelve_triangles() -> None:
 
 
 @needs_capytaine
+@pytest.mark.parametrize(("finest", "least"), [(320, 0.95), (640, 0.98)])
+def test_a_cube_by_few_panels_keeps_its_edges(finest: int, least: float) -> None:
+    """The table of boxes was computed by another mesh."""
+    found = np.diag(added_mass_of_hull(box_mesh((1.0, 1.0, 1.0)), RHO, finest=finest).added.matrix)
+    assert np.all(found[:3] / np.diag(box(1.0, 1.0, 1.0, RHO).matrix)[:3] > least)
+    np.testing.assert_allclose(found[:3], np.diag(box(1.0, 1.0, 1.0, RHO).matrix)[:3], rtol=1 - least)
+
+
+@needs_capytaine
 def test_place_and_direction_of_a_hull_do_not_matter() -> None:
     turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     place = np.array([0.7, -0.3, 0.2])
@@ -112,6 +121,9 @@ def test_radiation_damping_of_a_small_deep_sphere(monkeypatch: pytest.MonkeyPatc
     ("asked", "message"),
     [
         ({"finest": 100}, "100 panels are out of reach"),
+        ({"crease": float("nan")}, "crease = nan degrees cannot be: choose more than 0 and less than 180"),
+        ({"crease": 0.0}, "crease = 0 degrees cannot be"),
+        ({"crease": 180.0}, "crease = 180 degrees cannot be"),
         ({"omegas": [1.0]}, "say how deep the hull is"),
         ({"omegas": [-1.0], "depth": 2.0}, "omega = -1 rad/s cannot be"),
         ({"depth": 0.1}, "would stand out of the water"),

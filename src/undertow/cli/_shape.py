@@ -202,7 +202,7 @@ def show(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()) ->
 
 
 # --- writing --------------------------------------------------------------------------------------
-def tell(body: Callable[[float], AddedMass | PanelResult], asked: Asked) -> None:
+def tell(body: Callable[[float], AddedMass | PanelResult], asked: Asked, inputs: Sequence[Path] = ()) -> None:
     """Print the added mass of a body, and write it where that is wanted.
 
     Parameters
@@ -211,13 +211,15 @@ def tell(body: Callable[[float], AddedMass | PanelResult], asked: Asked) -> None
         Added mass about the body's own origin for a density of the water.
     asked : Asked
         What to do with it.
+    inputs : sequence of Path
+        Files that the body is from, which nothing is written over.
     """
     from undertow.cli._show import print_json
     from undertow.identification.shape import AddedMass
     from undertow.identification.shape.priors import sigma_of
     from undertow.model.loading import load_vehicle
 
-    _check(asked)
+    _check(asked, inputs)
     vehicle = None if asked.target.into is None else load_vehicle(asked.target.into)
     found = body(density_of(asked.density, vehicle)).placed(*asked.place)
     added, radiation = (found, ()) if isinstance(found, AddedMass) else (found.added, found.radiation)
@@ -230,16 +232,16 @@ def tell(body: Callable[[float], AddedMass | PanelResult], asked: Asked) -> None
         _write(vehicle, added, radiation, asked)
 
 
-def _check(asked: Asked) -> None:
+def _check(asked: Asked, inputs: Sequence[Path]) -> None:
     """Refuse before the work what could not be done after it."""
     from undertow.files import check_writable
 
     target = asked.target
     if target.into is None and (target.out is not None or target.in_place):
         raise UndertowError("--out and --in-place are for --into VEHICLE: name the vehicle file")
-    if not 0 <= asked.sigma < float("inf"):
-        raise UndertowError(f"--sigma {asked.sigma:g} is no share: give a number from 0, such as 0.1")
-    check_writable(target.path)
+    if not 0 < asked.sigma < float("inf"):
+        raise UndertowError(f"--sigma {asked.sigma:g} is no share: give a number above 0, such as 0.1")
+    check_writable(target.path, inputs=inputs)
 
 
 def _write(vehicle: Vehicle, added: AddedMass, radiation: Sequence[Radiation], asked: Asked) -> None:

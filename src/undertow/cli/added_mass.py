@@ -90,7 +90,7 @@ def _command(body: Callable[..., Body]) -> Callable[..., Body]:
 
     def command(**given: Any) -> None:
         asked = _asked(**{name: given.pop(name) for name in shared})
-        tell(body(**given), asked)
+        tell(body(**given), asked, [value for value in given.values() if isinstance(value, Path)])
 
     parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
     command.__name__, command.__doc__ = body.__name__, body.__doc__
@@ -118,7 +118,9 @@ def sphere(
 ) -> Body:
     """A sphere: half of what it displaces, in every direction."""
     from undertow.identification.shape import sphere as body
+    from undertow.identification.shape.bodies import positive
 
+    positive(diameter=diameter)
     return lambda rho: body(diameter / 2, rho)
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from undertow.errors import UndertowError
+
 from .mesh import Faces, Mesh
 from .refining import base_mesh, bisected, each_edge, quartered, subdivided
 
@@ -14,6 +16,8 @@ Array = NDArray[np.float64]
 CREASE = 30.0
 _FINE_ENOUGH = 8000
 _CANDIDATES = 12
+# Share of the volume that panels may miss.
+_MISSED = 0.05
 
 
 def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh, Mesh]:
@@ -31,7 +35,7 @@ def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh,
     Raises
     ------
     UndertowError
-        If the hull has too many triangles and cannot be simplified.
+        If the hull has too many triangles and cannot be simplified, or so few panels miss its shape.
     """
     coarse = base_mesh(mesh, finest // 16)
     smooth = mesh
@@ -40,7 +44,18 @@ def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh,
     onto = _Surface(bisected(smooth, float(np.sqrt(coarse.areas.mean()))))
     first = Mesh(onto.nearest(coarse.vertices), coarse.faces)
     second = _finer(first, onto)
-    return first, second, _finer(second, onto)
+    third = _finer(second, onto)
+    _check_shape(third, smooth)
+    return first, second, third
+
+
+def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
+    missed = abs(panelled.volume / smooth.volume - 1)
+    if missed > _MISSED:
+        raise UndertowError(
+            f"{len(panelled.faces)} panels miss the volume of the hull by {missed:.1%} "
+            f"(limit {_MISSED:.0%}): choose more panels"
+        )
 
 
 def _finer(mesh: Mesh, onto: _Surface) -> Mesh:
@@ -147,7 +162,8 @@ def _corner_normals(mesh: Mesh, flat: Array, least_cosine: float) -> Array:
     for step in range(int(counts.max())):
         here = step < counts
         mine, other = corner[order][here], order[(begins + step)[here]]
-        near = np.sum(flat[mine // 3] * flat[other // 3], axis=1) > least_cosine
+        alike = np.sum(flat[mine // 3] * flat[other // 3], axis=1) > least_cosine
+        near = alike | (mine == other)  # rounding can make a triangle differ from itself
         found[mine] += np.where(near[:, None], weights[other][:, None] * flat[other // 3], 0.0)
     return (found / np.linalg.norm(found, axis=1, keepdims=True)).reshape(-1, 3, 3)
 

@@ -107,14 +107,15 @@ def added_mass_of_hull(
     finest : int
         Most panels of the finest mesh; the others have a quarter and a sixteenth.
     crease : float
-        Degrees; edges at which the surface bends by less are taken for a curve, drawn coarsely.
+        Degrees, 0 to 180; edges at which the surface bends by less are taken for a curve, drawn coarsely.
     report : callable
         Is told how much is done, and what is being done.
 
     Raises
     ------
     UndertowError
-        If capytaine is not installed, the hull reaches out of the water, or a number cannot be.
+        If capytaine is not installed, the hull reaches out of the water, so few panels miss its shape, or a
+        number cannot be.
 
     Notes
     -----
@@ -123,7 +124,7 @@ def added_mass_of_hull(
     extrapolations or the two triangles of the matrix differ more, or the panels miss some of the volume.
     """
     cpt = quiet_capytaine()
-    _check(mesh, depth, omegas, finest)
+    _check(mesh, depth, omegas, finest, crease)
     report(0.0, "cutting the hull into panels" if not omegas else "panels, and a table of waves (made once)")
     meshes = panels(mesh, finest, crease)
     cases = [np.inf, *omegas]
@@ -149,9 +150,11 @@ def _source(cpt: Any, sizes: tuple[int, ...], depth: float | None) -> str:
     return f"capytaine {cpt.__version__}, direct method, {where}; {counts}"
 
 
-def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int) -> None:
+def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int, crease: float) -> None:
     if not _FEWEST <= finest <= _MOST:
         raise UndertowError(f"{finest} panels are out of reach: choose {_FEWEST} to {_MOST}")
+    if not 0.0 < crease < 180.0:
+        raise UndertowError(f"crease = {crease:g} degrees cannot be: choose more than 0 and less than 180")
     if omegas and depth is None:
         raise UndertowError("radiation damping is of waves: say how deep the hull is, with depth")
     wrong = [w for w in omegas if not (w > 0 and np.isfinite(w))]

@@ -153,16 +153,29 @@ def _text_facets(path: Path, data: bytes) -> Array:
 def _obj(path: Path) -> tuple[Array, Faces]:
     lines = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
     try:
-        points = np.array([w[1:4] for w in lines if w and w[0] == "v"], dtype=float).reshape(-1, 3)
-        polygons = [[int(c.split("/")[0]) for c in w[1:]] for w in lines if w and w[0] == "f"]
-    except ValueError as error:
+        points, faces = _obj_content(lines)
+    except (ValueError, OverflowError) as error:
         raise UndertowError(f"{path}: a line of it is not as OBJ has it ({error}): export anew") from error
-    faces = np.array([t for polygon in polygons for t in _fan(polygon)], dtype=np.int64).reshape(-1, 3)
-    # Counted from one, or backwards from the last.
-    faces = np.where(faces > 0, faces - 1, len(points) + faces)
     if faces.size and not (faces.min() >= 0 and faces.max() < len(points)):
         raise UndertowError(f"{path}: a face names a vertex that is not there: export the hull anew")
     return points, faces
+
+
+def _obj_content(lines: list[list[str]]) -> tuple[Array, Faces]:
+    points: list[list[str]] = []
+    triangles: list[list[int]] = []
+    for kind, *words in filter(None, lines):
+        if kind == "v":
+            points.append(words[:3])
+        elif kind == "f":
+            triangles += _fan([_place(corner, len(points)) for corner in words])
+    return np.array(points, dtype=float).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
+
+
+def _place(corner: str, before: int) -> int:
+    """Place of a vertex: OBJ counts from one, or backwards from the last vertex before the face."""
+    number = int(corner.split("/")[0])
+    return before + number if number < 0 else number - 1
 
 
 def _fan(polygon: list[int]) -> list[list[int]]:

@@ -27,8 +27,7 @@ def base_mesh(mesh: Mesh, count: int) -> Mesh:
     UndertowError
         If a simplified surface is no closed body any more, or the package for it is missing.
     """
-    fewest = round(count * _PART)
-    found = _simplified(mesh, fewest) if len(mesh.faces) > fewest else mesh
+    found = _simplified(mesh, round(count * _PART)) if len(mesh.faces) > count else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:
         found, longest = finer, 0.9 * longest
