@@ -11,7 +11,8 @@ from undertow.identification.compare.cutting import Windows, cut
 from undertow.identification.compare.windows import predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.diagnosis.scouting import scout
+from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import WeakFit
