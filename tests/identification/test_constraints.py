@@ -250,6 +250,30 @@ def test_equalities_are_read_in_the_signs_of_the_file() -> None:
         fit_output_error(vehicle, [run], constraints=Constraints(equal={"X_u": ("X_uabsu", -1.0)}))
 
 
+@pytest.mark.parametrize("fit", ["weak", "output error"])
+def test_what_follows_a_known_parameter_stays_physical(fit: str) -> None:
+    """m is known: added mass of the wrong sign, and a coupling that makes the mass matrix negative."""
+    surge, two = surge_vehicle(), sway_yaw(10.0, 2.0, 0.5)
+    for vehicle, run, equal, said in (
+        (surge, surge_run(0.02), {"X_udot": ("m", 1.5)}, "X_udot = 1.5 m makes X_udot .* has to lie between"),
+        (two, driven(two), {"Y_rdot": ("m", 1.0)}, "Y_rdot = 1 m .* leaves no mass matrix M > 0"),
+    ):
+        constraints = Constraints(equal=equal)
+        with pytest.raises(UndertowError, match=said):
+            if fit == "weak":
+                fit_weak(vehicle, prepare([run], vehicle), constraints=constraints)
+            else:
+                fit_output_error(vehicle, [run], constraints=constraints)
+
+
+def test_what_follows_a_known_parameter_may_be_physical() -> None:
+    vehicle = sway_yaw(10.0, 2.0, 0.5)
+    model = Constraints(equal={"Y_rdot": ("m", 0.2)}).model(vehicle, ("Y_rdot", "Y_v", "N_r"))
+    assert model.free == ("Y_v", "N_r")
+    model = Constraints(equal={"Y_v": ("Y_vdot", 3.0)}).model(vehicle, ("Y_v", "N_r"))
+    assert model.free == ("N_r",)
+
+
 def test_priors_of_tied_parameters_count_in_their_own_units() -> None:
     stated = surge_vehicle()
     first, second = (replace(stated.value_of(n), value=v, sigma=s) for n, v, s in
