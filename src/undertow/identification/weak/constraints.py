@@ -80,10 +80,10 @@ def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[
                 other, factor = equal[other][0], factor * equal[other][1]
         for one in (name, other):
             _must_be_there(one, vehicle)
-        if other in equal or not factor:
+        if other in equal or not factor or not np.isfinite(factor):
             raise UndertowError(
                 f"{name} = {equal[name][1]:g} {equal[name][0]} ties a parameter to itself or to nothing: "
-                "give each parameter once on the left side, with a factor that is not zero"
+                "give each parameter once on the left side, with a finite factor that is not zero"
             )
         found[name] = (other, factor)
     return found
@@ -136,9 +136,12 @@ def _read(text: str) -> tuple[str, str, float]:
             f"{text!r} is no equality between two parameters: write Y_vdot = Z_wdot, or N_r = 0.5 M_q"
         )
     try:
-        return match[1], match[3], float(match[2] or 1.0)
+        factor = float(match[2] or 1.0)
     except ValueError as error:
         raise UndertowError(f"{text!r}: {match[2]} is no number") from error
+    if not (np.isfinite(factor) and factor):
+        raise UndertowError(f"{text!r}: the factor is {factor:g}: give one that is finite and not zero")
+    return match[1], match[3], factor
 
 
 def _sign(name: str, vehicle: Vehicle) -> float:
