@@ -19,7 +19,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
-from ..compare.cutting import Windows, cut
+from ..compare.cutting import Windows, cut_by_samples
 from ..output_error.fit import channel_weights, started, weak_start
 from ..weak.constraints import Constraints
 from ..weak.fit import free_parameters
@@ -170,8 +170,7 @@ def fit_prediction_error(
     progress(0.0, "weak-form fit")
     model = constraints.model(vehicle, names)
     p = started(model, weak_start(model, runs) if start is None else start)
-    step = min(float(np.median(np.diff(run.t))) for run in runs)
-    windows = cut(runs, vehicle, _INTERVALS * step)
+    windows = cut_by_samples(runs, vehicle, _INTERVALS)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
     if chained.late:
         raise UndertowError(
