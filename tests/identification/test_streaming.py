@@ -72,6 +72,29 @@ def test_what_filters_do_at_the_ends_is_done_at_the_ends_only(tmp_path: Path, ed
     assert found[0].samples < estimate(surge, CASES["11"], edges).samples
 
 
+# Parts of 500 rows, of which the second shares 72 with the first for these cases.
+_AROUND_A_BORDER = (427, 429, 445, 463, 464, 465, 482, 498, 499, 500, 501)
+
+
+@pytest.fixture(scope="module")
+def thousand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(long_log(1_000), tmp_path_factory.mktemp("logs") / "long.parquet")
+
+
+@pytest.mark.parametrize("side", ["from", "to"])
+@pytest.mark.parametrize("row", _AROUND_A_BORDER)
+def test_a_window_may_begin_and_end_where_parts_overlap(thousand: Path, row: int, side: str) -> None:
+    cases = [CASES["2"], CASES["11"]]
+    window = (STEP * (row - 0.5), None) if side == "from" else (None, STEP * (row + 0.5))
+    log = LongLog(thousand, Mapping(), ("tau_X",), window=window)
+    (surge,) = experiments(VEHICLE, [read_log(thousand, window=window)])
+    ((_, found),) = estimate_streaming(VEHICLE, [log], cases, rows=500)
+    for case, streamed in zip(cases, found, strict=True):
+        whole = estimate(surge, case)
+        assert streamed.samples == whole.samples
+        np.testing.assert_allclose(streamed.theta, whole.theta, rtol=1e-9)
+
+
 def test_two_hundred_thousand_rows_in_constant_memory(tmp_path: Path) -> None:
     frame = long_log(200_000)
     cases = [CASES["2"], CASES["11"]]

@@ -11,7 +11,7 @@ from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
-from ..logs.chunks import LongLog, hash_of, outline
+from ..logs.chunks import LongLog, Part, hash_of, outline
 from .cases import Case, Edges
 from .chain import Estimation, Experiment, Triangle, estimated_by, experiments
 
@@ -63,7 +63,7 @@ def estimate_streaming(
         place = next(i for i, e in enumerate(found) if any(run is outlined for run in e.runs))
         _refuse_clock(found[place])
         parts = log.parts(max(rows, 3 * overlap), overlap)
-        _reduce(found[place], parts, cases, edges, overlap // 2, reduced[place])
+        _reduce(found[place], parts, cases, edges, reduced[place])
     pairs = zip(found, reduced, strict=True)
     return [(e, [estimated_by(e, c, triangles[c.name]) for c in cases]) for e, triangles in pairs]
 
@@ -78,7 +78,7 @@ def _refuse_clock(experiment: Experiment) -> None:
 
 def _outlined(log: LongLog, rows: int, progress: Report) -> Run:
     progress(0.0, f"looking through {log.path.name}")
-    parts = log.parts(rows, 0)
+    parts = (part.run for part in log.parts(rows, 0))
     first = next(parts, None)
     whole = parts if first is None else chain([first], parts)
     return outline(whole, log.path.name.split(".")[0], hash_of(log.path))
@@ -91,19 +91,17 @@ def _overlap(cases: Sequence[Case], edges: Edges) -> int:
 
 def _reduce(
     experiment: Experiment,
-    parts: Iterator[Run],
+    parts: Iterator[Part],
     cases: Sequence[Case],
     edges: Edges,
-    reach: int,
     triangles: Mapping[str, Triangle],
 ) -> None:
     """Take the rows of a log into the triangles, one for each case."""
     after, part = -np.inf, next(parts, None)
     while part is not None:
         following = next(parts, None)
-        # A border in the middle of what two parts share: either has half of it beyond the border.
-        until = np.inf if following is None else float(part.t[-reach])
+        until = np.inf if following is None else part.border
         for case in cases:
-            found = experiment.regression.rows_if_any(part, case, edges)
+            found = experiment.regression.rows_if_any(part.run, case, edges)
             triangles[case.name].add(found.between(after, until))
         after, part = until, following

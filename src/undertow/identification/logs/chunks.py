@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.units import scale_offset
@@ -25,6 +26,22 @@ if TYPE_CHECKING:
     import polars as pl
 
 _HASHED = 1 << 20
+
+
+class Part(NamedTuple):
+    """Part of a long log.
+
+    Attributes
+    ----------
+    run : Run
+        Its samples within the window.
+    border : float
+        Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
+        those outside the window too, so that either part reaches beyond it as far as the window does.
+    """
+
+    run: Run
+    border: float
 
 
 @dataclass(frozen=True)
@@ -51,8 +68,8 @@ class LongLog:
     window: tuple[float | None, float | None] = (None, None)
     missing_commands: CommandPolicy | None = None
 
-    def parts(self, rows: int, overlap: int) -> Iterator[Run]:
-        """Runs of `rows` rows, each beginning with the last `overlap` rows of the one before.
+    def parts(self, rows: int, overlap: int) -> Iterator[Part]:
+        """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before.
 
         Raises
         ------
@@ -65,19 +82,22 @@ class LongLog:
         for table in self._tables(rows, overlap):
             if origin is None:
                 origin = self._origin(table)
-            run = self._run(table, origin)
-            if run is not None:
-                yield run
+            t = self._times(table, origin)
+            low, high = (
+                w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True)
+            )
+            if np.count_nonzero((t >= low) & (t <= high)) > 1:
+                shared = min(max(overlap // 2, 1), len(t))
+                yield Part(self._run(table, origin), float(np.fmax.accumulate(t)[-shared]))
 
-    def _run(self, table: pl.DataFrame, origin: float) -> Run | None:
-        """The run of some rows; None where the window leaves fewer than two of them."""
-        low, high = (w if w is not None else s * np.inf for w, s in zip(self.window, (-1, 1), strict=True))
+    def _times(self, table: pl.DataFrame, origin: float) -> NDArray[np.float64]:
+        """Times of all rows of a table, s."""
         where = f"log {self.path}"
         scale, offset = scale_offset(self.mapping.time.unit, "s", of=where)
         raw = numbers(table, self.mapping.time.column, self.mapping, where)
-        t = scale * (raw - origin) + offset + self.mapping.time.offset
-        if np.count_nonzero((t >= low) & (t <= high)) < 2:
-            return None
+        return np.asarray(scale * (raw - origin) + offset + self.mapping.time.offset)
+
+    def _run(self, table: pl.DataFrame, origin: float) -> Run:
         also, fill = self.commands, self.missing_commands
         return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin)
 
