@@ -79,13 +79,11 @@ class LongLog:
         """
         self._refuse()
         origin: float | None = None
+        low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
         for table in self._tables(rows, overlap):
             if origin is None:
                 origin = self._origin(table)
             t = self._times(table, origin)
-            low, high = (
-                w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True)
-            )
             if np.count_nonzero((t >= low) & (t <= high)) > 1:
                 shared = min(max(overlap // 2, 1), len(t))
                 yield Part(self._run(table, origin), float(np.fmax.accumulate(t)[-shared]))
