@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.model.units import scale_offset
 
+from .checks import empty
 from .mapping import CommandPolicy, Mapping
-from .reading import origin_of, run_of_table
+from .reading import must_have, origin_of, run_of_table
 from .run import Run
 from .table import is_dates, is_gzip, is_parquet, numbers, read_rows, read_table
 
@@ -78,15 +80,17 @@ class LongLog:
             mapping thins out or puts signals on another clock, which cannot be done part by part.
         """
         self._refuse()
-        origin: float | None = None
+        origin, last = None, None
         low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
         for table in self._tables(rows, overlap):
             if origin is None:
                 origin = self._origin(table)
             t = self._times(table, origin)
-            if np.count_nonzero((t >= low) & (t <= high)) > 1:
+            inside = t[(t >= low) & (t <= high)]
+            if len(inside) > 1:
+                last = self._run(table, origin, _commands_before(float(inside[0]), last))
                 shared = min(max(overlap // 2, 1), len(t))
-                yield Part(self._run(table, origin), float(np.fmax.accumulate(t)[-shared]))
+                yield Part(last, float(np.fmax.accumulate(t)[-shared]))
 
     def _times(self, table: pl.DataFrame, origin: float) -> NDArray[np.float64]:
         """Times of all rows of a table, s."""
@@ -95,14 +99,13 @@ class LongLog:
         raw = numbers(table, self.mapping.time.column, self.mapping, where)
         return np.asarray(scale * (raw - origin) + offset + self.mapping.time.offset)
 
-    def _run(self, table: pl.DataFrame, origin: float) -> Run:
+    def _run(self, table: pl.DataFrame, origin: float, before: dict[str, float]) -> Run:
         also, fill = self.commands, self.missing_commands
-        return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin)
+        return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin, before)
 
     def _origin(self, table: pl.DataFrame) -> float:
         spec, where = self.mapping.time, f"log {self.path}"
-        if spec.column not in table.columns:
-            return 0.0  # told with the other columns
+        must_have(spec.column, table.columns, where, "time column")
         if is_dates(table, spec.column):
             raise UndertowError(f"{where}: {_DATES}")
         scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
@@ -151,6 +154,12 @@ class LongLog:
         raise UndertowError(f"log {self.path} is empty (no header): check that it was written to its end")
 
 
+def _commands_before(t: float, run: Run | None) -> dict[str, float]:
+    """Last values of all channels of a run before some time; none where it begins no earlier."""
+    count = 0 if run is None else int(np.searchsorted(run.t, t))
+    return {} if run is None or not count else {n: float(a[count - 1]) for n, a in run.channels.items()}
+
+
 _DATES = (
     "its time is a date, which parts of a log cannot be counted from: give the time as a number, or leave "
     "out --stream"
@@ -180,10 +189,17 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
 
     Of every channel they have the sum of what is positive and the sum of what is negative; a channel that
     never changes has its value.
+
+    Raises
+    ------
+    UndertowError
+        If a channel has no value in any part.
     """
     found: dict[str, list[float]] = {}
+    there: Counter[str] = Counter()
     for run in parts:
         for channel, values in run.channels.items():
+            there[channel] += len(values)
             known = values[np.isfinite(values)]
             if not len(known):
                 continue
@@ -191,5 +207,7 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
             more = [float(np.sum(np.maximum(s * known, 0.0))) for s in (1.0, -1.0)]
             ends = min(low, float(known.min())), max(high, float(known.max()))
             found[channel] = [*ends, up + more[0], down + more[1]]
+    for channel in there.keys() - found.keys():
+        raise UndertowError(empty(channel, there[channel], f"log {name}"))
     channels = {n: [a, a] if a == b else [up, -down] for n, (a, b, up, down) in found.items()}
     return Run(name, np.array([0.0, 1.0]), {n: np.array(v) for n, v in channels.items()}, sha256=sha256)
