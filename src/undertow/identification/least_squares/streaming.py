@@ -7,11 +7,10 @@ from itertools import chain
 
 import numpy as np
 
-from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
-from ..logs.chunks import LongLog, Part, hash_of, outline
+from ..logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
 from .cases import Case, Edges
 from .chain import Estimation, Experiment, Triangle, estimated_by, experiments
 
@@ -51,8 +50,10 @@ def estimate_streaming(
 
     Raises
     ------
+    NeedsWhole
+        If the model depends on the time itself, or a log cannot be read in parts.
     UndertowError
-        As for `experiments` and `estimate`; if the model depends on the time itself.
+        As for `experiments` and `estimate`.
     """
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
@@ -70,7 +71,7 @@ def estimate_streaming(
 
 def _refuse_clock(experiment: Experiment) -> None:
     if experiment.regression.feels_time:
-        raise UndertowError(
+        raise NeedsWhole(
             f"the {experiment.axis.motion} of '{experiment.axis.vehicle.name}' depends on the time itself, "
             "which parts of a log do not share: leave out --stream"
         )

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
+from os import SEEK_END
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
@@ -28,6 +29,11 @@ if TYPE_CHECKING:
     import polars as pl
 
 _HASHED = 1 << 20
+_LEAST_GZIP = 18
+
+
+class NeedsWhole(UndertowError):
+    """What is asked of a log cannot be done in parts."""
 
 
 class Part(NamedTuple):
@@ -107,7 +113,7 @@ class LongLog:
         spec, where = self.mapping.time, f"log {self.path}"
         must_have(spec.column, table.columns, where, "time column")
         if is_dates(table, spec.column):
-            raise UndertowError(f"{where}: {_DATES}")
+            raise NeedsWhole(f"{where}: {_DATES}")
         scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
         return origin_of(numbers(table.head(1), spec.column, self.mapping, where), scale)
 
@@ -115,9 +121,9 @@ class LongLog:
         if not self.path.is_file():
             raise UndertowError(f"log {self.path} does not exist or is not a file: give the path of a log")
         if self.mapping.time.unit == "iso":
-            raise UndertowError(f"log {self.path}: {_DATES}")
+            raise NeedsWhole(f"log {self.path}: {_DATES}")
         if self.mapping.time.every > 1 or any(c.fresh for c in self.mapping.columns.values()):
-            raise UndertowError(
+            raise NeedsWhole(
                 f"log {self.path}: `every` and `fresh` in a mapping file need the whole log: leave them "
                 "out, or leave out --stream"
             )
@@ -173,6 +179,19 @@ def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
             yield file  # type: ignore[misc]
     except (OSError, EOFError) as error:
         raise UndertowError(f"{where} cannot be read to its end ({error}): copy it again") from error
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a log, unpacked; zero where there is no file."""
+    if not path.is_file():
+        return 0
+    packed = path.stat().st_size
+    with path.open("rb") as file:
+        if not is_gzip(file.read(2)) or packed < _LEAST_GZIP:
+            return packed
+        file.seek(-4, SEEK_END)
+        # A gzip file ends with its size, of which it keeps 32 bits.
+        return max(packed, int.from_bytes(file.read(4), "little"))
 
 
 def hash_of(path: Path) -> str:
