@@ -183,6 +183,19 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
     assert "'Q_x' is no parameter in the equations of 'usv'" in capsys.readouterr().err
 
 
+def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:
+    words = [*LOG, "--holdout", "holdout.csv"]
+    chosen = ["--method", "output-error", "--horizon", "2.5"]
+    assert main(["fit", *words, *chosen, "--out", "new.toml"]) == 0
+    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert told["command"] == "undertow fit --method output-error --horizon 2.5"
+    again = told["command"].split()[2:]
+    assert main(["fit", *words, *again, "--out", "again.toml"]) == 0
+    repeated = tomllib.loads(Path("again.toml").read_text())["history"][0]
+    for number in ("error_before", "error_after"):
+        assert repeated[number] == pytest.approx(told[number], rel=1e-9)
+
+
 def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
     case: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

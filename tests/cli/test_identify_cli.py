@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import tomllib
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from tests.identification.test_least_squares import profile_p
 from undertow.cli.main import main
+from undertow.identification.logs.chunks import LongLog
 from undertow.model.loading import load_vehicle
 
 Capture = pytest.CaptureFixture[str]
@@ -78,6 +80,29 @@ def test_logs_in_parts_give_the_same_tables(logs: Path, capsys: Capture) -> None
     assert (logs / "parts.toml").read_text() == (logs / "whole.toml").read_text()
     assert main([*words, "ahead.csv", "--stream"]) == 2
     assert "ahead.csv is given twice" in capsys.readouterr().err
+
+
+def test_a_long_log_is_read_in_parts_where_that_can_be_done(
+    logs: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed = logs / "ahead.csv.gz"
+    packed.write_bytes(gzip.compress((logs / "ahead.csv").read_bytes()))
+    (logs / "every.toml").write_text('schema = "undertow/mapping/1"\n[time]\ncolumn = "t"\nevery = 2\n')
+    whole = ["identify", "mini-auv", packed.name]
+    assert main([*whole, "--map", "every.toml"]) == 0
+    thinned = capsys.readouterr().out
+    read = []
+    parts = LongLog.parts
+    monkeypatch.setattr(LongLog, "parts", lambda log, *more: (read.append(log.path), parts(log, *more))[1])
+    # Shorter than that as it is packed, longer as it is read.
+    monkeypatch.setattr("undertow.cli.identify._LONG", packed.stat().st_size)
+    assert main(whole) == 0
+    assert read == [Path(packed.name)] * 2
+    capsys.readouterr()
+    assert main([*whole, "--map", "every.toml"]) == 0
+    assert capsys.readouterr().out == thinned
+    assert main([*whole, "--map", "every.toml", "--stream"]) == 2
+    assert "need the whole log" in capsys.readouterr().err
 
 
 def test_mistakes_are_one_line(logs: Path, capsys: Capture) -> None:

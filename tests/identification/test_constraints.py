@@ -239,15 +239,39 @@ def test_equalities_are_read_in_the_signs_of_the_file() -> None:
         ("X_u", "is no equality"),
         ("X_u = Y_v", "'Y_v' is no parameter in the equations of 'surge'"),
         ("X_u = 1.2.3 X_uabsu", "is no number"),
+        ("X_u = 1e999 X_uabsu", "the factor is inf"),
+        ("X_u = -1e999 X_uabsu", "the factor is -inf"),
+        ("X_u = 0 X_uabsu", "the factor is 0"),
     ):
         with pytest.raises(UndertowError, match=said):
             read_equalities([text], vehicle)
     run = surge_run(0.02)
-    for equal in ({"X_u": ("X_u", 1.0)}, {"X_u": ("X_udot", 0.0)}):
+    for equal in ({"X_u": ("X_u", 1.0)}, {"X_u": ("X_udot", 0.0)}, {"X_u": ("X_udot", np.inf)}):
         with pytest.raises(UndertowError, match="to itself or to nothing"):
             fit_output_error(vehicle, [run], constraints=Constraints(equal=equal))
     with pytest.raises(UndertowError, match="no value that is physical for both"):
         fit_output_error(vehicle, [run], constraints=Constraints(equal={"X_u": ("X_uabsu", -1.0)}))
+
+
+def test_what_follows_a_known_parameter_stays_physical() -> None:
+    """m is known: added mass of the wrong sign, and a coupling that makes the mass matrix negative."""
+    surge, two = surge_vehicle(), sway_yaw(10.0, 2.0, 0.5)
+    wrong_sign, negative = (Constraints(equal=e) for e in ({"X_udot": ("m", 1.5)}, {"Y_rdot": ("m", 1.0)}))
+    run = surge_run(0.02)
+    with pytest.raises(UndertowError, match=r"X_udot = 1.5 m makes X_udot .* has to lie between"):
+        fit_weak(surge, prepare([run], surge), constraints=wrong_sign)
+    with pytest.raises(UndertowError, match=r"X_udot = 1.5 m makes X_udot .* has to lie between"):
+        fit_output_error(surge, [run], constraints=wrong_sign)
+    with pytest.raises(UndertowError, match=r"Y_rdot = 1 m .* leaves no mass matrix M > 0"):
+        negative.model(two, ("Y_rdot", "Y_v", "N_r"))
+
+
+def test_what_follows_a_known_parameter_may_be_physical() -> None:
+    vehicle = sway_yaw(10.0, 2.0, 0.5)
+    model = Constraints(equal={"Y_rdot": ("m", 0.2)}).model(vehicle, ("Y_rdot", "Y_v", "N_r"))
+    assert model.free == ("Y_v", "N_r")
+    model = Constraints(equal={"Y_v": ("Y_vdot", 3.0)}).model(vehicle, ("Y_v", "N_r"))
+    assert model.free == ("N_r",)
 
 
 def test_priors_of_tied_parameters_count_in_their_own_units() -> None:

@@ -66,6 +66,19 @@ def test_without_a_disturbance_it_is_output_error() -> None:
         assert verdicts(fit) == verdicts(other)
 
 
+def test_runs_count_that_are_sampled_more_slowly() -> None:
+    """Half of the samples at 10 Hz, half at 2.5 Hz: windows of each, and both tell of the parameters."""
+    rng = np.random.default_rng(11)
+    quick = simulated(steps(251, 3, size=2.0), NOISE * rng.standard_normal(251))
+    slow = simulated(steps(251, 4, hold=6, size=2.0), NOISE * rng.standard_normal(251), dt=0.4, fine=16)
+    alone, both = fit_prediction_error(VEHICLE, [quick]), fit_prediction_error(VEHICLE, [quick, slow])
+    counted = [np.sum((both.windows.count - 1)[both.windows.run == k]) for k in range(2)]
+    assert counted == [250, 250]
+    for k, (name, error) in enumerate(both.standard_errors.items()):
+        assert error < 0.75 * alone.standard_errors[name]
+        assert both.values[name] == pytest.approx(EXACT[k], abs=4 * error)
+
+
 def test_without_noise_the_truth_is_found() -> None:
     fit = fit_prediction_error(VEHICLE, [surge_run()])
     np.testing.assert_allclose(list(fit.values.values()), EXACT, rtol=2e-3)

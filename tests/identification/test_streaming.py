@@ -72,6 +72,70 @@ def test_what_filters_do_at_the_ends_is_done_at_the_ends_only(tmp_path: Path, ed
     assert found[0].samples < estimate(surge, CASES["11"], edges).samples
 
 
+# Parts of 500 rows, of which the second shares 72 with the first for these cases.
+_AROUND_A_BORDER = (427, 429, 445, 463, 464, 465, 482, 498, 499, 500, 501)
+
+
+@pytest.fixture(scope="module")
+def thousand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(long_log(1_000), tmp_path_factory.mktemp("logs") / "long.parquet")
+
+
+@pytest.mark.parametrize("side", ["from", "to"])
+@pytest.mark.parametrize("row", _AROUND_A_BORDER)
+def test_a_window_may_begin_and_end_where_parts_overlap(thousand: Path, row: int, side: str) -> None:
+    cases = [CASES["2"], CASES["11"]]
+    window = (STEP * (row - 0.5), None) if side == "from" else (None, STEP * (row + 0.5))
+    log = LongLog(thousand, Mapping(), ("tau_X",), window=window)
+    (surge,) = experiments(VEHICLE, [read_log(thousand, window=window)])
+    ((_, found),) = estimate_streaming(VEHICLE, [log], cases, rows=500)
+    for case, streamed in zip(cases, found, strict=True):
+        whole = estimate(surge, case)
+        assert streamed.samples == whole.samples
+        np.testing.assert_allclose(streamed.theta, whole.theta, rtol=1e-9)
+
+
+@pytest.mark.parametrize("policy", ["hold", "gap"])
+@pytest.mark.parametrize(
+    ("channel", "first", "stop"),
+    [("tau_X", 452, 460), ("tau_X", 297, 303), ("tau_X", 90, 1400), ("u", 400, 1300), ("v", 3, 1500)],
+)
+def test_what_is_missing_for_long_is_missing_in_parts_too(
+    tmp_path: Path, policy, channel: str, first: int, stop: int
+) -> None:
+    """Across a border of two parts, over whole parts, and in a channel that nobody needs."""
+    frame = long_log(1_500).with_columns(v=pl.lit(0.01))
+    values = frame[channel].to_numpy().copy()
+    values[first:stop] = np.nan
+    path = written(frame.with_columns(pl.Series(channel, values, nan_to_null=True)), tmp_path / "long.csv")
+    (surge,) = experiments(VEHICLE, [read_log(path, missing_commands=policy)])
+    log = LongLog(path, Mapping(), ("tau_X",), missing_commands=policy)
+    ((_, (streamed,)),) = estimate_streaming(VEHICLE, [log], [CASES["11"]], rows=300)
+    whole = estimate(surge, CASES["11"])
+    assert streamed.samples == whole.samples
+    np.testing.assert_allclose(streamed.theta, whole.theta, rtol=1e-8)
+
+
+def test_what_a_log_in_parts_lacks_is_told_as_for_the_whole(tmp_path: Path) -> None:
+    frame = long_log(1_500)
+    force = frame["tau_X"].to_numpy().copy()
+    force[700:705] = np.nan
+    lacking = frame.with_columns(pl.Series("tau_X", force, nan_to_null=True))
+    for table, fill, said in (
+        (
+            frame.with_columns(v=pl.lit(None, dtype=pl.Float64)),
+            None,
+            "channel 'v' has no value in any of 1500",
+        ),
+        (lacking, None, r"part from t = 120 to 179.8 s: command 'tau_X' is missing in 5 of 300 rows"),
+        (frame.rename({"t": "seconds"}), None, "has no time column 't'"),
+        (lacking.slice(700), "hold", "none comes before t = 140 s to be held"),
+    ):
+        log = LongLog(written(table, tmp_path / "long.csv"), Mapping(), ("tau_X",), missing_commands=fill)
+        with pytest.raises(UndertowError, match=said):
+            estimate_streaming(VEHICLE, [log], [CASES["11"]], rows=300)
+
+
 def test_two_hundred_thousand_rows_in_constant_memory(tmp_path: Path) -> None:
     frame = long_log(200_000)
     cases = [CASES["2"], CASES["11"]]

@@ -199,7 +199,14 @@ def _options(done: Refit) -> list[str]:
     e = done.estimator
     tied = [f'--equal "{text}"' for text in written(e.constraints.equal, done.stated)]
     loss = [] if e.loss == "gaussian" else [f"--loss {e.loss}"]
-    return [f"--method {e.method}", *loss, *tied, *(["--dissipative"] if e.constraints.dissipative else [])]
+    ahead = [] if e.horizon in (None, Estimator.horizon) else [f"--horizon {e.horizon:.9g}"]
+    return [
+        f"--method {e.method}",
+        *loss,
+        *ahead,
+        *tied,
+        *(["--dissipative"] if e.constraints.dissipative else []),
+    ]
 
 
 def write(done: Refit, template: Path, target: Path) -> None:

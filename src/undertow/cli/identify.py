@@ -12,7 +12,7 @@ logs that go that way.
 Of the cases whose estimates are all physical, the one with the least residual variance is taken.
 
 Logs of any length are read in parts, in constant memory and with the same answer: those of more than 200 MB
-by themselves, shorter ones with --stream.
+(unpacked) by themselves where that can be done, shorter ones with --stream.
 
     undertow identify mini-auv week.parquet --stream
 
@@ -24,7 +24,7 @@ fault.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -39,6 +39,10 @@ from undertow.cli._vehicle_and_logs import (
     ToOption,
     VehicleArgument,
 )
+
+if TYPE_CHECKING:
+    from undertow.cli._identifying import Identified
+    from undertow.identification.least_squares.cases import Edges
 
 _METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squares.")
 _CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
@@ -65,22 +69,14 @@ def identify(
     fill: FillOption = None,
 ) -> None:
     from undertow.cli._adding import target_of
-    from undertow.cli._identifying import identified, identified_in_parts, show, write, written
-    from undertow.cli._progress import progress
-    from undertow.cli._vehicle_and_logs import load, load_in_parts
+    from undertow.cli._identifying import show, write, written
     from undertow.files import check_writable, write_whole
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(effects or []), *([map] if map else [])]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
     given: dict[str, Any] = {"map": map, "effects": effects, "window": (since, until), "fill": fill}
-    if stream or sum(path.stat().st_size for path in logs if path.is_file()) > _LONG:
-        model, path, long = load_in_parts(vehicle, logs, **given)
-        with progress("reading logs") as tell:
-            done = identified_in_parts(model, long, cases, edges, tell)
-    else:
-        loaded = load(vehicle, logs, one_motion=True, **given)
-        path, done = loaded.path, identified(loaded.vehicle, loaded.train, cases, edges)
+    path, done = _estimated(vehicle, logs, cases, edges, stream, given)
     show(done)
     if json is not None:
         write_whole(json, written(done))
@@ -88,3 +84,24 @@ def identify(
         typer.echo("no vehicle file was written: --out NEW.toml or --in-place does that")
     else:
         write(done, path, target)
+
+
+def _estimated(
+    vehicle: str, logs: list[Path], cases: str, edges: Edges, stream: bool, given: dict[str, Any]
+) -> tuple[Path, Identified]:
+    """File of the vehicle and estimates; from parts of the logs where that is asked for or they are long."""
+    from undertow.cli._identifying import identified, identified_in_parts
+    from undertow.cli._progress import progress
+    from undertow.cli._vehicle_and_logs import load, load_in_parts
+    from undertow.identification.logs.chunks import NeedsWhole, size_of
+
+    if stream or sum(map(size_of, logs)) > _LONG:
+        model, path, long = load_in_parts(vehicle, logs, **given)
+        try:
+            with progress("reading logs") as tell:
+                return path, identified_in_parts(model, long, cases, edges, tell)
+        except NeedsWhole:
+            if stream:
+                raise
+    loaded = load(vehicle, logs, one_motion=True, **given)
+    return loaded.path, identified(loaded.vehicle, loaded.train, cases, edges)

@@ -16,7 +16,8 @@ from .output_error.losses import LossName
 from .prediction_error import fit_prediction_error
 from .weak.constraints import Constraints
 from .weak.data import prepare
-from .weak.fit import fit_weak
+from .weak.enough import require_equations
+from .weak.fit import fit_weak, free_parameters
 from .weak.instrumental import fit_instrumental
 from .weak.spikes import without_spikes
 from .weak.testfunctions import boxes, test_functions
@@ -80,7 +81,9 @@ class Estimator:
         if self.method in _FAMILIES:
             data = prepare(runs, vehicle, family=_FAMILIES[self.method])
             data = data if self.loss == "gaussian" else without_spikes(data)
-            return fit_weak(vehicle, data, free, constraints=self.constraints)
+            model = self.constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
+            require_equations(model, data, self.method)
+            return fit_weak(model, data)
         if self.method in ("prediction-error", "instrumental"):
             return self._by_squares(vehicle, runs, free, progress)
         return fit_output_error(

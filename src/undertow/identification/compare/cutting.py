@@ -31,7 +31,7 @@ class Windows:
     runs : tuple of Run
         The logs.
     horizon : float or None
-        Length of a window in s; None: as long as there is no gap.
+        Length of a window in s, of the longest where runs differ; None: as long as there is no gap.
     names : tuple of str
         Names of the 2n channels, pose then velocity of the degrees of freedom.
     commands : tuple of str
@@ -159,11 +159,37 @@ def cut(
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
-    names = (*vehicle.pose_names, *vehicle.velocity_names)
-    noise = channel_noise(runs, names) if sigma is None else sigma
     stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)
+    return _windows_of(runs, vehicle, horizon, sigma, stretches)
+
+
+def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
+    """Cut every run into windows of so many of its own sampling intervals.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, or a run has no stretch without gaps that is as long.
+    """
+    lengths = [intervals * float(np.median(np.diff(run.t))) for run in runs]
+    found = [_stretches(i, run, vehicle, lengths[i], 0.0) for i, run in enumerate(runs)]
+    for run, length, own in zip(runs, lengths, found, strict=True):
+        if not any(len(s.starts) for s in own):
+            _refuse([run], own, length)
+    return _windows_of(runs, vehicle, max(lengths), None, [s for own in found for s in own])
+
+
+def _windows_of(
+    runs: Sequence[Run],
+    vehicle: Vehicle,
+    horizon: float | None,
+    sigma: Array | None,
+    stretches: list[Stretch],
+) -> Windows:
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    noise = channel_noise(runs, names) if sigma is None else sigma
     return _side_by_side(tuple(runs), horizon, names, vehicle.command_names, noise, stretches)
 
 

@@ -7,11 +7,10 @@ from itertools import chain
 
 import numpy as np
 
-from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
-from ..logs.chunks import LongLog, hash_of, outline
+from ..logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
 from .cases import Case, Edges
 from .chain import Estimation, Experiment, Triangle, estimated_by, experiments
 
@@ -51,8 +50,10 @@ def estimate_streaming(
 
     Raises
     ------
+    NeedsWhole
+        If the model depends on the time itself, or a log cannot be read in parts.
     UndertowError
-        As for `experiments` and `estimate`; if the model depends on the time itself.
+        As for `experiments` and `estimate`.
     """
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
@@ -63,14 +64,14 @@ def estimate_streaming(
         place = next(i for i, e in enumerate(found) if any(run is outlined for run in e.runs))
         _refuse_clock(found[place])
         parts = log.parts(max(rows, 3 * overlap), overlap)
-        _reduce(found[place], parts, cases, edges, overlap // 2, reduced[place])
+        _reduce(found[place], parts, cases, edges, reduced[place])
     pairs = zip(found, reduced, strict=True)
     return [(e, [estimated_by(e, c, triangles[c.name]) for c in cases]) for e, triangles in pairs]
 
 
 def _refuse_clock(experiment: Experiment) -> None:
     if experiment.regression.feels_time:
-        raise UndertowError(
+        raise NeedsWhole(
             f"the {experiment.axis.motion} of '{experiment.axis.vehicle.name}' depends on the time itself, "
             "which parts of a log do not share: leave out --stream"
         )
@@ -78,7 +79,7 @@ def _refuse_clock(experiment: Experiment) -> None:
 
 def _outlined(log: LongLog, rows: int, progress: Report) -> Run:
     progress(0.0, f"looking through {log.path.name}")
-    parts = log.parts(rows, 0)
+    parts = (part.run for part in log.parts(rows, 0))
     first = next(parts, None)
     whole = parts if first is None else chain([first], parts)
     return outline(whole, log.path.name.split(".")[0], hash_of(log.path))
@@ -91,19 +92,17 @@ def _overlap(cases: Sequence[Case], edges: Edges) -> int:
 
 def _reduce(
     experiment: Experiment,
-    parts: Iterator[Run],
+    parts: Iterator[Part],
     cases: Sequence[Case],
     edges: Edges,
-    reach: int,
     triangles: Mapping[str, Triangle],
 ) -> None:
     """Take the rows of a log into the triangles, one for each case."""
     after, part = -np.inf, next(parts, None)
     while part is not None:
         following = next(parts, None)
-        # A border in the middle of what two parts share: either has half of it beyond the border.
-        until = np.inf if following is None else float(part.t[-reach])
+        until = np.inf if following is None else part.border
         for case in cases:
-            found = experiment.regression.rows_if_any(part, case, edges)
+            found = experiment.regression.rows_if_any(part.run, case, edges)
             triangles[case.name].add(found.between(after, until))
         after, part = until, following

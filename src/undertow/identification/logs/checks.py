@@ -92,6 +92,19 @@ def check_channel(name: str, t: Array, data: Array, where: str) -> None:
     UndertowError
         Naming the channel and the first time at fault.
     """
+    check_finite(name, t, data, where)
+    if np.isnan(data).all():
+        raise UndertowError(empty(name, len(data), where))
+
+
+def check_finite(name: str, t: Array, data: Array, where: str) -> None:
+    """Refuse a channel with an infinite value.
+
+    Raises
+    ------
+    UndertowError
+        Naming the channel and the first time at fault.
+    """
     infinite = np.flatnonzero(np.isinf(data))
     if len(infinite):
         raise UndertowError(
@@ -99,15 +112,19 @@ def check_channel(name: str, t: Array, data: Array, where: str) -> None:
             f"{t[infinite[0]]:g} s: leave such cells empty, or name the value under `missing` in a mapping "
             "file"
         )
-    if np.isnan(data).all():
-        raise UndertowError(
-            f"{where}: channel {name!r} has no value in any of {len(data)} samples: remove the column, or "
-            "name it "
-            "under `ignore` in a mapping file"
-        )
 
 
-def fill_commands(name: str, t: Array, data: Array, policy: str, where: str) -> tuple[Array, str]:
+def empty(name: str, samples: int, where: str) -> str:
+    """What to say of a channel without any value."""
+    return (
+        f"{where}: channel {name!r} has no value in any of {samples} samples: remove the column, or name it "
+        "under `ignore` in a mapping file"
+    )
+
+
+def fill_commands(
+    name: str, t: Array, data: Array, policy: str, where: str, before: float = np.nan
+) -> tuple[Array, str]:
     """Deal with missing samples of a command, which a simulation cannot do without.
 
     Parameters
@@ -119,6 +136,8 @@ def fill_commands(name: str, t: Array, data: Array, policy: str, where: str) -> 
     policy : str
         ``"refuse"``; ``"hold"``: the last value stays until the next, as a thruster does; ``"gap"``: left
         missing.
+    before : float
+        The last value before the first sample, where those are part of a longer log; NaN: there is none.
 
     Returns
     -------
@@ -140,6 +159,7 @@ def fill_commands(name: str, t: Array, data: Array, policy: str, where: str) -> 
         raise UndertowError(f"{where}: {told}: {remedy}")
     if policy == "gap":
         return data, f"{told}; left missing"
+    data = np.concatenate([[before if np.isnan(data[0]) else data[0]], data[1:]])
     last = np.maximum.accumulate(np.where(np.isnan(data), -1, np.arange(len(data))))
     if last[0] < 0:
         raise UndertowError(

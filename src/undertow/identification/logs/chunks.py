@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
+from os import SEEK_END
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.units import scale_offset
 
+from .checks import empty
 from .mapping import CommandPolicy, Mapping
-from .reading import origin_of, run_of_table
+from .reading import must_have, origin_of, run_of_table
 from .run import Run
 from .table import is_dates, is_gzip, is_parquet, numbers, read_rows, read_table
 
@@ -25,6 +29,27 @@ if TYPE_CHECKING:
     import polars as pl
 
 _HASHED = 1 << 20
+_LEAST_GZIP = 18
+
+
+class NeedsWhole(UndertowError):
+    """What is asked of a log cannot be done in parts."""
+
+
+class Part(NamedTuple):
+    """Part of a long log.
+
+    Attributes
+    ----------
+    run : Run
+        Its samples within the window.
+    border : float
+        Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
+        those outside the window too, so that either part reaches beyond it as far as the window does.
+    """
+
+    run: Run
+    border: float
 
 
 @dataclass(frozen=True)
@@ -51,8 +76,8 @@ class LongLog:
     window: tuple[float | None, float | None] = (None, None)
     missing_commands: CommandPolicy | None = None
 
-    def parts(self, rows: int, overlap: int) -> Iterator[Run]:
-        """Runs of `rows` rows, each beginning with the last `overlap` rows of the one before.
+    def parts(self, rows: int, overlap: int) -> Iterator[Part]:
+        """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before.
 
         Raises
         ------
@@ -61,32 +86,34 @@ class LongLog:
             mapping thins out or puts signals on another clock, which cannot be done part by part.
         """
         self._refuse()
-        origin: float | None = None
+        origin, last = None, None
+        low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
         for table in self._tables(rows, overlap):
             if origin is None:
                 origin = self._origin(table)
-            run = self._run(table, origin)
-            if run is not None:
-                yield run
+            t = self._times(table, origin)
+            inside = t[(t >= low) & (t <= high)]
+            if len(inside) > 1:
+                last = self._run(table, origin, _commands_before(float(inside[0]), last))
+                shared = min(max(overlap // 2, 1), len(t))
+                yield Part(last, float(np.fmax.accumulate(t)[-shared]))
 
-    def _run(self, table: pl.DataFrame, origin: float) -> Run | None:
-        """The run of some rows; None where the window leaves fewer than two of them."""
-        low, high = (w if w is not None else s * np.inf for w, s in zip(self.window, (-1, 1), strict=True))
+    def _times(self, table: pl.DataFrame, origin: float) -> NDArray[np.float64]:
+        """Times of all rows of a table, s."""
         where = f"log {self.path}"
         scale, offset = scale_offset(self.mapping.time.unit, "s", of=where)
         raw = numbers(table, self.mapping.time.column, self.mapping, where)
-        t = scale * (raw - origin) + offset + self.mapping.time.offset
-        if np.count_nonzero((t >= low) & (t <= high)) < 2:
-            return None
+        return np.asarray(scale * (raw - origin) + offset + self.mapping.time.offset)
+
+    def _run(self, table: pl.DataFrame, origin: float, before: dict[str, float]) -> Run:
         also, fill = self.commands, self.missing_commands
-        return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin)
+        return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin, before)
 
     def _origin(self, table: pl.DataFrame) -> float:
         spec, where = self.mapping.time, f"log {self.path}"
-        if spec.column not in table.columns:
-            return 0.0  # told with the other columns
+        must_have(spec.column, table.columns, where, "time column")
         if is_dates(table, spec.column):
-            raise UndertowError(f"{where}: {_DATES}")
+            raise NeedsWhole(f"{where}: {_DATES}")
         scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
         return origin_of(numbers(table.head(1), spec.column, self.mapping, where), scale)
 
@@ -94,9 +121,9 @@ class LongLog:
         if not self.path.is_file():
             raise UndertowError(f"log {self.path} does not exist or is not a file: give the path of a log")
         if self.mapping.time.unit == "iso":
-            raise UndertowError(f"log {self.path}: {_DATES}")
+            raise NeedsWhole(f"log {self.path}: {_DATES}")
         if self.mapping.time.every > 1 or any(c.fresh for c in self.mapping.columns.values()):
-            raise UndertowError(
+            raise NeedsWhole(
                 f"log {self.path}: `every` and `fresh` in a mapping file need the whole log: leave them "
                 "out, or leave out --stream"
             )
@@ -133,6 +160,12 @@ class LongLog:
         raise UndertowError(f"log {self.path} is empty (no header): check that it was written to its end")
 
 
+def _commands_before(t: float, run: Run | None) -> dict[str, float]:
+    """Last values of all channels of a run before some time; none where it begins no earlier."""
+    count = 0 if run is None else int(np.searchsorted(run.t, t))
+    return {} if run is None or not count else {n: float(a[count - 1]) for n, a in run.channels.items()}
+
+
 _DATES = (
     "its time is a date, which parts of a log cannot be counted from: give the time as a number, or leave "
     "out --stream"
@@ -146,6 +179,19 @@ def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
             yield file  # type: ignore[misc]
     except (OSError, EOFError) as error:
         raise UndertowError(f"{where} cannot be read to its end ({error}): copy it again") from error
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a log, unpacked; zero where there is no file."""
+    if not path.is_file():
+        return 0
+    packed = path.stat().st_size
+    with path.open("rb") as file:
+        if not is_gzip(file.read(2)) or packed < _LEAST_GZIP:
+            return packed
+        file.seek(-4, SEEK_END)
+        # A gzip file ends with its size, of which it keeps 32 bits.
+        return max(packed, int.from_bytes(file.read(4), "little"))
 
 
 def hash_of(path: Path) -> str:
@@ -162,10 +208,17 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
 
     Of every channel they have the sum of what is positive and the sum of what is negative; a channel that
     never changes has its value.
+
+    Raises
+    ------
+    UndertowError
+        If a channel has no value in any part.
     """
     found: dict[str, list[float]] = {}
+    there: Counter[str] = Counter()
     for run in parts:
         for channel, values in run.channels.items():
+            there[channel] += len(values)
             known = values[np.isfinite(values)]
             if not len(known):
                 continue
@@ -173,5 +226,7 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
             more = [float(np.sum(np.maximum(s * known, 0.0))) for s in (1.0, -1.0)]
             ends = min(low, float(known.min())), max(high, float(known.max()))
             found[channel] = [*ends, up + more[0], down + more[1]]
+    for channel in there.keys() - found.keys():
+        raise UndertowError(empty(channel, there[channel], f"log {name}"))
     channels = {n: [a, a] if a == b else [up, -down] for n, (a, b, up, down) in found.items()}
     return Run(name, np.array([0.0, 1.0]), {n: np.array(v) for n, v in channels.items()}, sha256=sha256)

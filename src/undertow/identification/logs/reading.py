@@ -27,6 +27,7 @@ _EPOCH = (
 )
 
 Array = NDArray[np.float64]
+Commands = dict[str, float]
 
 
 def read_log(
@@ -81,6 +82,7 @@ def run_of_table(
     missing_commands: CommandPolicy | None = None,
     also: Iterable[str] = (),
     origin: float | None = None,
+    before: Commands | None = None,
 ) -> Run:
     """A run from the rows of a log, or of a part of it.
 
@@ -93,6 +95,8 @@ def run_of_table(
     origin : float, optional
         Time in the file that counts as zero, for parts of one log; by default that of the first row, where it
         is a date.
+    before : mapping, optional
+        Last values of commands before the rows, for parts of one log, which may lack all values of a channel.
     """
     where = f"log {path}"
     table = table.gather_every(mapping.time.every)
@@ -119,7 +123,7 @@ def run_of_table(
     run = _unwrapped(run, list(sources.values()))
     slow = [column.channel for column in sources.values() if column.fresh is not None]
     run = on_the_clock(run, [frames.turned_name(name, mapping.frames.position) for name in slow])
-    return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where)
+    return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where, before)
 
 
 def origin_of(raw: Array, scale: float) -> float:
@@ -129,12 +133,12 @@ def origin_of(raw: Array, scale: float) -> float:
 
 def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where: str) -> dict[str, Column]:
     """Say which columns are read, as what."""
-    _must_have(mapping.time.column, names, where, "time column")
+    must_have(mapping.time.column, names, where, "time column")
     for name, column in mapping.columns.items():
         if not column.optional or column.channel in commands:
-            _must_have(name, names, where, f"column for channel {column.channel!r},")
+            must_have(name, names, where, f"column for channel {column.channel!r},")
         if column.fresh is not None and name in names:
-            _must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
+            must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
     found = {name: column for name, column in mapping.columns.items() if name in names}
     taken = {column.channel for column in found.values()}
     for name in names:
@@ -143,13 +147,14 @@ def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where:
             found[name] = Column(channel=name)
     known = [column.channel for column in found.values()]
     for name in commands:
-        _must_have(name, known, where, "command channel", names)
+        must_have(name, known, where, "command channel", names)
     return found
 
 
-def _must_have(
+def must_have(
     name: str, names: Iterable[str], where: str, what: str, columns: Sequence[str] | None = None
 ) -> None:
+    """Refuse a table without a column, with those that it has."""
     names = list(names)
     if name not in names:
         have = list(names if columns is None else columns)
@@ -224,7 +229,7 @@ def _turned(channels: frames.Channels, mapping: Mapping, where: str) -> frames.C
     if _attitude(mapping) == "ENU":
         channels = frames.swap_attitude(channels)
     if spec.velocity != "body":
-        _must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
+        must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
         linear = {name: data for name, data in given.items() if name in VELOCITY[:3]}
         channels = frames.velocity_to_body({**channels, **linear}, spec.velocity)
     return channels if mapping.water is None else frames.over_ground(channels, mapping.water.velocity)
@@ -292,15 +297,22 @@ def _unused(names: Sequence[str], sources: dict[str, Column], mapping: Mapping) 
     return [f"columns not used: {', '.join(left)}"] if left else []
 
 
-def _checked(run: Run, commands: Iterable[str], policy: str, where: str) -> Run:
+def _checked(
+    run: Run, commands: Iterable[str], policy: str, where: str, before: Commands | None = None
+) -> Run:
     if len(run.t) < 2:
         raise UndertowError(f"{where} has one sample in the time window, at least 2 are needed: widen it")
+    if before is not None:
+        where = f"{where}, part from t = {run.t[0]:g} to {run.t[-1]:g} s"
+    check = checks.check_channel if before is None else checks.check_finite
     for name, data in run.channels.items():
-        checks.check_channel(name, run.t, data, where)
-    notes, filled = [], dict(run.channels)
+        check(name, run.t, data, where)
+    notes, filled, known = [], dict(run.channels), before or {}
     for name in commands:
         if run.has(name):
-            filled[name], note = checks.fill_commands(name, run.t, filled[name], policy, where)
+            filled[name], note = checks.fill_commands(
+                name, run.t, filled[name], policy, where, known.get(name, np.nan)
+            )
             notes += [note] if note else []
     constant = checks.constant_channels(run)
     if constant:

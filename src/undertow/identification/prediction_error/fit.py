@@ -19,9 +19,10 @@ from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
-from ..compare.cutting import Windows, cut
+from ..compare.cutting import Windows, cut_by_samples
 from ..output_error.fit import channel_weights, started, weak_start
 from ..weak.constraints import Constraints
+from ..weak.enough import require_rows
 from ..weak.fit import free_parameters
 from ..weak.residual import Linearised, WeakModel
 from ..weak.solution import Solution, clustered
@@ -170,15 +171,23 @@ def fit_prediction_error(
     progress(0.0, "weak-form fit")
     model = constraints.model(vehicle, names)
     p = started(model, weak_start(model, runs) if start is None else start)
-    step = min(float(np.median(np.diff(run.t))) for run in runs)
-    windows = cut(runs, vehicle, _INTERVALS * step)
+    windows = cut_by_samples(runs, vehicle, _INTERVALS)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
     if chained.late:
         raise UndertowError(
             f"vehicle '{vehicle.name}' has a sensor that reports late, which prediction error does not "
             "follow: use --method output-error, or shift the channel in the log"
         )
+    require_rows(model, _told(chained), runs, "prediction-error")
     return _Search(model, chained, progress).fit(p)
+
+
+def _told(chained: Chained) -> int:
+    """Samples of the velocities, or of the pose where that tells more, beyond those that a start takes."""
+    by_channel = np.sum(chained.used, axis=(0, 1))
+    beyond = np.maximum(by_channel - np.count_nonzero(chained.last), 0)
+    half = len(beyond) // 2
+    return int(max(np.sum(beyond[:half]), np.sum(beyond[half:])))
 
 
 def _refuse_long(runs: Sequence[Run]) -> None:

@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 
 from .estimated import estimated
 from .residual import WeakModel
-from .step import at_bounds
+from .step import at_bounds, bounds_of, check_known_leaders, physical
 
 Array = NDArray[np.float64]
 _NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
@@ -44,11 +44,30 @@ class Constraints:
         Raises
         ------
         UndertowError
-            If an equality names what is no parameter of the equations, or leads in a circle.
+            If an equality names what is no parameter of the equations, leads in a circle, or leaves no
+            physical model.
         """
         equal = _resolved(self.equal, vehicle)
         kept = [n for n in free if n not in equal]
-        return WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
+        model = WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
+        if equal:
+            check_known_leaders(model)
+            _must_be_physical(model)
+        return model
+
+
+def _must_be_physical(model: WeakModel) -> None:
+    """Refuse equalities after which no values of the free parameters give a physical model."""
+    p, bounds = np.array(model.functions.values(), dtype=float), bounds_of(model)
+    places = list(model.places)
+    p[places] = np.clip(p[places], *bounds)
+    broken = model.limits.impossible(physical(model, p, bounds))
+    if broken:
+        tied = ", ".join(f"{n} = {factor:g} {other}" for n, (other, factor) in model.functions.equal.items())
+        raise UndertowError(
+            f"{tied} (SNAME signs) leaves no {broken[0]}: check the factors and their signs, or the known "
+            "values"
+        )
 
 
 def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[str, tuple[str, float]]:
@@ -61,10 +80,10 @@ def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[
                 other, factor = equal[other][0], factor * equal[other][1]
         for one in (name, other):
             _must_be_there(one, vehicle)
-        if other in equal or not factor:
+        if other in equal or not factor or not np.isfinite(factor):
             raise UndertowError(
                 f"{name} = {equal[name][1]:g} {equal[name][0]} ties a parameter to itself or to nothing: "
-                "give each parameter once on the left side, with a factor that is not zero"
+                "give each parameter once on the left side, with a finite factor that is not zero"
             )
         found[name] = (other, factor)
     return found
@@ -117,9 +136,12 @@ def _read(text: str) -> tuple[str, str, float]:
             f"{text!r} is no equality between two parameters: write Y_vdot = Z_wdot, or N_r = 0.5 M_q"
         )
     try:
-        return match[1], match[3], float(match[2] or 1.0)
+        factor = float(match[2] or 1.0)
     except ValueError as error:
         raise UndertowError(f"{text!r}: {match[2]} is no number") from error
+    if not (np.isfinite(factor) and factor):
+        raise UndertowError(f"{text!r}: the factor is {factor:g}: give one that is finite and not zero")
+    return match[1], match[3], factor
 
 
 def _sign(name: str, vehicle: Vehicle) -> float:

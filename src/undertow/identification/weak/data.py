@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 
 from .noise import white_noise
 from .polynomial import smooth_rate
-from .testfunctions import DEGREE, TestFunctions, knot_spacing, test_functions
+from .testfunctions import TestFunctions, boxes, knot_spacing, test_functions
 
 Array = NDArray[np.float64]
 Family = Callable[[Array, float], TestFunctions | None]
@@ -176,7 +177,7 @@ def prepare(
         s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle, family)
     ]
     if not segments:
-        raise UndertowError(_too_short(runs))
+        raise UndertowError(_too_short(runs, family))
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
     kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
@@ -186,18 +187,20 @@ def prepare(
     )
 
 
-def _too_short(runs: Sequence[Run]) -> str:
+def _too_short(runs: Sequence[Run], family: Family) -> str:
     spacing = max((_spacing(r) for r in runs if len(r.t) > 1), default=0.0)
     step = min((float(np.median(np.diff(r.t))) for r in runs if len(r.t) > 1), default=1.0)
     lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
-    needed = int(np.ceil((DEGREE + 1) * spacing / step - 1e-6)) + 1 if spacing else 2
+    enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
+    needed = next(enough) if spacing else 2
     blurred = any(_spacing(r) > knot_spacing(r.t) * _WIDER_FOR_DERIVED for r in runs if len(r.t) > 1)
+    form = "integral form" if family is boxes else "weak form"
     why = (
         "; the velocities were taken from a pose that tells nothing of faster motion: "
         "give longer runs, or measured velocities"
     )
     return (
-        f"no stretch without gaps is long enough for the weak form (of {lengths}): {needed} samples are "
+        f"no stretch without gaps is long enough for the {form} (of {lengths}): {needed} samples are "
         f"needed without a gap{why if blurred else ''}"
     )
 

@@ -25,6 +25,7 @@ from ..compare.cutting import Windows, cut
 from ..compare.predictor import Predictor
 from .constraints import Constraints
 from .data import Segment, WeakData, prepare
+from .enough import require_equations
 from .fit import WeakFit, disturbed, fit_weak, free_parameters
 from .residual import Linearised, WeakModel, whitened
 from .step import bounds_of, limited_step, prior_of
@@ -71,7 +72,9 @@ def fit_instrumental(
         If a channel is missing, a log is too short, or the simulation diverges.
     """
     model = constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
-    plain = fit_weak(model, prepare(runs, vehicle))
+    data = prepare(runs, vehicle)
+    require_equations(model, data, "instrumental")
+    plain = fit_weak(model, data)
     return _Instruments(model, plain, cut(runs, vehicle, horizon), compiled).fit()
 
 

@@ -56,7 +56,7 @@ class Limits:
         ]
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
-        self._matrices = [matrix for matrix in found if matrix.felt]
+        self._all, self._matrices = found, [matrix for matrix in found if matrix.felt]
 
     def cuts(self, p: Array) -> list[Cut]:
         """What a step from p has to do for every matrix to be positive; nothing where all are."""
@@ -65,6 +65,10 @@ class Limits:
     def broken(self, p: Array) -> bool:
         """Whether a matrix is not positive at p."""
         return any(matrix.least(p) < -ROUNDING for matrix in self._matrices)
+
+    def impossible(self, p: Array) -> list[str]:
+        """Names of all matrices that are not positive at p, those that no free parameter changes too."""
+        return [matrix.told(p) for matrix in self._all if matrix.least(p) < -ROUNDING]
 
     def moved(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""

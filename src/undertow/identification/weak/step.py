@@ -62,6 +62,24 @@ def _bounds(model: WeakModel, name: str) -> tuple[float, float]:
     return (min(low, value) if value else low, max(high, value) if value else high)
 
 
+def check_known_leaders(model: WeakModel) -> None:
+    """Refuse a parameter that is tied to a known one and is not physical by that.
+
+    Raises
+    ------
+    UndertowError
+        Naming it, its value and its bounds.
+    """
+    vehicle = model.functions.vehicle
+    for name, (other, factor) in model.functions.equal.items():
+        value, (low, high) = factor * vehicle.value_of(other).value, _bounds(model, name)
+        if other not in model.free and not low <= value <= high:
+            raise UndertowError(
+                f"{name} = {factor:g} {other} makes {name} {value:g} (SI, SNAME signs), which has to lie "
+                f"between {low:g} and {high:g}: check the factor and its sign"
+            )
+
+
 def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
     """Free parameters that are at a limit of what is physical, with that limit."""
     low, high = bounds_of(model)

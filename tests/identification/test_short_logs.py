@@ -1,0 +1,64 @@
+"""Logs that are too short for a method are refused with its own number, not fitted to nonsense."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.identification.long_surge import simulated, steps
+from tests.identification.surge import surge_vehicle
+from undertow.errors import UndertowError
+from undertow.identification.estimators import Estimator, Method
+from undertow.identification.logs import Run
+
+VEHICLE = surge_vehicle()
+_NOISE = 0.005 * np.random.default_rng(0).standard_normal(60)
+_WHOLE = simulated(steps(60, 1, hold=10, size=2.0), _NOISE)
+
+
+def first(samples: int) -> Run:
+    return Run("short", _WHOLE.t[:samples], {n: a[:samples] for n, a in _WHOLE.channels.items()})
+
+
+@pytest.mark.parametrize(
+    ("method", "samples", "needed", "form"),
+    [
+        ("weak", 20, 21, "weak form"),
+        ("integral", 5, 6, "integral form"),
+        ("instrumental", 20, 21, "weak form"),
+    ],
+)
+def test_the_least_number_of_samples_is_that_of_the_method(
+    method: Method, samples: int, needed: int, form: str
+) -> None:
+    with pytest.raises(UndertowError, match=f"long enough for the {form} .* {needed} samples are needed"):
+        Estimator(method, None).fit(VEHICLE, [first(samples)])
+    with pytest.raises(UndertowError, match=f"are too short for --method {method}: 3 parameters need"):
+        Estimator(method, None).fit(VEHICLE, [first(needed)])
+
+
+@pytest.mark.parametrize(
+    ("method", "samples", "equations"),
+    [("weak", 30, 2), ("integral", 8, 3), ("instrumental", 30, 2), ("prediction-error", 4, 2)],
+)
+def test_as_many_parameters_as_equations_are_refused(method: Method, samples: int, equations: int) -> None:
+    said = f"'short' {samples} samples.* --method {method}: 3 parameters .* they make {equations}:"
+    with pytest.raises(UndertowError, match=said):
+        Estimator(method, None).fit(VEHICLE, [first(samples)])
+
+
+def test_a_parameter_with_a_prior_needs_no_equation() -> None:
+    stated = {
+        n: replace(VEHICLE.value_of(n), value=v, sigma=0.1 * abs(v))
+        for n, v in (("X_u", -0.3), ("X_uabsu", -4.0))
+    }
+    fit = Estimator("weak").fit(VEHICLE.with_values(stated), [first(30)])
+    assert fit.values["X_u"] == pytest.approx(-0.3, abs=0.2)
+
+
+@pytest.mark.parametrize("method", ["weak", "integral", "instrumental", "prediction-error"])
+def test_a_longer_log_is_fitted(method: Method) -> None:
+    fit = Estimator(method, None).fit(VEHICLE, [first(60)])
+    assert fit.values["X_udot"] == pytest.approx(-1.1, abs=1.5)
