@@ -6,6 +6,7 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from undertow.cli._lazy import each_named
@@ -114,6 +115,20 @@ def test_fit_keeps_stretches_aside_and_writes_nothing_unasked(
     assert "nothing was written" in _lines(capsys)[-1]
     assert sorted(p.name for p in case.iterdir()) == ["holdout.csv", "train.csv", "usv.toml"]
     assert (case / "usv.toml").read_bytes() == before
+
+
+def test_fit_prints_the_correlation_matrix_that_its_covariance_has(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", *LOG, "--holdout", "holdout.csv", "--correlation", "--out", "new.toml"]) == 0
+    lines = _lines(capsys)
+    covariance = tomllib.loads(Path("new.toml").read_text())["history"][0]["covariance"]
+    matrix, names = np.array(covariance["matrix"]), covariance["parameters"]
+    spread = np.sqrt(np.diag(matrix))
+    start = next(i for i, line in enumerate(lines) if "Correlation of the errors" in line)
+    for k, name in enumerate(names):
+        row = next(line.split() for line in lines[start + 2 :] if line.split()[:1] == [name])
+        np.testing.assert_allclose([float(c) for c in row[1:]], matrix[k] / spread[k] / spread, atol=0.0051)
 
 
 def test_fit_in_place_changes_the_file(case: Path) -> None:

@@ -18,7 +18,7 @@ from undertow.identification.diagnosis.estimates import estimates
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.estimators import Estimator
-from undertow.identification.fitted import Fitted, cramer_rao, remarks, t_values, verdicts
+from undertow.identification.fitted import Fitted, correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.logs import Run
 from undertow.identification.prediction_error import PredictionErrorFit
 from undertow.identification.weak.constraints import follower_errors, followers, written
@@ -108,6 +108,13 @@ def show(done: Refit) -> None:
     section(f"Velocity error {horizon:.3g} s ahead on kept-aside data, % of the motion", _errors(done))
     if not done.errors[1] <= done.errors[0]:
         out.print(text("the refitted model predicts kept-aside data worse than the model as given", "yellow"))
+
+
+def show_correlation(fit: Fitted) -> None:
+    """Print the correlation matrix of the errors of the estimates."""
+    names = fit.model.free
+    rows = [(n, *(f"{c:.2f}" for c in row)) for n, row in zip(names, correlation(fit), strict=True)]
+    section("Correlation of the errors", table(("", *names), rows))
 
 
 _BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"

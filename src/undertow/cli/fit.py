@@ -51,6 +51,7 @@ _EQUAL = typer.Option(
 _DISSIPATIVE = typer.Option(
     "--dissipative", help="Let linear damping take energy from every motion, coupling included."
 )
+_CORRELATION = typer.Option("--correlation", help="Print how the errors of the parameters hang together.")
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
 
 
@@ -65,6 +66,7 @@ def fit(
     horizon: Annotated[float, _HORIZON] = 5.0,
     equal: Annotated[list[str] | None, _EQUAL] = None,
     dissipative: Annotated[bool, _DISSIPATIVE] = False,
+    correlation: Annotated[bool, _CORRELATION] = False,
     out: OutOption = None,
     in_place: InPlaceOption = False,
     map: MapOption = None,
@@ -74,7 +76,7 @@ def fit(
     fill: FillOption = None,
 ) -> None:
     from undertow.cli._adding import target_of
-    from undertow.cli._fitting import refit, show, write
+    from undertow.cli._fitting import refit, show, show_correlation, write
     from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
@@ -92,6 +94,8 @@ def fit(
     with progress("fitting") as tell:
         done = refit(loaded.vehicle, loaded.train, loaded.holdout, estimator, horizon, tell)
     show(done)
+    if correlation:
+        show_correlation(done.fit)
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
     else:
