@@ -57,14 +57,14 @@ _TOWING = """\
 
 C/S Enterprise I (NTNU; [results](results.md) has the rest of its tests) towed at {runs} constant speeds up to
 0.6 m/s, each for half a minute, and one of its free runs under joystick. Where nothing accelerates, least
-squares is all that is left of the paper's chain, and the added mass is **{mass}** from these tests; a free
-run determines it, and hardly the drag. Magnitudes:
+squares is all that is left of the paper's chain, and the added mass is **{mass}** from these
+tests; a free run determines it, and hardly the drag. Magnitudes:
 """
 _TOWED = """\
-Measured: {measured}. The sum of both terms is known far better than either. Samples of one towing run
-hang together (waves of the basin, a 5-Hz filter), and stated errors follow from what each method takes for
-independent. A free run knows the drag of speeds that it has, as a sum with all that its model lacks: its
-thrusters have a dead band and a delay.
+Measured: {measured}. The sum of both terms is known far better than either.
+Samples of one towing run hang together (waves of the basin, a 5-Hz filter), and stated errors follow from
+what each method takes for independent. A free run knows the drag of speeds that it has, as a sum with all
+that its model lacks: its thrusters have a dead band and a delay.
 """
 _VARIABLES = """\
 ## Noise and an unknown current in the regressors
@@ -131,7 +131,7 @@ class Beyond:
 
 def _towing(towing: Towing) -> Iterator[str]:
     yield _TOWING.format(runs=towing.runs, mass=towing.mass)
-    heads = ("X_u [kg/s]", "X_u\\|u\\| [kg/m]", *(f"drag at {v:g} m/s [N]" for v in SPEEDS))
+    heads = ("X_u [kg/s]", "X_u|u| [kg/m]", *(f"drag at {v:g} m/s [N]" for v in SPEEDS))
     yield table(("tests", "estimator", *heads, "by these tests"), map(_towed, towing.rows), left=2)
     pairs = zip(towing.measured, SPEEDS, strict=True)
     yield _TOWED.format(measured=", ".join(f"{force:.2g} N at {v:g} m/s" for force, v in pairs))
