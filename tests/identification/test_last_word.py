@@ -1,0 +1,110 @@
+"""The end of a diagnosis: what is scouted, the last fit of a model, and the last word by simulation."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.candidates import Candidate
+from undertow.identification.diagnosis.final import last_fit
+from undertow.identification.diagnosis.referee import Referee
+from undertow.identification.diagnosis.scouting import Scouted
+from undertow.identification.diagnosis.trial import Bench, open_bench, try_candidate
+from undertow.identification.logs import Run
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import fit_weak
+from undertow.identification.weak.residual import whitened
+from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Value, Vehicle
+
+
+@cache
+def _case() -> tuple[Vehicle, list[Run], dict[str, float]]:
+    """A vessel with quadratic drag in surge, sway and yaw, a little of it in surge."""
+    case = make_case("usv", ("quadratic_damping",), 67363788, strength=0.4, noise=0.3, duration=40.0)
+    return vehicle_of(case), runs_of(case), case.truth["values"]["quadratic_damping"]
+
+
+@cache
+def _bench() -> Bench:
+    vehicle, runs, _ = _case()
+    train = prepare(runs[:-1], vehicle)
+    return open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
+
+
+def _candidate(effect: str) -> Candidate:
+    return Candidate(catalogue()[effect], _case()[0])
+
+
+def _referee() -> Referee:
+    vehicle, runs, _ = _case()
+    return Referee(vehicle, runs[:-1], runs[-1:], _bench().train.sigma)
+
+
+@pytest.mark.parametrize(
+    ("effect", "start"),
+    [("quadratic_damping", {}), ("ocean_current", {}), ("waves", {"wave_frequency": 2.0}),
+     ("thruster_lag", {"T_lag": 0.3}), ("radiation_memory", {"T_memory": 2.0})],
+)  # fmt: skip
+def test_own_columns_beside_those_known_are_the_whole_linearised_model(
+    effect: str, start: dict[str, float]
+) -> None:
+    candidate, bench = _candidate(effect), _bench()
+    found = Scouted(candidate, bench, start)
+    model = candidate.model()
+    for at, data, noise, beside in (
+        (found.start.at, bench.train, bench.train_whitening, None),
+        (found.on_test, bench.test, bench.test_whitening, bench.base_score.r),
+    ):
+        whole = whitened(model.linearise(data, found.start.p), noise, beside)
+        scale = np.linalg.norm(whole.J, axis=0)
+        np.testing.assert_allclose(at.r, whole.r, atol=1e-7 * np.max(np.abs(whole.r)))
+        assert np.all(np.linalg.norm(at.J - whole.J, axis=0) <= 1e-6 * scale)
+
+
+def test_a_last_fit_drops_nothing_and_takes_back_what_is_more_likely_there() -> None:
+    candidate = _candidate("quadratic_damping")
+    whole = try_candidate(candidate, _bench(), {}).full
+    kept = tuple(n for n in whole.model.free if n != "N_rabsr")
+    without = fit_weak(candidate.model(kept), whole.data, start=whole.values)
+    last = last_fit(without, [candidate])
+    assert set(kept) <= set(last.model.free)
+    truth = _case()[2]
+    assert "N_rabsr" in last.model.free
+    for name in ("N_rabsr", "Y_vabsv"):
+        error = last.values[name] - truth[name]
+        assert abs(error) < 4 * last.standard_errors[name], name
+
+
+def test_the_model_with_the_truth_outdoes_the_one_without_and_not_the_other_way_round() -> None:
+    referee, base = _referee(), _bench().base
+    truth = last_fit(try_candidate(_candidate("quadratic_damping"), _bench(), {}).fit, [])
+    assert referee.outdone(base, truth)
+    assert not referee.outdone(truth, base)
+    assert not referee.outdone(truth, truth)
+
+
+def test_output_error_has_the_last_word_and_its_errors_are_honest() -> None:
+    candidate = _candidate("quadratic_damping")
+    weak = last_fit(try_candidate(candidate, _bench(), {}).fit, [candidate])
+    referee = _referee()
+    fit, squares = referee.refined(weak)
+    assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(squares) <= 1.01 * np.mean(referee.squares(weak))
+    truth = _case()[2]
+    off = [(fit.values[n] - truth[n]) / fit.standard_errors[n] for n in fit.values if n in truth]
+    assert len(off) >= 2
+    assert np.max(np.abs(off)) < 4
+
+
+def test_a_model_that_is_far_off_is_not_fitted_by_simulation() -> None:
+    vehicle = _case()[0]
+    heavy = vehicle.with_values({n: Value(-500.0, estimate=True) for n in ("X_udot", "N_rdot")})
+    model = fit_weak(heavy, _bench().train, (), max_iterations=0)
+    fit, squares = _referee().refined(model)
+    assert fit is model
+    assert np.mean(squares) > 100
