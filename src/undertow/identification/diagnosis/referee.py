@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from .chain import Chain
 from .trial import noise_ratio, only_noise
 
 Array = NDArray[np.float64]
+F = TypeVar("F", bound=Fitted)
+T = TypeVar("T")
 # Windows of a free run diverge in heading even for the true model: short ones decide.
 HORIZONS = (1.0, 5.0, 20.0)
 DECIDING = 5.0
@@ -83,7 +86,7 @@ class Referee:
 
     def __init__(self, vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], sigma: Array) -> None:
         self._vehicle, self.train, self.test, self._sigma = vehicle, train, test, sigma
-        self._fits: dict[tuple[int, float], tuple[WeakFit, Fitted]] = {}
+        self._known: dict[tuple[str, int], tuple[Fitted, Any]] = {}
 
     @cached_property
     def shortest(self) -> float:
@@ -102,8 +105,19 @@ class Referee:
     def _cut(self, horizon: float) -> Windows:
         return cut(self.test, self._vehicle, min(horizon, self.shortest), sigma=self._sigma)
 
+    def _once(self, what: str, fit: F, work: Callable[[F], T]) -> T:
+        """What is worked out of a fit, once; the fit is kept, for its identity is the key."""
+        key = what, id(fit)
+        if key not in self._known:
+            self._known[key] = fit, work(fit)
+        found: T = self._known[key][1]
+        return found
+
     def squares(self, fit: Fitted) -> Array:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
+        return self._once("squares", fit, self._squares)
+
+    def _squares(self, fit: Fitted) -> Array:
         shooting, starts = self._shot(fit, self.windows)
         return shooting.mean_squares(np.asarray(fit.p), starts)
 
@@ -152,7 +166,7 @@ class Referee:
 
     def quiet(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak residual or by simulation."""
-        if only_noise(noise_ratio(weak, test)):
+        if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(noise_ratio(fit, test))):
             return True
         # The fit by output error is dear, and no help to a model that is far off.
         return bool(np.mean(self.squares(weak)) < _WITHIN_REACH and self.leaves_only_noise(weak))
@@ -164,6 +178,9 @@ class Referee:
         next to nothing, and the bias of |v|v of a noisy v where the noise is large. Windows are long, in
         which even a small force shows.
         """
+        return self._once("noise", weak, self._leaves_only_noise)
+
+    def _leaves_only_noise(self, weak: WeakFit) -> bool:
         fit = self._refined(weak, THOROUGH)
         if fit is weak:
             return False
@@ -189,6 +206,9 @@ class Referee:
 
     def _costs(self, weak: WeakFit) -> Array:
         """Sum of squares in units of the noise, in short windows and in long ones."""
+        return self._once("costs", weak, self._worked_out_costs)
+
+    def _worked_out_costs(self, weak: WeakFit) -> Array:
         looks = ((DECIDING, self.windows), (THOROUGH, self._long_windows))
         return np.array([self._linearised(self._refined(weak, h), w)[0].cost for h, w in looks])
 
@@ -211,10 +231,7 @@ class Referee:
         return [best.chain, *(c.chain for c in ordered[1:] if not worse(c))]
 
     def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
-        key = id(weak), horizon
-        if key not in self._fits:
-            self._fits[key] = weak, self._by_output_error(weak, horizon)
-        return self._fits[key][1]
+        return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
 
     def _by_output_error(self, weak: WeakFit, horizon: float) -> Fitted:
         try:

@@ -19,7 +19,7 @@ from ..weak.data import prepare
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import Linearised, WeakModel
 from ..weak.solution import Solution, clustered
-from ..weak.step import bounds_of, limited_step, physical, prior_of
+from ..weak.step import bounds_of, limited_step, physical, prior_cost, prior_of
 from .losses import LOSSES, Loss, LossName, robust_scale
 from .shooting import Reduced, Shooting
 
@@ -287,8 +287,7 @@ class _Descent:
         return state, 0.0
 
     def _cost(self, p: Array, squares: float) -> float:
-        centre, stiffness = self._prior
-        return squares + float(np.sum((stiffness * (p[list(self.model.places)] - centre)) ** 2))
+        return squares + prior_cost(self._prior, p[list(self.model.places)])
 
     def _promised(self, state: _State, step: Array) -> float:
         """Cost after a step by the linearised problem."""

@@ -26,7 +26,7 @@ from ..weak.enough import require_rows
 from ..weak.fit import free_parameters
 from ..weak.residual import Linearised, WeakModel
 from ..weak.solution import Solution, clustered
-from ..weak.step import bounds_of, limited_step, prior_of
+from ..weak.step import bounds_of, limited_step, prior_cost, prior_of
 from .filtering import Filtered, Noise, Smoothed, filtered, smoothed
 from .linear import Chained, LinearWindows
 
@@ -296,8 +296,7 @@ class _Search:
 
     def _cost(self, state: _State) -> float:
         """What the parameters are to make small while the noise is as it is."""
-        centre, stiffness = self._prior
-        stated = float(np.sum((stiffness * (state.p[list(self.model.places)] - centre)) ** 2))
+        stated = prior_cost(self._prior, state.p[list(self.model.places)])
         cost = float(np.sum(state.passed.table[:, 0] ** 2)) + state.passed.log_determinant + stated
         return cost if np.isfinite(cost) else np.inf
 

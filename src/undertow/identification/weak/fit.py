@@ -18,7 +18,7 @@ from .data import WeakData
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
 from .solution import Solution, clustered
-from .step import bounds_of, limited_step, physical, prior_of, reach_of, within_reach
+from .step import bounds_of, limited_step, physical, prior_cost, prior_of, reach_of, within_reach
 
 Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
@@ -183,9 +183,11 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
 
     A disturbance feeds on a poor fit and keeps it poor: where little is left, both ends are worth a look.
     """
-    quiet = fit.model.whitening(fit.data, fit.p) if np.any(fit.disturbance) else fit.whitening
+    if not np.any(fit.disturbance):
+        return fit
+    quiet = fit.model.whitening(fit.data, fit.p)
     left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
-    if not np.any(fit.disturbance) or np.nanmax(left) > _WORTH_A_LOOK:
+    if np.nanmax(left) > _WORTH_A_LOOK:
         return fit
     none = np.zeros_like(fit.disturbance)
     other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
@@ -277,7 +279,7 @@ def _solved(
     iteration = 0
     for _ in range(max_iterations):
         step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
-        now, then = (_pull(prior, p[places] + s) for s in (0.0, step))
+        now, then = (prior_cost(prior, p[places] + s) for s in (0.0, step))
         promised = _squares(at.r) + now - _squares(at.r + at.J @ step) - then
         if promised < max(_ENOUGH, enough * _squares(at.r)):
             break
@@ -293,12 +295,6 @@ def _squares(r: Array) -> float:
     return float(np.sum(r**2))
 
 
-def _pull(prior: tuple[Array, Array], values: Array) -> float:
-    """What stated priors add to the sum of squares."""
-    centre, stiffness = prior
-    return float(np.sum((stiffness * (values - centre)) ** 2))
-
-
 def _line_search(
     model: WeakModel,
     p: Array,
@@ -311,11 +307,11 @@ def _line_search(
 ) -> tuple[Array, Linearised]:
     """Halve the step until the weighted error falls, what stated priors add to it included."""
     places = list(model.places)
-    before = _squares(at.r) + _pull(prior, p[places])
+    before = _squares(at.r) + prior_cost(prior, p[places])
     for share in (1.0, 0.5, 0.25, 0.1, 0.02):
         tried = p.copy()
         tried[places] = np.clip(p[places] + share * step, *bounds)
         after = whitened(model.linearise(data, tried), whitening)
-        if _squares(after.r) + _pull(prior, tried[places]) <= before * (1 + 1e-12):
+        if _squares(after.r) + prior_cost(prior, tried[places]) <= before * (1 + 1e-12):
             return tried, after
     return p, at

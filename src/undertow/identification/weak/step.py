@@ -104,6 +104,12 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
     return centre, weight
 
 
+def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
+    """What stated priors add to the sum of squares at these values of the free parameters."""
+    centre, stiffness = prior
+    return float(np.sum((stiffness * (values - centre)) ** 2))
+
+
 def _both(centre: float, weight: float, value: float, sigma: float, factor: float) -> tuple[float, float]:
     """One prior for two: of a parameter, and of its multiple."""
     other = abs(factor) / (_PRIOR_WIDTH * sigma)
