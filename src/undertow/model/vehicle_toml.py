@@ -1,19 +1,21 @@
-"""Reading the text of a vehicle file: size, TOML, keys and types; nothing in it is executed."""
+"""Reading the text of a vehicle or gain file: size, TOML, keys and types; nothing in it is executed."""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from undertow.errors import UndertowError
 
 from .catalogue import nearest
-from .vehicle_schema import ParameterTable, ThrusterTable, VehicleTable
+from .vehicle_schema import VehicleTable
 
+Content = TypeVar("Content", bound=BaseModel)
 _LARGEST_FILE = 2_000_000
 # tomllib needs memory in the square of the number of parts of a dotted key; no honest file comes near.
 _MOST_DOTS_SQUARED = 2_000_000
@@ -30,41 +32,59 @@ def read_vehicle_table(path: Path) -> VehicleTable:
     UndertowError
         If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
     """
+    return read_table(path, VehicleTable, "vehicle file")
+
+
+def read_table(path: Path, model: type[Content], kind: str) -> Content:
+    """Read a TOML file of a given kind and validate it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    model : type of BaseModel
+        What it has to hold.
+    kind : str
+        What it is called in messages, such as "vehicle file".
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
+    """
     try:
-        content = tomllib.loads(_text(path))
+        content = tomllib.loads(_text(path, kind))
     except RecursionError as error:
-        raise UndertowError(f"{path}: values are nested too deeply for a vehicle file") from error
+        raise UndertowError(f"{path}: values are nested too deeply for a {kind}") from error
     except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, integers of thousands of digits
         raise UndertowError(f"{path}: not valid TOML: {error}") from error
     try:
-        return VehicleTable.model_validate(content)
+        return model.model_validate(content)
     except ValidationError as error:
-        raise UndertowError(f"{path}: {_first_complaint(error)}") from error
+        raise UndertowError(f"{path}: {_first_complaint(error, model)}") from error
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, kind: str) -> str:
     try:
         size = path.stat().st_size
         if size > _LARGEST_FILE:
-            raise UndertowError(
-                f"{path}: {size} bytes are too many for a vehicle file (limit {_LARGEST_FILE})"
-            )
+            raise UndertowError(f"{path}: {size} bytes are too many for a {kind} (limit {_LARGEST_FILE})")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise UndertowError(f"{path}: cannot be read: {error.strerror}") from error
     if sum(line.count(".") ** 2 for line in _DECIMAL.sub("0", text).splitlines()) > _MOST_DOTS_SQUARED:
-        raise UndertowError(f"{path}: keys with so many dots are no part of a vehicle file")
+        raise UndertowError(f"{path}: keys with so many dots are no part of a {kind}")
     return text
 
 
-def _first_complaint(error: ValidationError) -> str:
+def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
     """One line for what pydantic found first, with the nearest known key."""
     # Members of a union complain each for itself; a key that is too much is the more telling complaint.
     complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first = complaints[0]
     place, kind, found = _place(first["loc"]), first["type"], _shown(first["input"])
     if kind == "extra_forbidden":
-        keys = _keys_at(first["loc"])
+        keys = _keys_at(first["loc"], model)
         hint = nearest(str(first["loc"][-1]), keys)
         return f"key '{place}' is not known{hint}; known are {', '.join(keys)}"
     if kind == "missing":
@@ -81,14 +101,20 @@ def _place(loc: tuple[int | str, ...]) -> str:
     return ".".join(parts).replace("schema_", "schema")
 
 
-def _keys_at(loc: tuple[int | str, ...]) -> list[str]:
+def _keys_at(loc: tuple[int | str, ...], table: type[BaseModel]) -> list[str]:
     """Keys that the table may have in which something is too much."""
-    table: Any = VehicleTable
-    if "ParameterTable" in loc:
-        table = ParameterTable
-    elif loc[0] == "thrusters":
-        table = ThrusterTable
+    for part in loc[:-1]:
+        fields = {f.alias or name: f.annotation for name, f in table.model_fields.items()}
+        table = next(_tables_in(fields.get(str(part))), table)
     return [f.alias or name for name, f in table.model_fields.items()]
+
+
+def _tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Tables that a type is made of, such as the one in a list of tables."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _tables_in(inner)
 
 
 def _shown(value: object) -> str:

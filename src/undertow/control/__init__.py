@@ -1,0 +1,1 @@
+"""Control laws, conditions on their gains, closed loops and linear analysis."""

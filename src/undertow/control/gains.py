@@ -1,0 +1,227 @@
+"""Gain files: a control law with numbers, checked against the vehicle it is for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path
+
+import sympy as sm
+
+from undertow.errors import UndertowError
+from undertow.model.catalogue import nearest
+from undertow.model.units import to_si
+from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle_schema import Quantity
+from undertow.model.vehicle_toml import read_table
+
+from .gain_schema import AllocationTable, Diagonal, GainTable, ScheduleTable
+from .laws import LAWS, GainMatrix, Law, LawSignals
+from .plant import Plant
+
+
+@dataclass(frozen=True)
+class GainSet:
+    """A control law with its numbers for one vehicle.
+
+    Attributes
+    ----------
+    name : str
+        Name of the set.
+    law : Law
+        The law.
+    plant : Plant
+        The vehicle as the law knows it.
+    values : dict of float
+        Gain by name (K_P_x ...), SI; zero where a degree of freedom is unactuated and no gain is stated.
+    unactuated : tuple of str
+        Degrees of freedom whose force is knowingly left out.
+    schedule, allocation
+        The tables of the file.
+    """
+
+    name: str
+    law: Law
+    plant: Plant
+    values: Mapping[str, float]
+    unactuated: tuple[str, ...] = ()
+    schedule: ScheduleTable = field(default_factory=ScheduleTable)
+    allocation: AllocationTable = field(default_factory=AllocationTable)
+
+    @cached_property
+    def signals(self) -> LawSignals:
+        """The symbols that the law is stated in."""
+        return LawSignals(self.plant, self.law)
+
+    @property
+    def numbers(self) -> dict[sm.Symbol, sm.Expr]:
+        """Value of every gain by its symbol, SI."""
+        symbols = (g.symbol(c) for g in type(self.law).gains for c in self.signals.coordinates)
+        return {s: sm.Float(self.values[str(s)]) for s in symbols}
+
+    def matrix(self, name: str) -> sm.Matrix:
+        """A gain matrix with its numbers, shape (n, n), SI."""
+        return getattr(self.signals, name).xreplace(self.numbers)
+
+
+def bundled_gains() -> dict[str, Path]:
+    """Gain files that come with the program, by name."""
+    folder = Path(str(files("undertow") / "vehicles" / "gains"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
+    """Read a gain file, or a bundled one by its name, for a vehicle.
+
+    Parameters
+    ----------
+    source : str or Path
+        Path of a gain file, or the name of a bundled one (paper-pd, paper-pid, paper-smc).
+    vehicle : Vehicle
+        The vehicle that is controlled.
+
+    Raises
+    ------
+    UndertowError
+        If the file is no gain file, or a gain is missing, of the wrong size or unit, negative or not finite,
+        or the law needs a force that no thruster gives and the file does not say that it knows.
+    """
+    path = _resolve(source)
+    table = read_table(path, GainTable, "gain file")
+    try:
+        return gains_from_table(table, vehicle)
+    except UndertowError as error:
+        raise UndertowError(f"{path}: {error}") from error
+
+
+def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
+    """The gain set that a validated file describes, for a vehicle."""
+    if table.law not in LAWS:
+        raise UndertowError(
+            f"law '{table.law}' is not known{nearest(table.law, LAWS)}: laws are {', '.join(LAWS)}"
+        )
+    law = LAWS[table.law]()
+    plant = Plant(vehicle)
+    _check_axes(table, plant)
+    values: dict[str, float] = {}
+    for gain in _declared(table, type(law)):
+        values |= _values(gain, table.gains[gain.name], vehicle, table.unactuated)
+    _check_thrusters(table.allocation, vehicle)
+    return GainSet(table.name, law, plant, values, tuple(table.unactuated), table.schedule, table.allocation)
+
+
+def _resolve(source: str | Path) -> Path:
+    path, bundled = Path(source), bundled_gains()
+    if path.is_file():
+        return path
+    if str(source) in bundled:
+        return bundled[str(source)]
+    raise UndertowError(
+        f"gains '{source}' are neither a file nor a bundled set{nearest(str(source), bundled)}; "
+        f"bundled are {', '.join(bundled)}"
+    )
+
+
+# --- gains ------------------------------------------------------------------------------------
+def _declared(table: GainTable, law: type[Law]) -> Iterable[GainMatrix]:
+    known = [g.name for g in law.gains]
+    for name in table.gains:
+        if name not in known:
+            raise UndertowError(
+                f"gain '{name}' is none of law '{law.id}'{nearest(name, known)}: it has {', '.join(known)}"
+            )
+    for gain in law.gains:
+        if gain.name not in table.gains:
+            raise UndertowError(
+                f"gain '{gain.name}' of law '{law.id}' is missing: add [gains.{gain.name}] ({gain.meaning})"
+            )
+    return law.gains
+
+
+def _values(gain: GainMatrix, stated: Diagonal, vehicle: Vehicle, unactuated: list[str]) -> dict[str, float]:
+    coordinates = vehicle.pose_names
+    given = _by_coordinate(gain, stated, coordinates)
+    values = {}
+    for coordinate, dof in zip(coordinates, vehicle.degrees_of_freedom, strict=True):
+        name = str(gain.symbol(coordinate))
+        if coordinate in given:
+            values[name] = _number(gain, coordinate, given[coordinate])
+        elif dof in unactuated:
+            values[name] = 0.0
+        else:
+            raise UndertowError(
+                f"gain {gain.name} has no value for {coordinate}: add {coordinate} = "
+                f'"... {gain.unit(coordinate)}" to [gains.{gain.name}]'
+            )
+    return values
+
+
+def _by_coordinate(gain: GainMatrix, stated: Diagonal, coordinates: tuple[str, ...]) -> dict[str, Quantity]:
+    if isinstance(stated, list):
+        if len(stated) != len(coordinates):
+            raise UndertowError(
+                f"gain {gain.name} has {len(stated)} values, but the vehicle has {len(coordinates)} pose "
+                f"coordinates: give one for each of {', '.join(coordinates)}"
+            )
+        return dict(zip(coordinates, stated, strict=True))
+    if not isinstance(stated, dict):
+        return dict.fromkeys(coordinates, stated)
+    alien = [c for c in stated if c not in coordinates]
+    if alien:
+        raise UndertowError(
+            f"gain {gain.name} has a value for {alien[0]}, which the vehicle does not have: its pose "
+            f"coordinates are {', '.join(coordinates)}"
+        )
+    return dict(stated)
+
+
+def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
+    try:
+        value = to_si(stated, gain.unit(coordinate))
+    except UndertowError as error:
+        raise UndertowError(f"gain {gain.name} for {coordinate}: {error}") from error
+    if value <= 0:
+        raise UndertowError(
+            f"gain {gain.name} for {coordinate} is {stated}, not above zero: gains are positive, the law "
+            "itself has the signs"
+        )
+    return value
+
+
+# --- what the law needs of the vehicle ----------------------------------------------------------
+def _check_axes(table: GainTable, plant: Plant) -> None:
+    """Refuse a law that asks for forces which no thruster gives, unless the file says that it knows."""
+    vehicle = plant.vehicle
+    silent = [d for d, row in zip(vehicle.degrees_of_freedom, plant.B.tolist(), strict=True) if not any(row)]
+    missing = [d for d in silent if d not in table.unactuated]
+    if missing:
+        raise UndertowError(
+            f"law '{table.law}' asks for a force in {', '.join(missing)}, which no thruster of "
+            f"'{vehicle.name}' gives: add a thruster, or write unactuated = {_quoted(silent)} if that force "
+            "is to be left out"
+        )
+    odd = [d for d in table.unactuated if d not in silent]
+    if odd:
+        raise UndertowError(
+            f"unactuated names {', '.join(odd)}, which '{vehicle.name}' "
+            f"{'can push in' if odd[0] in vehicle.degrees_of_freedom else 'does not have'}: remove it"
+        )
+
+
+def _quoted(names: list[str]) -> str:
+    return "[" + ", ".join(f'"{n}"' for n in names) + "]"
+
+
+def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
+    known = [t.name for t in vehicle.thrusters]
+    for key in (*allocation.weights, *allocation.limits):
+        if key not in known:
+            raise UndertowError(
+                f"[allocation] names thruster '{key}'{nearest(key, known)}: the vehicle has "
+                f"{', '.join(known) or 'none'}"
+            )
+    low = [k for k, w in allocation.weights.items() if not 0 < w < float("inf")]
+    if low:
+        raise UndertowError(f"weight of thruster '{low[0]}' is not above zero and finite: change it")

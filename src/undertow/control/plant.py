@@ -1,0 +1,233 @@
+"""A vehicle as control theory writes it: M nu_dot + C(nu) nu + D(nu) nu + g(eta) = B inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+
+import sympy as sm
+
+from undertow.model.effect import Wrench, kinds_of
+from undertow.model.symbols import symbol
+from undertow.model.vehicle import Vehicle
+
+_ZERO = sm.Integer(0)
+
+
+class Plant:
+    """The matrices of a vehicle in still water, as SymPy expressions derived from its effects.
+
+    Every wrench is sorted by what it depends on: its derivative in the acceleration goes to M, what stays at
+    rest to g, what is proportional to inputs to B, and what moves to C (workless effects) or D (all others).
+    What fits nowhere is named in `left_out`; simulations contain it, conditions on gains do not.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The model as given.
+    left_out : dict of str
+        Reason, by id, why an effect is in none of the matrices.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        self.left_out: dict[str, str] = {}
+        self._composition = _in_still_water(vehicle, self.left_out).composition
+        n = len(vehicle.dof_indices)
+        self._mass, self._damping, self._moving = sm.zeros(n, n), sm.zeros(n, n), sm.zeros(n, 1)
+        self._static, self._inputs = sm.zeros(n, 1), sm.zeros(n, len(self.inputs))
+        for effect, wrench in self._composition.wrenches.items():
+            self._sort(effect, wrench.xreplace(self._unstated))
+
+    # --- symbols ------------------------------------------------------------------------------
+    @property
+    def eta(self) -> sm.Matrix:
+        """Pose in the vehicle's degrees of freedom, shape (n, 1), m and rad, NED."""
+        return self._composition.eta
+
+    @property
+    def nu(self) -> sm.Matrix:
+        """Velocity, shape (n, 1), m/s and rad/s, body frame."""
+        return self._composition.nu
+
+    @property
+    def inputs(self) -> sm.Matrix:
+        """What reaches each thruster, in units of its command, then forces known directly, N and N m."""
+        forces = [symbol(name) for name in self._composition.forces]
+        return sm.Matrix([*self._composition.signals.actuation, *forces])
+
+    @cached_property
+    def numbers(self) -> dict[sm.Symbol, sm.Expr]:
+        """Value of every parameter that occurs, SI and SNAME signs."""
+        names = [n for n in self._composition.parameter_names if symbol(n) not in self._unstated]
+        return {symbol(n): sm.Float(self.vehicle.value_of(n).value) for n in names}
+
+    @cached_property
+    def _unstated(self) -> dict[sm.Symbol, sm.Expr]:
+        """Zero for parameters that the file does not mention, so that M of most vehicles is diagonal."""
+        names = [n for n in self._composition.parameter_names if n not in self.vehicle.values]
+        return {symbol(n): _ZERO for n in names if not self.vehicle.value_of(n).value}
+
+    # --- body frame ---------------------------------------------------------------------------
+    @property
+    def M(self) -> sm.Matrix:
+        """Inertia with added mass, shape (n, n), kg, kg m and kg m^2."""
+        return self._mass
+
+    @cached_property
+    def C(self) -> sm.Matrix:
+        """Coriolis matrix, shape (n, n), skew-symmetric.
+
+        Workless forces f(nu) are quadratic, so f = F nu / 2 with F = df/dnu, and differentiating
+        nu' f = 0 gives F' nu = -f. Hence (F - F') nu = 3 f: of all matrices that give the same force, a third
+        of that difference is skew-symmetric.
+        """
+        slope = _jacobian(self._moving, self.nu)
+        return (slope.T - slope) / 3
+
+    @property
+    def D(self) -> sm.Matrix:
+        """Damping matrix D(nu), shape (n, n): D nu is the damping force on the left-hand side."""
+        return self._damping
+
+    @property
+    def g(self) -> sm.Matrix:
+        """Forces at rest on the left-hand side, shape (n, 1), N and N m (weight, buoyancy, bias)."""
+        return self._static
+
+    @property
+    def B(self) -> sm.Matrix:
+        """Allocation: body-frame force of a unit of each of the inputs, shape (n, n_inputs)."""
+        return self._inputs
+
+    @cached_property
+    def J(self) -> sm.Matrix:
+        """Kinematics: d(eta)/dt = J(eta) nu, shape (n, n)."""
+        return self._composition.pose_rate.jacobian(self.nu)
+
+    @cached_property
+    def J_dot(self) -> sm.Matrix:
+        """Time derivative of J along the motion, shape (n, n)."""
+        rate = self._composition.pose_rate
+        terms = (self.J.diff(q) * v for q, v in zip(self.eta, rate, strict=True))
+        return sum(terms, sm.zeros(*self.J.shape))
+
+    # --- inertial frame -----------------------------------------------------------------------
+    @cached_property
+    def _J_inverse(self) -> sm.Matrix:
+        return self.J.inv().applyfunc(sm.trigsimp)
+
+    def inertial(self, matrix: sm.Matrix) -> sm.Matrix:
+        """A matrix of the body frame in pose coordinates: J^-T matrix J^-1; a column becomes J^-T column."""
+        left = self._J_inverse.T * matrix
+        return left if matrix.cols == 1 else left * self._J_inverse
+
+    @cached_property
+    def M_q(self) -> sm.Matrix:
+        """Inertia in pose coordinates, shape (n, n); (10) of the mini-AUV paper."""
+        return self.inertial(self.M)
+
+    @cached_property
+    def C_q(self) -> sm.Matrix:
+        """Coriolis matrix in pose coordinates, shape (n, n).
+
+        From nu_dot = J^-1 (q_ddot - J_dot J^-1 q_dot).
+        """
+        return self.inertial(self.C - self.M * self._J_inverse * self.J_dot)
+
+    @cached_property
+    def D_q(self) -> sm.Matrix:
+        """Damping in pose coordinates, shape (n, n); (12) of the mini-AUV paper."""
+        return self.inertial(self.D)
+
+    # --- sets of parameters by direction ------------------------------------------------------
+    @cached_property
+    def reversing(self) -> tuple[sm.Symbol, ...]:
+        """Velocities whose sign switches parameters of the matrices M and D."""
+        switched = [sm.Matrix([self.M]), sm.Matrix([self.D])]
+        found = {a.args[0] for m in switched for a in m.atoms(sm.sign)}
+        return tuple(v for v in self.nu if v in found)
+
+    def one_way(self, expression: sm.Matrix, way: Mapping[sm.Symbol, int]) -> sm.Matrix:
+        """An expression with the set of parameters of one direction, `way` from `reversing` to 1 or -1."""
+        return expression.xreplace({sm.sign(v): sm.Integer(s) for v, s in way.items()})
+
+    # --- sorting ------------------------------------------------------------------------------
+    def _sort(self, effect: Wrench, wrench: sm.Matrix) -> None:
+        reason = self._misfit(effect, wrench)
+        if reason:
+            self.left_out[effect.id] = reason
+            return
+        accelerations = self._composition.nu_dot
+        pushed = wrench.jacobian(self.inputs)
+        at_rest = dict.fromkeys([*accelerations, *self.inputs], _ZERO)
+        own = wrench.xreplace(at_rest)
+        static = own.xreplace(dict.fromkeys(self.nu, _ZERO))
+        moving = sm.Matrix(own - static)
+        damping = sm.zeros(*self.M.shape) if effect.workless else _damping(moving, self.nu)
+        if damping is None:
+            self.left_out[effect.id] = "its force is no matrix times the velocity"
+            return
+        self._mass -= wrench.jacobian(accelerations)
+        self._inputs += pushed
+        self._static -= static
+        self._damping += damping
+        if effect.workless:
+            self._moving += moving
+
+    def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
+        """Why a wrench has no place in the matrices, or nothing."""
+        if wrench.free_symbols & set(effect.state_symbols):
+            return "it has states of its own"
+        if wrench.has(self._composition.signals.t):
+            return "it depends on time"
+        if wrench.jacobian(self.inputs).free_symbols & {*self.nu, *self.eta, *self.inputs}:
+            return "its force depends on inputs and on the motion together"
+        return ""
+
+
+def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
+    """The vehicle without what the water, the way of a command and the sensors do."""
+    for effect in vehicle.effects:
+        other = [k for k in kinds_of(effect) if k != "wrench"]
+        if other:
+            left_out[effect.id] = f"{other[0]}: conditions are for still water, ideal thrust and true states"
+    kept = tuple(e for e in vehicle.effects if e.id not in left_out)
+    ids = {e.id for e in kept} | {"thrusters"}
+    for effect in kept:
+        if not set(effect.requires) <= ids:
+            left_out[effect.id] = f"it needs {', '.join(effect.requires)}"
+    return replace(vehicle, effects=tuple(e for e in kept if e.id not in left_out))
+
+
+def _jacobian(column: sm.Matrix, by: sm.Matrix) -> sm.Matrix:
+    """Derivative in which the sign of a velocity counts as constant: a set of parameters holds for one."""
+    return column.jacobian(by).replace(sm.DiracDelta, lambda *_: _ZERO)
+
+
+def _damping(force: sm.Matrix, nu: sm.Matrix) -> sm.Matrix | None:
+    """A matrix D with force = -D nu, or None where a term has no velocity as a factor."""
+    matrix = sm.zeros(len(force), len(nu))
+    for i, row in enumerate(force):
+        for term in sm.Add.make_args(sm.expand(row)):
+            j = _column(term, i, nu)
+            if j is None:
+                return None
+            if term != 0:
+                matrix[i, j] -= term / nu[j]
+    return matrix
+
+
+def _column(term: sm.Expr, row: int, nu: sm.Matrix) -> int | None:
+    """Which velocity a term is put down to: the row's own, else the last one (u r is a matter of r)."""
+    powers = term.as_powers_dict()
+    factors = [j for j, v in enumerate(nu) if powers.get(v, 0) >= 1]
+    if term == 0 or row in factors:
+        return row
+    return factors[-1] if factors else None
