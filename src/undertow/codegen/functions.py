@@ -193,6 +193,13 @@ class Functions:
         memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
         return ca.vertcat(self.pose_rate, self.driven_residual, memory, self.chain_rates)
 
+    @cached_property
+    def own_slopes(self) -> ca.SX:
+        """d(rates)/d(states) of the states that effects own: how fast they are, 1/s."""
+        own = ca.vertcat(self.memory, self.actuator_states)
+        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
+        return ca.jacobian(ca.vertcat(memory, self.chain_rates), own)
+
     # --- functions ----------------------------------------------------------------------------
     @property
     def _inputs(self) -> list[ca.SX]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError
@@ -17,6 +19,10 @@ from .virtual import VirtualStepper
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
+# A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 the method is unstable.
+_REACH = 0.7
+# What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds.
+_MOST_PARTS = 16
 
 
 class Simulator:
@@ -40,6 +46,7 @@ class Simulator:
         self._functions = functions
         self._wish = compiled
         self._steppers = {False: self._stepper(sensitivities=False)}
+        self._size = functions.own_slopes.shape[0]
 
     @property
     def compiled(self) -> bool:
@@ -70,7 +77,7 @@ class Simulator:
         p : ndarray, shape (np,) or (b, np)
             Parameters.
         max_step : float
-            Longest Runge-Kutta step, s.
+            Longest Runge-Kutta step, s; states that effects own (lags, memory) may ask for shorter ones.
 
         Returns
         -------
@@ -133,6 +140,12 @@ class Simulator:
         for first, last in pairwise(ends):
             stepper.advance(problem, first, last)
 
+    @cached_property
+    def _own(self) -> ca.Function | None:
+        f = self._functions
+        slopes = ca.densify(f.own_slopes)
+        return ca.Function("own", [f.x, f.u, f.p, f.t], [slopes]) if self._size else None
+
     # --- input --------------------------------------------------------------------------------
     def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
         functions = self._functions
@@ -148,7 +161,19 @@ class Simulator:
         x = np.empty((batch, samples, nx))
         x[:, :1] = start[:, None]
         none = np.empty(0, dtype=np.int64)
-        return Problem(times, _steps(times, max_step), inputs, parameters, x, none, np.empty((*x.shape, 0)))
+        longest = self._resolving(start, times, inputs, parameters, max_step)
+        return Problem(times, _steps(times, longest), inputs, parameters, x, none, np.empty((*x.shape, 0)))
+
+    def _resolving(self, start: Array, t: Array, u: Array, p: Array, max_step: float) -> float:
+        """The longest step that follows the states which effects own, as they are at the beginning."""
+        if self._own is None or not max_step > 0:
+            return max_step
+        at_first = [a.T for a in (start, u[:, 0], p, t[:, :1])]
+        batch = len(start)
+        columns = [np.broadcast_to(a, (len(a), batch)) for a in at_first]
+        slopes = np.asarray(self._own.map(batch)(*columns)).reshape(self._size, batch, -1)
+        rates = np.abs(np.linalg.eigvals(np.nan_to_num(slopes.transpose(1, 0, 2)))).max(initial=0.0)
+        return max_step if rates * max_step <= _REACH else max(_REACH / rates, max_step / _MOST_PARTS)
 
 
 def _pauses(problem: Problem) -> list[int]:

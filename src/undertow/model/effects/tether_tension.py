@@ -42,6 +42,8 @@ class TetherTension(Wrench):
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
+        if len(axes := [axis for axis in "xyz" if axis in seen]) == 1:
+            return cls._along_a_line(axes[0], *seen[axes[0]])
         ranges = [seen.get(axis, (0.0, 0.0)) for axis in "xyz"]
         across = math.dist(*zip(*ranges, strict=True))
         x, y, z = (sum(ends) / 2 for ends in ranges)
@@ -50,6 +52,17 @@ class TetherTension(Wrench):
         start = place | {"y_eye": 0.0, "z_eye": 0.0}
         shapes = (0.0, 0.0), (0.25, 0.0), (0.5, 0.0), (0.25, -0.4), (0.25, 0.4)
         return [start | {"L_slack": slack * across, "x_eye": ahead} for slack, ahead in shapes]
+
+    @classmethod
+    def _along_a_line(cls, axis: str, low: float, high: float) -> list[dict[str, float]]:
+        """On a line the anchor is ahead or astern of all that was seen, and the tether slack near it."""
+        across, (dx, dy, dz) = high - low, (float(axis == a) for a in "xyz")
+        ends = low - across / 10, high + across / 10
+        return [
+            {"x_anchor": end * dx, "y_anchor": end * dy, "z_anchor": end * dz, "L_slack": share * across}
+            for end in ends
+            for share in (0.1, 0.3, 0.5, 0.7, 0.9)
+        ]
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([*_PULL, *self.eye.cross(_PULL)])

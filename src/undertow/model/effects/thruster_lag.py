@@ -17,7 +17,7 @@ class ThrusterLag(Actuation):
     signature = "the vehicle answers a step of thrust softly and late, with the right final speed"
     stage = 40
 
-    T_lag = Parameter("s", "time constant", (0.02, 20.0), linear=False, starts=(0.1, 0.4, 1.5), neutral=None)
+    T_lag = Parameter("s", "time constant", (0.01, 20.0), linear=False, starts=(0.1, 0.4, 1.5), neutral=None)
 
     @property
     def states(self) -> tuple[str, ...]:
