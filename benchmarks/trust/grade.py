@@ -13,7 +13,8 @@ from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import WeakData, prepare
-from undertow.identification.weak.fit import WeakFit, fit_weak, mean_square, settled
+from undertow.identification.weak.disturbance import mean_square
+from undertow.identification.weak.fit import WeakFit, fit_weak, settled
 from undertow.identification.weak.noise import Whitening
 from undertow.identification.weak.residual import whitened
 from undertow.model.catalogue import catalogue

@@ -13,9 +13,10 @@ from tests.codegen.support import BUNDLED, functions_of, random_parameters, vehi
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator, simulate
 from undertow.codegen.compiler import Compiler, find_compiler
+from undertow.model.catalogue import catalogue
 from undertow.model.effect import Wrench
 from undertow.model.symbols import Signals
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Thruster, Vehicle
 
 
 @pytest.fixture(params=["compiled", "virtual"])
@@ -273,3 +274,18 @@ def test_indices_that_do_not_exist_are_told(wrt: Sequence[int], initial: Sequenc
         simulator.run_with_sensitivities(
             np.zeros(2), np.arange(3.0), np.zeros((3, 1)), parameters(functions, m=1.0), wrt, initial=initial
         )
+
+
+def test_a_lag_faster_than_the_samples_is_followed(compiled: bool) -> None:
+    """Commands change every 0.05 s, the thrust follows in 0.02 s: steps of 0.05 s would slur it."""
+    stern = Thruster("f1", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    effects = (catalogue()["rigid_body"](("f1",)), catalogue()["thruster_lag"](("f1",)))
+    functions = Functions(Vehicle("pushed", ("surge",), effects, {}, (stern,)))
+    values = {"thrust_f1": 1.0}
+    p = parameters(functions, m=8.0, T_lag=0.02, **values)
+    t = np.arange(0.0, 1.0, 0.05)
+    x = Simulator(functions, compiled=compiled).run(np.zeros(3), t, np.ones((len(t), 1)), p)
+    lagged = functions.state_names.index("lagged_f1")
+    np.testing.assert_allclose(x[:, lagged], 1 - np.exp(-t / 0.02), atol=1e-3)
+    impulse = t - 0.02 * (1 - np.exp(-t / 0.02))
+    np.testing.assert_allclose(x[:, 1], impulse / 8.0, atol=2e-5)

@@ -18,7 +18,8 @@ from undertow.identification.diagnosis.repeats import repeats
 from undertow.identification.diagnosis.trial import open_bench, told_apart
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak, mean_square
+from undertow.identification.weak.disturbance import mean_square
+from undertow.identification.weak.fit import fit_weak
 from undertow.identification.weak.residual import whitened
 from undertow.model.catalogue import catalogue
 

@@ -108,3 +108,16 @@ def test_a_model_that_is_far_off_is_not_fitted_by_simulation() -> None:
     fit, squares = _referee().refined(model)
     assert fit is model
     assert np.mean(squares) > 100
+
+
+@pytest.mark.parametrize(
+    ("gap", "outdone"),
+    [([20.0, 3.0], True), ([3.0, 20.0], True), ([10.0, 10.0], False), ([-90.0, 110.0], False)],
+)
+def test_windows_that_contradict_each_other_decide_nothing(gap: list[float], outdone: bool) -> None:
+    """Short and long windows each give twice a log-likelihood ratio; one that says the opposite is heard."""
+    bench, referee = _bench(), _referee()
+    one, other = (fit_weak(bench.base.model, bench.train, max_iterations=n) for n in (0, 1))
+    for fit, cost in ((one, np.array([5e3, 5e3]) + gap), (other, np.array([5e3, 5e3]))):
+        referee._known["costs", id(fit)] = fit, cost
+    assert referee.outdone(one, other) is outdone

@@ -16,6 +16,7 @@ from undertow.identification import velocities_from_pose
 from undertow.identification.compare.cutting import cut
 from undertow.identification.fitted import correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.output_error import OutputErrorFit, fit_output_error
+from undertow.identification.output_error.fit import channel_weights
 from undertow.identification.output_error.shooting import Shooting
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak
@@ -223,3 +224,19 @@ def test_a_lever_arm_is_found_by_what_the_sensor_reports() -> None:
     true = case.truth["values"]["velocity_lever_arm"]
     for name in ("x_s", "y_s"):
         assert fit.values[name] == pytest.approx(true[name], abs=4 * fit.standard_errors[name])
+
+
+def test_starts_of_long_windows_without_velocities_are_found() -> None:
+    """What a pose says of the velocity at one sample makes a nimble vehicle run away within 20 s."""
+    case = make_case("micro-auv", (), 91071820, duration=60.0)
+    vehicle = true_vehicle(case)
+
+    def pose_only(run: Run) -> Run:
+        kept = {k: v for k, v in run.channels.items() if k not in "uvwpqr"}
+        return velocities_from_pose(replace(run, channels=kept), vehicle.degrees_of_freedom)
+
+    runs = list(map(pose_only, runs_of(case)))
+    shooting = Shooting(Functions(vehicle), windows := cut(runs, vehicle, 20.0), (), channel_weights(windows))
+    p = np.array(Functions(vehicle).values())
+    assert np.max(shooting.mean_squares(p, shooting.first_starts(p))) > 100.0
+    assert np.max(shooting.mean_squares(p, shooting.settled_starts(p))) < 1.3

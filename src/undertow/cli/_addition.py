@@ -25,7 +25,8 @@ from undertow.identification.diagnosis.trial import Bench, Trial, error_of, open
 from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import WeakFit, mean_square
+from undertow.identification.weak.disturbance import mean_square
+from undertow.identification.weak.fit import WeakFit
 from undertow.identification.weak.noise import Whitening
 from undertow.identification.weak.residual import Linearised, WeakModel, whitened
 from undertow.model.catalogue import Catalogue

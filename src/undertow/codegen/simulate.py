@@ -19,7 +19,7 @@ from .virtual import VirtualStepper
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
-# A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 the method is unstable.
+# A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
 _REACH = 0.7
 # What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds.
 _MOST_PARTS = 16

@@ -40,7 +40,6 @@ _ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
 _NEAR_NOISE = 2.0
 _WITHIN_REACH = 10.0
 _FAR_OFF = 100.0
-_START_STEPS = 3
 _SURE = 0.01
 # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
 # likelihood ratio on kept-aside data, which white noise brings above this once in 18 000 times at the most.
@@ -125,13 +124,7 @@ class Referee:
         """A model in windows, and the best start of each."""
         p = np.asarray(fit.p)
         shooting = Shooting(fit.model.functions, windows, (), channel_weights(windows), compiled=False)
-        starts = shooting.first_starts(p)
-        for _ in range(_START_STEPS):
-            at = shooting.linearise(p, starts)
-            if not np.isfinite(at.cost):
-                break
-            starts = starts + at.start_step
-        return shooting, starts
+        return shooting, shooting.settled_starts(p)
 
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
@@ -200,9 +193,11 @@ class Referee:
         """Whether a model simulates worse than another by more than chance, in short windows or long ones.
 
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
-        what is slow, which the estimated starts of short ones take up.
+        what is slow, which the estimated starts of short ones take up. Where the two contradict each other,
+        neither model outdoes the other.
         """
-        return bool(np.any(self._costs(weak) > self._costs(by) + _MORE_THAN_CHANCE))
+        gap = self._costs(weak) - self._costs(by)
+        return bool(np.max(gap) > _MORE_THAN_CHANCE and np.min(gap) > -_MORE_THAN_CHANCE)
 
     def _costs(self, weak: WeakFit) -> Array:
         """Sum of squares in units of the noise, in short windows and in long ones."""
@@ -234,13 +229,15 @@ class Referee:
         return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
 
     def _by_output_error(self, weak: WeakFit, horizon: float) -> Fitted:
+        # Over long windows a fit may end in a dale of its own unless it begins close by.
+        begin = weak if horizon == DECIDING else self._refined(weak)
         try:
             refined: OutputErrorFit = fit_output_error(
                 weak.model.functions.vehicle,
                 self.train,
                 weak.model.free,
                 min(horizon, 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.train)),
-                start=weak.values,
+                start=begin.values,
             )
         except UndertowError:  # the simulation of a poor model may diverge
             return weak

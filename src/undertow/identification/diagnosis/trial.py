@@ -15,7 +15,8 @@ from undertow.model.vehicle import Vehicle
 
 from ..fitted import Fitted
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, disturbed, fit_weak, mean_square, settled
+from ..weak.disturbance import disturbed, mean_square
+from ..weak.fit import WeakFit, fit_weak, settled
 from ..weak.noise import Whitening
 from ..weak.residual import Linearised, WeakModel, whitened
 from ..weak.step import inverse_of

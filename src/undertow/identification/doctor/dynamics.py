@@ -14,7 +14,8 @@ from undertow.model.vehicle import Vehicle
 from ..logs import Run
 from ..logs.run import POSE, VELOCITY
 from ..weak.data import Segment, WeakData, prepare
-from ..weak.fit import WeakFit, fit_weak, free_parameters, mean_square
+from ..weak.disturbance import mean_square
+from ..weak.fit import WeakFit, fit_weak, free_parameters
 from ..weak.residual import Linearised, whitened
 from ..weak.step import inverse_of, prior_of
 from .kinematics import Array, jacobian, liveliest

@@ -197,7 +197,7 @@ class _Descent:
 
     def fit(self, p: Array) -> OutputErrorFit:
         """Descend, weigh every channel by what the model leaves in it, until that settles."""
-        starts = self._shooting.first_starts(p)
+        starts = self._shooting.settled_starts(p)
         dispersion = np.ones(len(self.windows.names))
         state = self._settled(p, starts)
         for round_ in range(1, _ROUNDS):
@@ -214,7 +214,7 @@ class _Descent:
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Descend with weights for each sample by its error, until the parameters settle."""
-        starts = self._shooting.first_starts(p)
+        starts = self._shooting.settled_starts(p)
         state = _State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
         for round_ in range(_ROBUST_ROUNDS):
             self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")

@@ -18,6 +18,9 @@ from ..compare.predictor import Predictor
 from ..weak.mapping import mapped
 
 Array = NDArray[np.float64]
+# Parts of a window, s, whose starts are fitted one after the other, and steps for each.
+_OPENINGS = (1.0, 5.0, np.inf)
+_START_STEPS = 3
 # Numbers in the sensitivities of one batch of windows: 40 MB.
 _BATCH = 5_000_000
 # Keeps a start bounded in directions that its window does not show, relative to those that it shows.
@@ -100,6 +103,35 @@ class Shooting:
     def first_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
         return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
+
+    def settled_starts(self, p: Array) -> Array:
+        """Starts of the windows that fit these parameters best, shape (b, 2n).
+
+        What is read off the log at one sample may be so far off, in a velocity that was derived from the
+        pose, that a long window runs away: its first second is fitted, then its first five, then all of it.
+        """
+        trust, starts = self.trust, self.first_starts(p)
+        elapsed = self.windows.t - self.windows.t[:, :1]
+        for horizon in _OPENINGS:
+            self.trust = np.where(elapsed <= horizon, 1.0, 0.0)[:, :, None] if trust is None else trust
+            starts = self._stepped(p, starts)
+        self.trust = trust
+        return starts
+
+    def _stepped(self, p: Array, starts: Array) -> Array:
+        """Starts after Gauss-Newton steps of their own; a window takes those that do it good."""
+        squares = self.mean_squares(p, starts)
+        for _ in range(_START_STEPS):
+            at = self.linearise(p, starts)
+            if not np.isfinite(at.cost):
+                break
+            tried = starts + at.start_step
+            found = self.mean_squares(p, tried)
+            better = found < squares
+            starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
+            if not better.any():
+                break
+        return starts
 
     def cost(self, p: Array, starts: Array) -> float:
         """Weighted sum of squares of the simulation error; inf if a simulation diverged."""

@@ -15,6 +15,7 @@ from undertow.model.vehicle import Vehicle
 
 from .constraints import Constraints
 from .data import WeakData
+from .disturbance import disturbed, first_guess, matched_disturbance, mean_square
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
 from .solution import Solution, clustered
@@ -26,10 +27,12 @@ _MAX_ITERATIONS = 15
 _ENOUGH = 0.01
 _NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.2
-_MOVED = 0.05
-_MATCHING_STEPS = 4
-# Largest mean square of an equation that still counts as noise of the channels.
-_NOISE_EXPLAINS = 1.6
+# Change of a parameter from which the sensors' noise enters otherwise. Position and velocity together tell
+# slow forces so well that noise of the velocity, let in by a damping wrong by percents, would hide them.
+_MOVED = 0.005
+# The same, up to which what a model leaves is judged by the noise alone: a disturbance that swallows so
+# little would hide a small effect for good.
+_LITTLE = 5.0
 # The same, up to which a fit without any disturbance may bring it down to that.
 _WORTH_A_LOOK = 30.0
 _PLAIN = Constraints()
@@ -105,14 +108,6 @@ class WeakFit(Solution):
         return mean_square(self.at.r, self.data)
 
 
-def mean_square(r: Array, data: WeakData) -> Array:
-    """Mean square of a whitened residual for each of the 2n equations; 1 is the noise floor."""
-    size = len(data.names)
-    total = np.bincount(data.equation, weights=r**2, minlength=size)
-    count = np.bincount(data.equation, minlength=size)
-    return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
-
-
 def free_parameters(vehicle: Vehicle) -> tuple[str, ...]:
     """Parameters that the vehicle file marks as to be estimated and that the equations contain."""
     return tuple(n for n in vehicle.parameter_names if vehicle.value_of(n).estimate)
@@ -153,7 +148,7 @@ def fit_weak(
     p = _started(model.functions.vehicle, start or {})
     if whitening is not None and disturbance is not None:
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
-    disturbance = _first_guess(model, data, p)
+    disturbance = first_guess(model, data, p)
     loud = disturbed(model.whitening(data, p), disturbance, data)
     return settled(_solved(model, p, data, loud, disturbance, max_iterations))
 
@@ -167,7 +162,7 @@ def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
     quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
         # How the sensors' noise enters is dear to work out, and hangs on the parameters but little.
-        if np.any(np.abs(fit.p - at) > _MOVED * np.abs(at)):
+        if _moved(fit.p, at):
             quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
         disturbance = matched_disturbance(fit, quiet)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
@@ -191,43 +186,17 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
         return fit
     none = np.zeros_like(fit.disturbance)
     other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
-    return other if _fits_noise(other.at, fit.data) else fit
+    if np.nanmax(mean_square(other.at.r, fit.data)) > _LITTLE:
+        return fit
+    if _moved(other.p, fit.p):
+        quiet = fit.model.whitening(fit.data, other.p)
+        other = _solved(fit.model, other.p, fit.data, quiet, none, _MAX_ITERATIONS)
+    return other
 
 
-def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
-    """A noise model with a disturbance of the given intensity in each equation."""
-    level = disturbance[list(data.rows)]
-    return [
-        w.with_disturbance(np.tile(level, s.functions.count))
-        for w, s in zip(quiet, data.segments, strict=True)
-    ]
-
-
-def _first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
-    """Intensity that would explain the raw residual of the unfitted model all by itself."""
-    raw = np.concatenate([part.r for part in model.linearise(data, p)])
-    lengths = [float(np.mean(s.functions.held.sum(axis=1))) for s in data.segments]
-    return np.nan_to_num(mean_square(raw, data)) / float(np.mean(lengths))
-
-
-def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
-    """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
-
-    Zero where the noise of the channels explains the residual by itself.
-    """
-    data = fit.data
-    parts = fit.model.linearise(data, fit.p)
-    if _fits_noise(whitened(parts, quiet), data):
-        return np.zeros(len(data.names))
-    level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
-    for _ in range(_MATCHING_STEPS):
-        square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
-        level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
-    return np.asarray(level)
-
-
-def _fits_noise(at: Linearised, data: WeakData) -> bool:
-    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
+def _moved(p: Array, since: Array) -> bool:
+    """Whether a parameter has changed so much that the noise of the sensors enters otherwise."""
+    return bool(np.any(np.abs(p - since) > _MOVED * np.abs(since)))
 
 
 def opened(

@@ -25,8 +25,9 @@ from ..compare.cutting import Windows, cut
 from ..compare.predictor import Predictor
 from .constraints import Constraints
 from .data import Segment, WeakData, prepare
+from .disturbance import disturbed
 from .enough import require_equations
-from .fit import WeakFit, disturbed, fit_weak, free_parameters
+from .fit import WeakFit, fit_weak, free_parameters
 from .residual import Linearised, WeakModel, whitened
 from .step import bounds_of, limited_step, prior_of
 
