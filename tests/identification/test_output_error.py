@@ -15,6 +15,7 @@ from undertow.errors import UndertowError
 from undertow.identification import velocities_from_pose
 from undertow.identification.compare.cutting import cut
 from undertow.identification.fitted import correlation, cramer_rao, remarks, t_values, verdicts
+from undertow.identification.logs import Run
 from undertow.identification.output_error import OutputErrorFit, fit_output_error
 from undertow.identification.output_error.fit import channel_weights
 from undertow.identification.output_error.shooting import Shooting
