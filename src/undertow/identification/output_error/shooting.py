@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 # Parts of a window, s, whose starts are fitted one after the other, and steps for each.
 _OPENINGS = (1.0, 5.0, np.inf)
 _START_STEPS = 3
+# Share of the mean square of a window that a step has to gain for another to follow.
+_WORTH_A_STEP = 0.01
 # Numbers in the sensitivities of one batch of windows: 40 MB.
 _BATCH = 5_000_000
 # Keeps a start bounded in directions that its window does not show, relative to those that it shows.
@@ -112,7 +114,8 @@ class Shooting:
         """
         trust, starts = self.trust, self.first_starts(p)
         elapsed = self.windows.t - self.windows.t[:, :1]
-        for horizon in _OPENINGS:
+        derived = any(run.derived for run in self.windows.runs)
+        for horizon in _OPENINGS if derived else _OPENINGS[-1:]:
             self.trust = np.where(elapsed <= horizon, 1.0, 0.0)[:, :, None] if trust is None else trust
             starts = self._stepped(p, starts)
         self.trust = trust
@@ -128,8 +131,9 @@ class Shooting:
             tried = starts + at.start_step
             found = self.mean_squares(p, tried)
             better = found < squares
+            gained = np.any(found < (1.0 - _WORTH_A_STEP) * squares)
             starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
-            if not better.any():
+            if not gained:
                 break
         return starts
 
