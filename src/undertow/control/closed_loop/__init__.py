@@ -1,0 +1,7 @@
+"""Closed loops: a vehicle, its sensors and a controller, simulated in one compiled call."""
+
+from .record import LoopResult, Record
+from .scenario import Push, Scenario
+from .simulate import ClosedLoop
+
+__all__ = ["ClosedLoop", "LoopResult", "Push", "Record", "Scenario"]
