@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 # Part of the run that is looked at, and of its greatest swing that a crossing must leave behind to count.
 _TAIL, _HYSTERESIS = 0.6, 0.1
 _FEWEST = 3
-# Change of the amplitude from cycle to cycle that counts as none, and scatter of the period that still is one.
+# Change of the amplitude from cycle to cycle that counts as none, and scatter of a period that still is one.
 _STEADY, _REGULAR = 0.01, 0.1
 
 
@@ -59,7 +60,7 @@ def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
     if len(rising) <= _FEWEST:
         return None
     times = t[rising] - swing[rising] * (t[rising + 1] - t[rising]) / (swing[rising + 1] - swing[rising])
-    heights = np.array([np.ptp(swing[a:b]) / 2 for a, b in zip(rising[:-1], rising[1:], strict=True)])
+    heights = np.array([np.ptp(swing[a:b]) / 2 for a, b in pairwise(rising)])
     return _judged(np.diff(times), heights, least)
 
 

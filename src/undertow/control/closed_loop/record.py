@@ -149,6 +149,8 @@ class Recorder:
         t, parts = samples * self._scenario.dt, self._loop.parts
         vehicle, known = parts.vehicle, self._loop.gains.plant.vehicle
         means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
+        if len(means) > 1 and self._counts[-1] < self._stride:
+            means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
         errors = measures.errors(x)
         return Record(
             t,

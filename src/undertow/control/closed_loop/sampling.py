@@ -10,7 +10,7 @@ from undertow.errors import UndertowError
 
 from .parts import Parts
 
-# Growth that counts as none, 1/s: poles at zero (a cross-track error that nothing corrects) are split by rounding.
+# Growth that counts as none, 1/s: rounding splits poles at zero (a cross-track error that nothing corrects).
 _STILL = 1e-4
 _SHORTEST, _LONGEST = 1e-4, 1e3
 # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
@@ -75,7 +75,7 @@ class SampledLoop:
         )
 
     def longest(self) -> float:
-        """The longest interval up to which sampling makes nothing unstable, s; infinite where there is none."""
+        """The interval up to which sampling makes nothing unstable, s; infinite where there is none."""
         grid = np.geomspace(_SHORTEST, _LONGEST, 141)
         bad = next((i for i, dt in enumerate(grid) if not self.keeps_stability(float(dt))), None)
         if bad is None:
@@ -103,7 +103,9 @@ def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple
     output = function(*symbols)
     value = (output if isinstance(output, tuple) else (output,))[function.name_out().index(of)]
     wanted = [symbols[function.name_in().index(n)] for n in by]
-    found = ca.Function("slopes", symbols, [ca.densify(ca.jacobian(value, v)) for v in wanted]).call(list(point))
+    found = ca.Function("slopes", symbols, [ca.densify(ca.jacobian(value, v)) for v in wanted]).call(
+        list(point)
+    )
     return [np.nan_to_num(np.asarray(m), nan=0.0, posinf=0.0, neginf=0.0) for m in found]
 
 
@@ -138,13 +140,14 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
     name = parts.controller.gains.name
     if not loop.keeps_stability(dt):
         raise UndertowError(
-            f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': sampled so slowly the loop is "
-            f"unstable, which it is not in continuous time; the limit is {loop.longest():.3g} s"
+            f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': sampled so slowly, what is "
+            f"stable in continuous time becomes unstable; the limit is {loop.longest():.3g} s"
         )
     for coordinate, left in offsets(parts, dt).items():
         move = abs(moves[coordinate])
         if 0 < move <= left:
             raise UndertowError(
-                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, may leave {left:.3g} "
-                f"in {coordinate}, and only {move:.3g} is to be gone; the limit is {dt * move / left:.3g} s"
+                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, may leave "
+                f"{left:.3g} in {coordinate}, where {move:.3g} is to be gone; the limit is "
+                f"{dt * move / left:.3g} s"
             )

@@ -85,11 +85,13 @@ class Scenario:
             if not 0 < value < math.inf:
                 raise UndertowError(f"{name} = {value:g} s is no time: give one above zero")
         if self.duration < self.dt:
-            raise UndertowError(f"dt = {self.dt:g} s is longer than the run of {self.duration:g} s: shorten it")
+            raise UndertowError(
+                f"dt = {self.dt:g} s is longer than the run of {self.duration:g} s: shorten it"
+            )
         if self.duration / self.dt > MOST_SAMPLES:
             raise UndertowError(
-                f"{self.duration:g} s at dt = {self.dt:g} s are {self.duration / self.dt:.3g} samples, at most "
-                f"{MOST_SAMPLES:.0e} are simulated: shorten the run or lengthen dt"
+                f"{self.duration:g} s at dt = {self.dt:g} s are {self.duration / self.dt:.3g} samples, and "
+                f"{MOST_SAMPLES:.0e} are the most: shorten the run or lengthen dt"
             )
         if self.log_interval is not None and not self.dt <= self.log_interval <= self.duration:
             raise UndertowError(
@@ -128,8 +130,8 @@ class Scenario:
                 units = (UNITS[n] for n in known)
                 return {n: _number(v, u, f"{what} {n}") for n, v, u in zip(known, values, units, strict=True)}
         raise UndertowError(
-            f"{what} has {len(values)} values: give {len(flat)} ({','.join(flat)}), or {len(upright)} with the "
-            f"heading ({','.join(upright)})"
+            f"{what} has {len(values)} values: give {len(flat)} ({','.join(flat)}), or {len(upright)} with "
+            f"the heading ({','.join(upright)})"
         )
 
     def velocity(self, names: tuple[str, ...]) -> np.ndarray:
@@ -178,4 +180,6 @@ def heading(rule: str, start: Mapping[str, float], to: Mapping[str, float]) -> f
     north, east = to["x"] - start["x"], to["y"] - start["y"]
     if rule == "atan2":
         return math.atan2(east, north)
-    return math.copysign(math.pi / 2, east) if north == 0 and east else math.atan(east / north) if north else 0.0
+    return (
+        math.copysign(math.pi / 2, east) if north == 0 and east else math.atan(east / north) if north else 0.0
+    )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from undertow.codegen.compiler import compiled_or_virtual
+from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 from .compiled import CompiledLoop
 from .measures import Measures
 from .parts import Parts
-from .problem import LoopStepper, Rows, problem_of
+from .problem import LoopStepper, problem_of
 from .record import Record, Recorder
 from .sampling import SampledLoop, check_interval, offsets
 from .scenario import Scenario, heading
@@ -51,9 +51,16 @@ class ClosedLoop:
         known = gains.plant.vehicle
         self.vehicle = _with_forces(vehicle or known)
         self.parts = Parts(self.vehicle, Controller(gains))
-        self._stepper: LoopStepper = compiled_or_virtual(
-            compiled, lambda compiler: CompiledLoop(self.parts, compiler), lambda: VirtualLoop(self.parts)
-        )
+        self._stepper = self._best_stepper(compiled)
+
+    def _best_stepper(self, wish: bool | None) -> LoopStepper:
+        def compiled(compiler: Compiler) -> LoopStepper:
+            return CompiledLoop(self.parts, compiler)
+
+        def virtual() -> LoopStepper:
+            return VirtualLoop(self.parts)
+
+        return compiled_or_virtual(wish, compiled, virtual)
 
     @property
     def gains(self) -> GainSet:
@@ -108,7 +115,9 @@ class ClosedLoop:
         if not scenario.continuous:
             check_interval(linear, parts, scenario.dt, moves)
         elif any(parts.late[1]) or parts.late[0]:
-            raise UndertowError("dead times need a sampled law, but it is not sampled: leave --continuous out")
+            raise UndertowError(
+                "dead times need a sampled law, but it is not sampled: leave --continuous out"
+            )
         substeps = linear.substeps(scenario.dt)
         first = np.array([*start.values(), *scenario.velocity(self.vehicle.velocity_names)])
         problem = problem_of(parts, first, desired, scenario.dt, substeps, scenario.continuous)
@@ -141,8 +150,8 @@ class ClosedLoop:
             name = f"tau_{push.axis}"
             if name not in commands:
                 raise UndertowError(
-                    f"force {push.axis} pushes in a direction that '{self.vehicle.name}' does not move in: it "
-                    f"has {', '.join(self.vehicle.degrees_of_freedom)}"
+                    f"force {push.axis} pushes where '{self.vehicle.name}' does not move: it has "
+                    f"{', '.join(self.vehicle.degrees_of_freedom)}"
                 )
             extra[(t >= push.begin) & (t < push.end), commands.index(name)] += push.value
         return extra
@@ -152,6 +161,3 @@ def _with_forces(vehicle: Vehicle) -> Vehicle:
     """The vehicle with a channel for forces from outside in each of its degrees of freedom."""
     names = tuple(f"tau_{'XYZKMN'[i]}" for i in vehicle.dof_indices)
     return replace(vehicle, force_channels=names)
-
-
-__all__ = ["ClosedLoop", "Rows"]

@@ -67,7 +67,8 @@ class VirtualLoop:
 def _held_step(parts: Parts) -> ca.Function:
     """`x_next = step(x, u, p, t, h)` with the commands held."""
     f = parts.functions
-    x, u, p, t, h = (ca.SX.sym(n, k) for n, k in zip("xupth", (f.x.numel(), f.u.numel(), f.p.numel(), 1, 1)))
+    sizes = {"x": f.x.numel(), "u": f.u.numel(), "p": f.p.numel(), "t": 1, "h": 1}
+    x, u, p, t, h = (ca.SX.sym(name, size) for name, size in sizes.items())
     stage, total = x, ca.SX.zeros(x.shape)
     for (weight, ahead), reach in zip(_STAGES, _REACH, strict=True):
         rate = parts.dynamics(stage, u, p, t + reach * h)

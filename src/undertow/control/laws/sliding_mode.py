@@ -46,7 +46,9 @@ class SlidingMode(_Sliding):
 
     def offset(self, s: LawSignals) -> sm.Matrix:
         # A sample takes S at most K_Z dt past zero, and S = Lambda error at rest.
-        return sm.Matrix([k / a if a else a for k, a in zip(s.K_Z.diagonal(), s.Lambda.diagonal(), strict=True)])
+        return sm.Matrix(
+            [k / a if a else a for k, a in zip(s.K_Z.diagonal(), s.Lambda.diagonal(), strict=True)]
+        )
 
 
 class BoundaryLayer(_Sliding):
