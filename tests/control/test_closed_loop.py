@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Record, Scenario, without
 from undertow.control.closed_loop.cycles import find_cycle
 from undertow.control.closed_loop.sampling import SampledLoop, offsets
-from undertow.control.gain_schema import GainTable
+from undertow.control.gain_schema import GainTable, ScheduleTable
 from undertow.control.gains import gains_from_table, load_gains
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
@@ -26,13 +26,16 @@ CREEPING = {"u": 1e-12, "w": 1e-12}
 _LOOPS: dict[tuple[str, Choices], ClosedLoop] = {}
 
 
-def loop(gains: str, choices: Choices = Choices()) -> ClosedLoop:
+AS_FILED = Choices()
+
+
+def loop(gains: str, choices: Choices = AS_FILED) -> ClosedLoop:
     if (gains, choices) not in _LOOPS:
         _LOOPS[gains, choices] = choices.loop(gains, AUV)
     return _LOOPS[gains, choices]
 
 
-def run(gains: str, choices: Choices = Choices(), **scenario: object) -> Record:
+def run(gains: str, choices: Choices = AS_FILED, **scenario: object) -> Record:
     return loop(gains, choices).run(Scenario(**({"to": GOAL} | scenario)))  # type: ignore[arg-type]
 
 
@@ -85,9 +88,8 @@ def test_the_paper_s_other_arctangent() -> None:
     # The gate is seen at the first sample behind it.
     assert 0 <= result.gate_passed - 17.899241 < 1e-3
     assert run("paper-pd", duration=60.0).result.gate_passed == pytest.approx(22.877, abs=1e-9)
-    assert run(
-        "paper-smc", Choices(heading="atan"), dt=1e-4, duration=60.0
-    ).result.gate_passed == pytest.approx(25.437, abs=0.06)
+    sliding = run("paper-smc", Choices(heading="atan"), dt=2e-5, duration=27.0).result
+    assert sliding.gate_passed == pytest.approx(25.437, abs=0.05)
 
 
 def test_pid_by_its_linear_channels() -> None:
@@ -118,14 +120,14 @@ def test_integrals_that_start_at_once_overshoot_more() -> None:
 def test_sliding_mode_nears_its_exact_solution_as_it_is_sampled_faster() -> None:
     """Reaching in |S| / K_Z = 14 s, then exponential; what the sampled sign leaves is within its bound."""
     choices = Choices(order="together", sway="actuated")
-    for dt in (1e-3, 1e-4, 2e-5):
+    for dt in (1e-3, 1e-4, 4e-5):
         found = run("paper-smc", choices, duration=70.0 if dt > 1e-4 else 28.0, dt=dt, moving=CREEPING)
         assert found.result.of("x").settling == pytest.approx(16.327979, abs=0.011 * dt / 1e-3 + 5e-4)
         if dt == 1e-3:
             x = found.result.of("x")
             assert abs(x.final_error) <= x.sampling_offset == pytest.approx(0.05e-3 / 0.7)
     exact = {"z": (55.921057, 0.07), "psi": (26.257649, 0.15)}
-    for dt in (1e-3, 1e-4, 2e-5):
+    for dt in (1e-3, 1e-4, 4e-5):
         result = run("paper-smc", duration=70.0, dt=dt).result
         for name, (time, slope) in exact.items():
             c = result.of(name)
@@ -149,14 +151,13 @@ def test_the_virtual_machine_gives_the_same_numbers(gains: str, continuous: bool
     disturbed = Scenario(
         GOAL, 3.0, 0.01, continuous=continuous, noise={} if continuous else {"x": 0.01, "r": 0.02}
     )
+    law = load_gains(gains, WITH_CORIOLIS, lambda t: t.model_copy(update={"schedule": ScheduleTable()}))
     scenario = replace(disturbed, pushes=(Push("Z", 1.0, 1.0, 2.0),), log_interval=0.01, moving=CREEPING)
     vehicle = Choices(current=(0.1, -0.05))._in_current(WITH_CORIOLIS)
-    vehicle = vehicle.with_effect(catalogue()["thruster_lag"], {"tau_thruster": Value(0.2)})
-    late = {"delay_command": Value(0.05)}
+    vehicle = vehicle.with_effect(catalogue()["thruster_lag"], {"T_lag": Value(0.2)})
+    late = {"delay": Value(0.05)}
     vehicle = vehicle.with_effect(catalogue()["actuation_delay"], late) if not continuous else vehicle
-    records = [
-        ClosedLoop(load_gains(gains, WITH_CORIOLIS), vehicle, compiled=c).run(scenario) for c in (True, False)
-    ]
+    records = [ClosedLoop(law, vehicle, compiled=c).run(scenario) for c in (True, False)]
     for one, other in zip(*(r.state.values() for r in records), strict=True):
         assert other == pytest.approx(one, abs=1e-11)
     assert records[0].state["x"].any()
@@ -167,7 +168,11 @@ def test_a_long_run_in_parts_is_the_same_as_at_once(monkeypatch: pytest.MonkeyPa
     at_once = loop("paper-pd").run(scenario)
     monkeypatch.setattr("undertow.control.closed_loop.simulate._SAMPLES_PER_CALL", 77)
     in_parts = loop("paper-pd").run(scenario)
-    assert in_parts.result == at_once.result
+    for one, other in zip(in_parts.result.coordinates, at_once.result.coordinates, strict=True):
+        assert replace(one, steady_error=0.0) == replace(other, steady_error=0.0)
+        assert one.steady_error == pytest.approx(other.steady_error, abs=1e-14)
+    for a, b in zip(in_parts.result.commands, at_once.result.commands, strict=True):
+        assert astuple(a)[1:] == pytest.approx(astuple(b)[1:], rel=1e-12)
     assert all((in_parts.told[n] == at_once.told[n]).all() for n in at_once.told)
 
 
@@ -230,7 +235,7 @@ def test_thruster_limits_and_anti_windup() -> None:
 
 
 def test_a_dead_time_acts() -> None:
-    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay_command": Value(0.5)})
+    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.5)})
     scenario = Scenario(GOAL, 2.0, 0.01, log_interval=0.01)
     record = ClosedLoop(load_gains("paper-pd", AUV), late).run(scenario)
     moved = np.flatnonzero(record.state["r"])
@@ -266,7 +271,7 @@ def test_the_longest_interval_is_where_the_sampled_loop_turns_unstable() -> None
 
 
 def test_eigenvalues_of_the_sampled_loop_become_those_of_the_continuous_one() -> None:
-    """Roots of Table 5's PID in surge at rest, with the mean of both directional sets of neither: one set."""
+    """The unstable roots of Table 5's PID in surge, with either set of parameters."""
     pid = loop("paper-pid")
     goal = np.array([-1.0, 1.0, 1.0, 3 * math.pi / 4])
     linear = SampledLoop(pid.parts, goal, goal)
@@ -275,7 +280,7 @@ def test_eigenvalues_of_the_sampled_loop_become_those_of_the_continuous_one() ->
     backward = linear.continuous_rates(1)
     assert min(abs(backward - (0.005482 + 0.038392j))) < 1e-6
     sampled = linear.sampled_rates(1e-3)
-    assert max(min(abs(sampled - r)) for r in forward) < 1e-3
+    assert max(min(abs(sampled - r)) for r in forward) < 2e-3
     assert linear.keeps_stability(1e-3)  # unstable it is, but not by sampling
 
 

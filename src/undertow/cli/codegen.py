@@ -5,7 +5,7 @@ example main.c that steps the model, a CMakeLists.txt and a manifest. What has c
 printed.
 
 With --controller a control law with its gains is written, too, as controller.c and controller.h in a folder
-of its own: one step function with schedule, thrust allocation and anti-windup, which needs nothing but math.h.
+of its own: one step function with schedule, thrust allocation and anti-windup, and only math.h behind it.
 
     undertow codegen mini-auv --controller paper-pid
 
