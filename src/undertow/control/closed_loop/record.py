@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from .scenario import Scenario
     from .simulate import ClosedLoop
 
-# Smallest amplitude of an oscillation that is told of, as a part of the largest error.
-_LEAST = 1e-3
+# Smallest amplitude of an oscillation that is told of, as a part of the largest error, and in m or rad.
+_LEAST, _TINY = 2e-3, 1e-5
 
 
 @dataclass(frozen=True)
@@ -187,4 +187,5 @@ class Recorder:
 
 
 def _cycle(t: np.ndarray, error: np.ndarray) -> Cycle | None:
-    return find_cycle(t, error, _LEAST * float(np.abs(error).max(initial=0.0))) if len(t) else None
+    least = max(_LEAST * float(np.abs(error).max(initial=0.0)), _TINY)
+    return find_cycle(t, error, least) if len(t) else None
