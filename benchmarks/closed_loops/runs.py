@@ -139,14 +139,14 @@ def read(report: Report) -> list[Read]:
 
 
 def _results(reading: Reading) -> Iterator[LoopResult]:
-    vehicle = reading.choices._with_sway(reading.vehicle())
+    vehicle = reading.choices.with_sway(reading.vehicle())
     for name in PAPER:
         gains = load_gains(name, vehicle, lambda t: _changed(t, reading))
         yield ClosedLoop(gains).run(reading.scenario).result
 
 
 def _changed(table: GainTable, reading: Reading) -> GainTable:
-    own = reading.choices._changed(table)
+    own = reading.choices.changed(table)
     return reading.gains(own) if reading.gains else own
 
 

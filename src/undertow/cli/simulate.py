@@ -1,4 +1,4 @@
-"""Simulate a vehicle under a controller, from rest to a set-point.
+"""Simulate a vehicle under a controller on its way to a goal.
 
 Model, sensors, control law, schedule, thrust allocation and integrator (Runge-Kutta of fourth order) are
 compiled into one call. The controller is sampled every --dt and its commands are held in between; with
