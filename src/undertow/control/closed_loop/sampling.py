@@ -22,6 +22,7 @@ class SampledLoop:
     """A closed loop linearised at its set-point, at rest.
 
     What has a jump there counts as constant, as the sign of a sliding-mode law does; dead times are left out.
+    The vehicle is looked at with either set of parameters that differ by direction, the law with their mean.
 
     Parameters
     ----------
@@ -42,9 +43,10 @@ class SampledLoop:
         parts = self._parts
         states = np.array(parts.controller.initial_states())
         states[-1] = 1.0
-        y = np.concatenate([pose, np.full(len(pose), side * _CREEP)])
+        # The law at rest: beside it, the slope of a root would be that of nowhere else.
+        y = np.concatenate([pose, np.zeros(len(pose))])
         u = np.asarray(parts.law(y, self._desired, states, parts.gains)[0]).ravel()
-        x = parts.at_rest(pose, u, y[len(pose) :])
+        x = parts.at_rest(pose, u, np.full(len(pose), side * _CREEP))
         a, b = _jacobians(parts.dynamics, ("x", "u"), "x_dot", (x, u, parts.parameters, 0.0))
         (c,) = _jacobians(parts.outputs, ("x",), "y", (x, u, parts.parameters, 0.0))
         point = (y, self._desired, states, parts.gains)
