@@ -104,7 +104,7 @@ class _Searching:
         first, last = _CHANGES if not late else (_CHANGES[0] / 3, _CHANGES[1])
         for i in range(tries):
             size = first * (last / first) ** (i / max(tries - 1, 1))
-            changed = Design(design.family, self.changed(design.numbers, size))
+            changed = Design(design.family, self._changed(design.numbers, size))
             got = self._try(changed, f"refining {design.family.name}")
             if got > value:
                 design, value = changed, got
