@@ -14,7 +14,7 @@ from undertow import __version__
 from undertow.control.closed_loop import LoopResult, Record
 
 from ..results.text import table
-from .runs import Read, tilt
+from .runs import Read, predicted_cycle, tilt
 
 _TEXT = Path(__file__).parent / "page.md"
 _NAMES = {"paper-pd": "PD", "paper-pid": "PID", "paper-smc": "SM"}
@@ -69,6 +69,8 @@ def _facts(m: Material) -> dict[str, str]:
     facts["pid_overshoot"] = f"{Read.overshoot(results[1]):.0f} %"
     facts |= {f"psi_{_NAMES[r.controller].lower()}": _seconds(r.of("psi").settling) for r in results}
     facts["psi_pid"] = f"{m.long.result.of('psi').settling:.0f} s"
+    amplitude, period = predicted_cycle()
+    facts |= {"predicted_amplitude": f"{amplitude:.2f} m", "predicted_period": f"{period:.1f} s"}
     return facts | {
         "cycle_amplitude": f"±{cycle.amplitude:.2f} m",
         "cycle_period": f"{cycle.period:.1f} s",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,6 +42,25 @@ def paper_run() -> list[Record]:
 def long_pid() -> Record:
     """The PID loop until its limit cycle has settled."""
     return AS_FILED.loop("paper-pid", model_9()).run(replace(RUN, duration=3000.0))
+
+
+def predicted_cycle() -> tuple[float, float]:
+    """Amplitude in m and period in s that the describing function of |u| u predicts for the PID surge loop.
+
+    The drag of u = U sin(omega t) acts like a linear one of 8 / (3 pi) X_uabsu U, and the loop of
+    M s^3 + K s^2 + k_p s + k_i swings on where K k_p = M k_i, with omega^2 = k_p / M. Of both sets of
+    parameters the mean is taken.
+    """
+    vehicle, gains = model_9(), load_gains("paper-pid", model_9()).values
+    x_udot, x_u, x_uu = (_mean(vehicle, name) for name in ("X_udot", "X_u", "X_uabsu"))
+    mass = vehicle.value_of("m").value - x_udot
+    omega = math.sqrt(gains["K_P_x"] / mass)
+    needed = mass * gains["K_I_x"] / gains["K_P_x"] - gains["K_V_x"] + x_u
+    return needed * 3 * math.pi / (8 * -x_uu * omega), 2 * math.pi / omega
+
+
+def _mean(vehicle: Vehicle, name: str) -> float:
+    return sum(vehicle.values[f"{name}_{way}"].value for way in ("forward", "backward")) / 2
 
 
 # --- other readings -----------------------------------------------------------------------------------

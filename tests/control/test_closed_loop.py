@@ -109,6 +109,12 @@ def test_the_paper_s_pid_ends_in_a_limit_cycle() -> None:
     assert cycle.amplitude == pytest.approx(0.67, abs=0.005)
     assert cycle.period == pytest.approx(175.2, abs=0.5)
     assert cycle.spread < 0.1
+    # Describing function of |u| u, 8 / (3 pi) of the amplitude, with the mean of both sets of parameters.
+    m, linear, quadratic = 9.2818315, 0.005 + 0.116671, 5.510979
+    omega = math.sqrt(0.012 / m)
+    amplitude = (m * 0.0003 / 0.012 - linear) * 3 * math.pi / (8 * quadratic * omega)
+    assert cycle.period == pytest.approx(2 * math.pi / omega, rel=0.005)
+    assert cycle.amplitude == pytest.approx(amplitude, rel=0.03)
 
 
 def test_integrals_that_start_at_once_overshoot_more() -> None:
@@ -244,6 +250,26 @@ def test_a_dead_time_acts() -> None:
     assert record.t[moved[0]] == pytest.approx(0.51)
     with pytest.raises(UndertowError, match="dead times"):
         ClosedLoop(load_gains("paper-pd", AUV), late).run(replace(scenario, continuous=True))
+
+
+def test_a_loop_that_diverges_says_when() -> None:
+    """Depth under a stiff spring, felt a second late, and water that drags linearly only."""
+    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(1.0)})
+    table = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd", "unactuated": ["sway"]}
+    content = table | {"gains": {"K_P": 30.0, "K_V": 1.0}}
+    stiff = gains_from_table(GainTable.model_validate(content), AUV)
+    record = ClosedLoop(stiff, late).run(Scenario((0.0, 0.0, 1.0, 0.0), 3000.0, 0.05))
+    assert record.result.diverged is not None
+    assert 100 < record.result.diverged < 3000
+    assert record.result.of("z").settling is None
+    assert np.isfinite(record.state["z"]).all()
+    assert f'"diverged": {record.result.diverged}' in record.to_json()
+
+
+def test_progress_is_told() -> None:
+    told: list[float] = []
+    loop("paper-pd").run(Scenario(GOAL, 60.0, 0.001), lambda done, words: told.append(done))
+    assert told == pytest.approx([20.0, 40.0, 60.0, 60.001])
 
 
 def test_headings_turn_the_short_way() -> None:

@@ -15,7 +15,8 @@ _STILL = 1e-4
 _SHORTEST, _LONGEST = 1e-4, 1e3
 # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
 _CREEP = 1e-9
-_STEP = 0.05
+# Longest Runge-Kutta step: s, and as a part of the fastest time constant (right to 0.1 % of its decay).
+_STEP, _REACH = 0.05, 0.5
 
 
 class SampledLoop:
@@ -91,7 +92,7 @@ class SampledLoop:
     def substeps(self, dt: float) -> int:
         """Runge-Kutta steps in an interval, so that each is short beside the fastest motion."""
         fastest = max(np.abs(np.linalg.eigvals(side[0])).max(initial=0.0) for side in self._sides)
-        longest = min(_STEP, 1 / fastest if fastest else _STEP)
+        longest = min(_STEP, _REACH / fastest if fastest else _STEP)
         return max(int(np.ceil(dt / longest - 1e-9)), 1)
 
 
