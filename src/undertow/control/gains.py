@@ -202,12 +202,22 @@ def _check_axes(table: GainTable, plant: Plant) -> None:
             f"'{vehicle.name}' gives: add a thruster, or write unactuated = {_quoted(silent)} if that force "
             "is to be left out"
         )
-    odd = [d for d in table.unactuated if d not in silent]
+    odd = [d for d in table.unactuated if d not in silent and not _dependent(d, table, plant)]
     if odd:
         raise UndertowError(
             f"unactuated names {', '.join(odd)}, which '{vehicle.name}' "
             f"{'can push in' if odd[0] in vehicle.degrees_of_freedom else 'does not have'}: remove it"
         )
+
+
+def _dependent(dof: str, table: GainTable, plant: Plant) -> bool:
+    """Whether what pushes in a degree of freedom always pushes in another one that the law uses, too."""
+    dofs = plant.vehicle.degrees_of_freedom
+    rows = plant.B.xreplace(plant.numbers)
+    kept = [i for i, d in enumerate(dofs) if d not in table.unactuated]
+    columns = list(range(rows.cols))
+    both = [*kept, dofs.index(dof)] if dof in dofs else []
+    return bool(both) and rows.extract(both, columns).rank() == rows.extract(kept, columns).rank()
 
 
 def _quoted(names: list[str]) -> str:
