@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import control as ct
 import numpy as np
@@ -12,12 +12,10 @@ from undertow.control.gain_schema import GainTable
 from undertow.control.gains import GainSet, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.errors import UndertowError
-from undertow.model.symbols import POSE
 from undertow.model.vehicle import Vehicle
 
 from .analysis import Mode, controllability, modes, observability
-from .law_system import actuated
-from .loop import LinearLoop, close_loop, law_for, with_forces
+from .loop import LinearLoop, close_loop, with_forces
 from .numeric import Array
 from .systems import linearize, named
 from .trim import Trim, find_trim
@@ -26,6 +24,7 @@ from .trim import Trim, find_trim
 _PATIENCE = 5.0
 _FASTER = 1.5
 _ROUNDS = 30
+_SETTLED = -1e-9
 DESIGNED = ("pd", "pid")
 
 Verdict = Callable[[GainSet], bool]
@@ -112,7 +111,8 @@ def lqr(
             break
     else:
         raise UndertowError(
-            f"no '{law}' design with these errors and forces meets the conditions: allow more force or more error"
+            f"no '{law}' design with these errors and forces meets the conditions: allow more force or "
+            "more error"
         )
     loop = close_loop(vehicle, gains, found)
     _check_held(loop)
@@ -123,8 +123,8 @@ def _check_held(loop: LinearLoop) -> None:
     growing = [m for m in modes(loop.closed) if not m.stable]
     if growing:
         raise UndertowError(
-            f"the diagonal law does not hold the vehicle: a mode in {', '.join(growing[0].states)} grows with "
-            f"{growing[0].pole.real:.3g} 1/s; its motions are too much coupled for gains of one coordinate each"
+            f"the diagonal law does not hold the vehicle: a mode in {', '.join(growing[0].states)} grows "
+            f"with {growing[0].pole.real:.3g} 1/s; its motions are too coupled for one gain each"
         )
 
 
@@ -136,8 +136,8 @@ class _Channels:
     ) -> None:
         self.vehicle, self.trim = vehicle, trim
         plant = with_forces(vehicle, linearize(vehicle, trim))
-        known = law_for(_probe(vehicle), vehicle, trim).plant
-        self.rows = list(actuated(known))
+        pushed = [name.removeprefix("force_") for name in plant.input_labels]
+        self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in pushed]
         self.coordinates = [vehicle.pose_names[i] for i in self.rows]
         dofs = [vehicle.degrees_of_freedom[i] for i in self.rows]
         self._error = _positive("error", error, self.coordinates)
@@ -188,17 +188,6 @@ def _coupling(part: Array) -> float:
     return float(np.max(np.abs(part - np.diag(np.diag(part))) / scale, initial=0.0))
 
 
-def _probe(vehicle: Vehicle) -> GainSet:
-    """Any gain set, for its plant."""
-    from undertow.control.plant import Plant
-
-    return GainSet("probe", LAWS["pd"](), Plant(vehicle), {str(s): 1.0 for s in _symbols(vehicle)})
-
-
-def _symbols(vehicle: Vehicle) -> list[str]:
-    return [str(g.symbol(c)) for g in LAWS["pd"].gains for c in vehicle.pose_names]
-
-
 def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
     odd = [n for n in given if n not in names]
     if odd:
@@ -209,3 +198,78 @@ def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
             shown = "missing" if value is None else f"{value:g}"
             raise UndertowError(f"{what} of {name} is {shown}: give a positive one for {', '.join(names)}")
     return np.array([float(given[n]) for n in names])
+
+
+# --- LQG ----------------------------------------------------------------------------------------
+def lqg(
+    vehicle: Vehicle,
+    trim: Trim | Mapping[str, float],
+    weights: Mapping[str, float],
+    force: Mapping[str, float],
+    disturbance: Mapping[str, float],
+    noise: Mapping[str, float],
+) -> ct.StateSpace:
+    """An observer and an optimal feedback in one: what the sensors of `noise` report to commands.
+
+    States that no command moves are left to themselves, and what no sensor shows is left out.
+
+    Parameters
+    ----------
+    vehicle, trim
+        As for `linearize`.
+    weights : mapping
+        Acceptable deviation by state, SI; states that are not named may be as large as they like.
+    force : mapping
+        Available command by name, in units of the command.
+    disturbance : mapping
+        Strength of white noise by state, in units of the state per square root of a second.
+    noise : mapping
+        Strength of the noise of a sensor by output, in its unit times square root of a second. These are the
+        inputs of the result.
+
+    Raises
+    ------
+    UndertowError
+        If a name is unknown, a value is not positive, or a state that grows or stays cannot be moved or seen.
+    """
+    plant = linearize(vehicle, trim)
+    shown = ct.ss(plant.A, plant.B, plant.C[[_place(plant.output_labels, n) for n in noise]], 0)
+    kept = _kept(plant, shown)
+    a, b, c = plant.A[np.ix_(kept, kept)], plant.B[kept], shown.C[:, kept]
+    names = [plant.state_labels[i] for i in kept]
+    q = np.diag([1 / weights[n] ** 2 if n in weights else 0.0 for n in names])
+    r = np.diag(1 / _positive("command", force, plant.input_labels) ** 2)
+    v = np.diag([disturbance.get(n, 0.0) ** 2 for n in names])
+    w = np.diag(_positive("noise", noise, list(noise)) ** 2)
+    try:
+        gain = np.asarray(ct.lqr(a, b, q, r)[0])
+        observer = np.asarray(ct.lqe(a, np.eye(len(kept)), c, v, w)[0])
+    except (np.linalg.LinAlgError, ValueError, ct.ControlArgument) as error:
+        raise UndertowError(
+            f"no LQG design: {error}; give weights and disturbances to more states"
+        ) from error
+    system = ct.ss(a - b @ gain - observer @ c, observer, -gain, np.zeros((len(r), len(w))))
+    return named(system, [f"{n}_hat" for n in names], list(noise), plant.input_labels, "lqg")
+
+
+def _place(labels: list[str], name: str) -> int:
+    if name not in labels:
+        raise UndertowError(f"'{name}' is no output of the linear system: it has {', '.join(labels)}")
+    return labels.index(name)
+
+
+def _kept(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
+    """States that commands move and sensors show; others must settle by themselves."""
+    named_shown = named(
+        shown, plant.state_labels, plant.input_labels, [str(i) for i in range(shown.noutputs)], ""
+    )
+    lost = {*controllability(plant).missing, *observability(named_shown).missing}
+    left = [i for i, n in enumerate(plant.state_labels) if n in lost]
+    poles = np.linalg.eigvals(plant.A[np.ix_(left, left)]) if left else np.empty(0)
+    if np.any(poles.real > _SETTLED):
+        names = ", ".join(plant.state_labels[i] for i in left)
+        raise UndertowError(
+            f"no LQG design: {names} cannot be moved by commands or seen by sensors, and do not settle by "
+            "themselves: take another trim or more sensors"
+        )
+    return [i for i in range(plant.nstates) if i not in left]

@@ -14,8 +14,8 @@ from undertow.control.plant import Plant
 from undertow.model.vehicle import Vehicle
 
 from .analysis import Margins, margins, minimal
-from .law_system import LawSystem, actuated, share
-from .numeric import Array, in_direction
+from .law_system import LawSystem, forces_of
+from .numeric import in_direction
 from .systems import linearize, named
 from .trim import Trim, find_trim
 
@@ -76,12 +76,12 @@ class LinearLoop:
     @property
     def references(self) -> list[str]:
         """Names of the set-points of the coordinates that commands push."""
-        return [self._system.references[i] for i in actuated(self._system.plant)]
+        return [self._system.references[i] for i in self._system.acting]
 
     @property
     def forces(self) -> list[str]:
         """Names of the forces that commands give."""
-        return [self._system.forces[i] for i in actuated(self._system.plant)]
+        return [self._system.forces[i] for i in self._system.acting]
 
     @cached_property
     def closed(self) -> ct.StateSpace:
@@ -131,10 +131,7 @@ def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:
 
 def with_forces(vehicle: Vehicle, plant: ct.StateSpace) -> ct.StateSpace:
     """The linear vehicle with body-frame forces as inputs, shared among the commands."""
-    known = Plant(vehicle)
-    rows = list(actuated(known))
-    by_force: Array = share(known, {})[:, rows]
-    inputs = [f"force_{vehicle.degrees_of_freedom[i]}" for i in rows]
+    inputs, by_force = forces_of(vehicle)
     return named(
         ct.ss(plant.A, plant.B @ by_force, plant.C, plant.D @ by_force),
         plant.state_labels,
