@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import ceil, inf, isfinite, log2
 
 import control as ct
 import numpy as np
@@ -165,11 +165,19 @@ def _horizon(a: Array) -> float:
 
 
 def gramian(a: Array, b: Array, horizon: float) -> Array:
-    """Integral of exp(A t) B B' exp(A' t) over the horizon (Van Loan's exponential), shape (n, n)."""
+    """Integral of exp(A t) B B' exp(A' t) over the horizon, shape (n, n).
+
+    By Van Loan's exponential over a short time, which loses its digits over a long one, and doubling.
+    """
     n = len(a)
-    block = np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]])
-    result = expm(block * horizon)
-    return result[n:, n:].T @ result[:n, n:]
+    doublings = max(0, ceil(log2(max(float(np.linalg.norm(a)) * horizon, 1e-300))))
+    short = horizon / 2**doublings
+    result = expm(np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * short)
+    ahead = result[n:, n:].T
+    total = ahead @ result[:n, n:]
+    for _ in range(doublings):
+        total, ahead = total + ahead @ total @ ahead.T, ahead @ ahead
+    return total
 
 
 def minimal(system: ct.StateSpace) -> ct.StateSpace:

@@ -63,12 +63,15 @@ class Member:
         Its poles.
     system : StateSpace
         The linear system.
+    loop : LinearLoop or None
+        Where a law closes the loop.
     """
 
     name: str
     values: Mapping[str, float]
     modes: tuple[Mode, ...]
     system: ct.StateSpace
+    loop: LinearLoop | None = None
 
     @property
     def stable(self) -> bool:
@@ -284,10 +287,10 @@ class _Maker:
             states=dict(zip(states, found[0], strict=True)),
             commands=dict(zip(commands, found[1], strict=True)),
         )
-        system = linear_at(self._numeric, trim, p)
-        if self._law is not None:
-            system = LinearLoop(system, self._law, trim).closed
-        return Member(name, inside, tuple(modes(system)), system)
+        plant = linear_at(self._numeric, trim, p)
+        loop = None if self._law is None else LinearLoop(plant, self._law, trim)
+        system = loop.closed if loop else plant
+        return Member(name, inside, tuple(modes(system)), system, loop)
 
     def _inside(self, name: str, value: float) -> float:
         declared = self.vehicle.declared_parameters
