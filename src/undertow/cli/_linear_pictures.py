@@ -44,7 +44,7 @@ def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
 
 
 def _title(found: Analysis, what: str) -> str:
-    values = found.trim.states | found.trim.commands
+    values = {**found.trim.states, **found.trim.commands}
     held = [f"{n} = {values[n]:.4g}" for n in found.trim.wanted.given if values[n]]
     law = f", {found.gains.name}" if found.gains else ""
     return plain(f"{found.vehicle.name}{law} ({', '.join(held) or 'hovering'}): {what}", 110)
@@ -165,7 +165,7 @@ def _stretch(axis: Any, poles: Any) -> None:
     """Logarithmic axes, linear around zero, where poles are of very different size."""
     sizes = np.abs(poles[np.abs(poles) > 0])
     if sizes.size and sizes.max() > _SPREAD * sizes.min():
-        least = float(sizes.min())
+        least = 10.0 ** np.floor(np.log10(float(sizes.min())))
         axis.set_xscale("symlog", linthresh=least)
         axis.set_yscale("symlog", linthresh=least)
 

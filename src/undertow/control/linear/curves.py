@@ -60,5 +60,6 @@ def step(name: str, system: ct.StateSpace, seconds: float) -> Line:
 
 def locus(system: ct.StateSpace) -> tuple[Array, NDArray[np.complex128]]:
     """Poles of a loop closed with a gain times the system: gains (n,), and poles (n, order)."""
-    found = ct.root_locus_map(system)
+    gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * _POINTS)])
+    found = ct.root_locus_map(system, gains=gains)
     return np.asarray(found.gains), np.asarray(found.loci)
