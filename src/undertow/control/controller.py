@@ -18,7 +18,8 @@ from .gains import GainSet
 GATE = "gate"
 # Parts of the wanted force that count as rounding and not as a limit.
 _ROUNDING = 1e-9
-_WAITING = ("x", "y")
+# What waits for the heading, and the motions that the law does not even brake meanwhile.
+_WAITING, _IDLE = ("x", "y"), ("u", "v")
 
 
 class Controller:
@@ -152,12 +153,12 @@ class Controller:
         opened = self._open(gate, self._coordinates)
         open_states = ca.vertcat(*[opened] * len(law.states)) if law.states else ca.SX(0, 1)
         states = open_states * self._own
-        convert = self._converter(opened * self._error, states)
+        convert = self._converter(opened * self._error, states, gate)
         # A force that nothing gives is left out where it is asked for, so that it counts as no limit.
         force = _only(convert.matrix(law.force(signals)), self.allocation.rows)
         commands = self.allocation.commands(force)
         early = self.gains.schedule.integrators == "start"
-        rates = self._converter(self._error, self._own) if early else convert
+        rates = self._converter(self._error, self._own, ca.SX(1)) if early else convert
         moving = rates.matrix(law.rates(signals)) if law.states else ca.SX(0, 1)
         moving = moving if early else open_states * moving
         return commands, self._held(moving, force, commands, states, convert), force
@@ -174,11 +175,16 @@ class Controller:
         pushes = (asked.T @ lacking) * rates > 0
         return rates * (1 - short * pushes)
 
-    def _converter(self, error: ca.SX, states: ca.SX) -> Converter:
+    def _converter(self, error: ca.SX, states: ca.SX, gate: ca.SX) -> Converter:
         plant, signals = self.gains.plant, self.gains.signals
+        idle = self._by_turns and not gate.is_one()
+        seen = [
+            gate * y if idle and str(v) in _IDLE else y
+            for v, y in zip([*plant.eta, *plant.nu], ca.vertsplit(self._y), strict=True)
+        ]
         gains = [sm.Symbol(name, real=True) for name in self.gain_names]
         groups = (
-            ([*plant.eta, *plant.nu], self._y),
+            ([*plant.eta, *plant.nu], ca.vertcat(*seen)),
             (signals.error, error),
             (signals.states, states),
             (gains, self._k),

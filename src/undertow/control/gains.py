@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
@@ -72,7 +72,9 @@ def bundled_gains() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
+def load_gains(
+    source: str | Path, vehicle: Vehicle, change: Callable[[GainTable], GainTable] | None = None
+) -> GainSet:
     """Read a gain file, or a bundled one by its name, for a vehicle.
 
     Parameters
@@ -81,6 +83,8 @@ def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
         Path of a gain file, or the name of a bundled one (paper-pd, paper-pid, paper-smc).
     vehicle : Vehicle
         The vehicle that is controlled.
+    change : callable, optional
+        Changes the table of the file before it is checked against the vehicle.
 
     Raises
     ------
@@ -91,7 +95,7 @@ def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
     path = _resolve(source)
     table = read_table(path, GainTable, "gain file")
     try:
-        return gains_from_table(table, vehicle)
+        return gains_from_table(change(table) if change else table, vehicle)
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
 

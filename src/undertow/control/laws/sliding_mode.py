@@ -44,6 +44,12 @@ class SlidingMode(_Sliding):
     def reach(self, s: LawSignals) -> sm.Matrix:
         return s.K_Z * self.surface(s).applyfunc(sm.sign)
 
+    def offset(self, s: LawSignals) -> sm.Matrix:
+        # A sample takes S at most K_Z dt past zero, and S = Lambda error at rest.
+        return sm.Matrix(
+            [k / a if a else a for k, a in zip(s.K_Z.diagonal(), s.Lambda.diagonal(), strict=True)]
+        )
+
 
 class BoundaryLayer(_Sliding):
     """Sliding-mode control with a boundary layer: linear where |S| is below the width, so without chatter."""
