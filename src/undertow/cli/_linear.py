@@ -61,7 +61,7 @@ class Wish:
         vehicle = load_vehicle(self.vehicle, effect_files=self.effects)
         if self.current is None:
             return vehicle
-        parts = [_si("--current", part, "m/s") for part in self.current.split(",")]
+        parts = [si("--current", part, "m/s") for part in self.current.split(",")]
         if len(parts) != 2:
             raise UndertowError(
                 f"--current {self.current}: give two velocities, such as 0.3,0.1 (north, east)"
@@ -70,36 +70,42 @@ class Wish:
 
     def trim(self, vehicle: Vehicle) -> Trim:
         """The steady motion that is asked for."""
-        held = {n: _si(f"--at {n}", v, _UNITS.get(n, "command")) for n, v in _pairs("--at", self.at)}
-        ways = {n: _way(n, v) for n, v in _pairs("--direction", self.direction)}
+        held = {n: si(f"--at {n}", v, _UNITS.get(n, "command")) for n, v in pairs("--at", self.at)}
+        ways = {n: _way(n, v) for n, v in pairs("--direction", self.direction)}
         return find_trim(vehicle, held or None, free=_words(self.free), direction=ways)
 
 
-def _pairs(option: str, texts: Sequence[str]) -> list[tuple[str, str]]:
-    pairs = [word.partition("=") for word in _words(texts)]
-    wrong = [name for name, mark, value in pairs if not (mark and name.strip() and value.strip())]
+def pairs(option: str, texts: Sequence[str]) -> list[tuple[str, str]]:
+    """Names and values out of "u=0.5" and "x=1,z=2"."""
+    parts = [word.partition("=") for word in _words(texts)]
+    wrong = [name for name, mark, value in parts if not (mark and name.strip() and value.strip())]
     if wrong:
         raise UndertowError(f"{option} {wrong[0]}: write NAME=VALUE, such as u=0.5")
-    names = [name.strip() for name, _, _ in pairs]
+    names = [name.strip() for name, _, _ in parts]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise UndertowError(f"{option} names {twice[0]} twice: name it once")
-    return [(name.strip(), value.strip()) for name, _, value in pairs]
+    return [(name.strip(), value.strip()) for name, _, value in parts]
 
 
 def _words(texts: Sequence[str]) -> list[str]:
     return [word for t in texts for word in t.split(",")]
 
 
-def _si(option: str, value: str, unit: str) -> float:
+def si(option: str, value: str, unit: str) -> float:
+    """A value in SI: a plain number, or one with a unit."""
     try:
-        return float(value)
-    except ValueError:
-        pass
-    try:
-        return to_si(value, unit)
+        return to_si(float(value) if _is_number(value) else value, unit)
     except UndertowError as error:
         raise UndertowError(f"{option}: {error}") from error
+
+
+def _is_number(value: str) -> bool:
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
 
 
 def _way(name: str, value: str) -> int:
@@ -152,7 +158,7 @@ def show(found: Analysis, channels: Sequence[Channel]) -> None:
     for remark in trim.remarks:
         out.print(text(f"  {remark}", "yellow"), soft_wrap=True)
     title = f"Poles of the loop with {found.gains.name}" if found.gains else "Poles"
-    section(title, _modes(found.modes))
+    show_modes(title, found.modes)
     for line in _growth(found):
         out.print(text(f"  {line}", "yellow"), soft_wrap=True)
     section("Zeros", _zeros(channels))
@@ -179,7 +185,8 @@ def _trim(found: Analysis) -> object:
     return table(("", "value", "unit"), rows)
 
 
-def _modes(modes: Sequence[Mode]) -> object:
+def show_modes(title: str, modes: Sequence[Mode]) -> None:
+    """Print poles."""
     rows = [
         (
             shown(m.pole),
@@ -191,7 +198,7 @@ def _modes(modes: Sequence[Mode]) -> object:
         for m in modes
     ]
     head = ("pole, rad/s", "omega_n, rad/s", "damping", "time constant, s", "in")
-    return table(head, rows)
+    section(title, table(head, rows))
 
 
 def shown(value: complex) -> str:
