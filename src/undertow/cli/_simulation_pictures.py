@@ -109,7 +109,7 @@ _BOXES = {
     "allocation": (9.3, 2.8, 1.9, 0.9, "thrust allocation\n(4), (5)"),
     "vehicle": (12.0, 2.8, 1.4, 0.9, "vehicle"),
 }
-# From the side of one box to that of another (right, left, above or below), words on it, and where they stand.
+# From the side of one box to that of another (right, left, above or below), words, and where they stand.
 _ARROWS = (
     ("goal", "above", "heading", "left", "", 0.0),
     ("goal", "right", "gate", "left", "x, y", 2.25),

@@ -99,13 +99,13 @@ class _Error:
         self._before: float | None = None
 
     def add(self, t: np.ndarray, error: np.ndarray, tail: float) -> None:
+        self.tail.append(error[t >= tail])
         if self._before is not None:
             dt = t[1] - t[0] if len(t) > 1 else 0.0
             t, error = np.r_[t[0] - dt, t], np.r_[self._before, error]
         self._settle(t, np.abs(error))
         self.beyond = max(self.beyond, float((-error * np.sign(self.move)).max()))
         self.largest = max(self.largest, float(np.abs(error).max()))
-        self.tail.append(error[t >= tail])
         self._before = self.final = float(error[-1])
 
     def _settle(self, t: np.ndarray, size: np.ndarray) -> None:
