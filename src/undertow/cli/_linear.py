@@ -68,11 +68,15 @@ class Wish:
             )
         return in_current(vehicle, *parts)
 
+    def held(self) -> dict[str, float] | None:
+        """Values that are held, SI; None for hovering."""
+        held = {n: si(f"--at {n}", v, _UNITS.get(n, "command")) for n, v in pairs("--at", self.at)}
+        return held or None
+
     def trim(self, vehicle: Vehicle) -> Trim:
         """The steady motion that is asked for."""
-        held = {n: si(f"--at {n}", v, _UNITS.get(n, "command")) for n, v in pairs("--at", self.at)}
         ways = {n: _way(n, v) for n, v in pairs("--direction", self.direction)}
-        return find_trim(vehicle, held or None, free=_words(self.free), direction=ways)
+        return find_trim(vehicle, self.held(), free=_words(self.free), direction=ways)
 
 
 def pairs(option: str, texts: Sequence[str]) -> list[tuple[str, str]]:
