@@ -57,7 +57,8 @@ def test_json_holds_the_numbers(folder: Path, capsys: Capture) -> None:
 def test_units_are_understood(folder: Path, capsys: Capture) -> None:
     plain = _content(["linearize", "bluerov2", "--at", "u=0.5,theta=0.1"], capsys)
     said = _content(
-        ["linearize", "bluerov2", "--at", "u=50 cm/s", "--at", f"theta={float(np.degrees(0.1))!r} deg"], capsys
+        ["linearize", "bluerov2", "--at", "u=50 cm/s", "--at", f"theta={float(np.degrees(0.1))!r} deg"],
+        capsys,
     )
     assert said["trim"]["states"] == pytest.approx(plain["trim"]["states"])
 

@@ -10,6 +10,7 @@ import tomlkit
 
 from undertow.cli._linear import Wish, pairs, show_modes, si
 from undertow.cli._show import console, section, table, text
+from undertow.control.linear.certified import certified
 from undertow.control.linear.design import Design, lqr
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE
 
@@ -31,7 +32,7 @@ def designed(
     model = wish.model()
     errors = {n: si(f"--error {n}", v, _POSE_UNITS.get(n, "1")) for n, v in pairs("--error", error)}
     forces = {n: si(f"--force {n}", v, _UNITS_OF_FORCE.get(n, "1")) for n, v in pairs("--force", force)}
-    return lqr(model, errors, forces, law=law, trim=wish.trim(model), name=name)
+    return lqr(model, errors, forces, law=law, trim=wish.trim(model), conditions=certified, name=name)
 
 
 def show(done: Design) -> None:
@@ -40,12 +41,20 @@ def show(done: Design) -> None:
     out = console()
     share = f"{100 * done.coupling:.3g} %"
     out.print(text(f"  coupling that the diagonal law leaves out: up to {share} of the optimal gain"))
+    out.print(
+        text(f"  conditions derived from the model (undertow gains): {_VERDICTS[bool(done.certified)]}")
+    )
+    if done.slowed:
+        out.print(text(f"  the integral was given twice the time {done.slowed} times until they held"))
     show_modes("Poles of the loop", done.modes)
 
 
+_VERDICTS = {True: "all hold", False: "not all hold"}
+
+
 def _coordinates(done: Design) -> list[str]:
-    names = zip(done.gains.signals.coordinates, done.gains.plant.vehicle.degrees_of_freedom, strict=True)
-    return [c for c, d in names if d not in done.gains.unactuated]
+    gain = type(done.gains.law).gains[0]
+    return [c for c in done.gains.signals.coordinates if done.gains.values[str(gain.symbol(c))]]
 
 
 def _rows(done: Design) -> list[tuple[str, ...]]:

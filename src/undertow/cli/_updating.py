@@ -13,9 +13,11 @@ from undertow.cli._progress import Report
 from undertow.cli._show import console, section, table, text
 from undertow.codegen.export import Export
 from undertow.codegen.export import Report as Written
+from undertow.control.conditions.result import HOLDS
 from undertow.control.controller import Controller
 from undertow.control.export import ControllerExport
 from undertow.control.gains import GainSet, load_gains
+from undertow.control.linear.certified import told
 from undertow.control.linear.report import Analysis
 from undertow.control.linear.snapshot import Change, Snapshot, changes, snapshot
 from undertow.errors import UndertowError
@@ -101,7 +103,7 @@ class Update:
             assert export.texts  # what cannot be stated in C is refused before anything is written
         tell(0.3, "eigenvalues, margins and conditions")
         motion = self._wish.held()
-        new, loops = snapshot(self._vehicle, gains, motion, self._at, verdicts_of)
+        new, loops = snapshot(self._vehicle, gains, motion, self._at, told)
         tell(0.6, "pictures")
         drawn = _pictures(self._vehicle, gains, self._wish, loops)
         written = [export.write(self._out) for export in exports]
@@ -180,9 +182,11 @@ def _show_changes(title: str, found: Sequence[Change]) -> None:
 
 
 def _show_verdicts(new: Snapshot) -> None:
-    section("Verdicts", table(("", ""), list(new.verdicts.items())))
-
-
-def verdicts_of(gains: GainSet) -> dict[str, str]:
-    """Verdicts of the conditions on gains."""
-    return {}
+    conditions = {name: v for name, v in new.verdicts.items() if " condition " in name}
+    rows = [(name, v) for name, v in new.verdicts.items() if name not in conditions]
+    for gains in new.gains:
+        own = [v for name, v in conditions.items() if name.startswith(f"{gains}, ")]
+        failing = sum(v != HOLDS for v in own)
+        told = f"{len(own) - failing} hold, {failing} fail (undertow gains tells which)"
+        rows.append((f"{gains}, conditions one by one", told))
+    section("Verdicts", table(("", ""), rows))

@@ -22,8 +22,9 @@ from .trim import Trim, find_trim
 
 # Time over which an integral is to remove an error, beside the time constant of the loop without it.
 _PATIENCE = 5.0
-_FASTER = 1.5
-_ROUNDS = 30
+_FASTER = 2.0
+_ROUNDS = 12
+_HORIZONTAL = ("x", "y")
 _SETTLED = -1e-9
 DESIGNED = ("pd", "pid")
 
@@ -73,8 +74,9 @@ def lqr(
     """A gain set by linear-quadratic design at hover.
 
     The weights are Bryson's: an error as large as `error` counts as much as a force as large as `force`. The
-    law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, and the loop that it
-    closes is checked. Where conditions are given and fail, the integral is given more time until they hold.
+    law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, in x and y the larger
+    one for both, and the loop that it closes is checked. Where conditions are given and fail, the integral is
+    given more time until they hold.
 
     Parameters
     ----------
@@ -156,8 +158,15 @@ class _Channels:
         parts = [optimal[:, i * n : (i + 1) * n] for i in range(optimal.shape[1] // n)]
         largest = max(_coupling(part) for part in parts)
         names = [g.name for g in LAWS[law].gains]
-        values = dict(zip(names, (np.diag(part) for part in parts), strict=True))
+        values = {gain: self._everywhere(np.diag(part)) for gain, part in zip(names, parts, strict=True)}
         return self._as_gains(law, values, name), largest
+
+    def _everywhere(self, diagonal: Array) -> dict[str, float]:
+        """A gain by coordinate, the same in x and y: they are axes of the earth, and the vehicle turns."""
+        values = dict(zip(self.coordinates, map(float, diagonal), strict=True))
+        pushed = [values[c] for c in _HORIZONTAL if c in values]
+        level = [c for c in self.vehicle.pose_names if c in _HORIZONTAL and pushed]
+        return values | dict.fromkeys(level, max(pushed, default=0.0))
 
     def _optimal(self, rate: float | None) -> Array:
         """The full optimal gain in errors, velocities and, with a rate in 1/s, integrals of the errors."""
@@ -170,12 +179,9 @@ class _Channels:
         gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
         return np.asarray(gain, dtype=float)
 
-    def _as_gains(self, law: str, values: Mapping[str, Array], name: str) -> GainSet:
+    def _as_gains(self, law: str, values: Mapping[str, Mapping[str, float]], name: str) -> GainSet:
         gains = {
-            gain.name: {
-                c: f"{value:.6g} {gain.unit(c)}"
-                for c, value in zip(self.coordinates, values[gain.name], strict=True)
-            }
+            gain.name: {c: f"{value:.6g} {gain.unit(c)}" for c, value in values[gain.name].items()}
             for gain in LAWS[law].gains
         }
         silent = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]

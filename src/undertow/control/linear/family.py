@@ -12,8 +12,9 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
+from undertow.model.history import last_covariance
 from undertow.model.loading import resolve_vehicle
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import bare_name
 from undertow.model.vehicle import Vehicle
 from undertow.model.vehicle_toml import read_vehicle_table
 
@@ -118,8 +119,7 @@ def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
     UndertowError
         If nothing has a standard deviation.
     """
-    told = _last_covariance(vehicle, source) if source is not None else None
-    names, matrix = told or ((), np.zeros((0, 0)))
+    names, matrix = ((), np.zeros((0, 0))) if source is None else _last_covariance(vehicle, source)
     stated = {n: v.sigma for n, v in vehicle.values.items() if v.sigma and n not in names}
     used = {n: s for n, s in stated.items() if n in vehicle.parameter_names and np.isfinite(s)}
     if not names and not used:
@@ -135,23 +135,12 @@ def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
     return Spread((*names, *used), whole, " and ".join(words) + " parameters")
 
 
-def _last_covariance(vehicle: Vehicle, source: str | Path) -> tuple[tuple[str, ...], Array] | None:
-    """Parameters and covariance of the last fit that the history of a file tells of."""
-    for entry in reversed(read_vehicle_table(resolve_vehicle(source)).history):
-        told = entry.get("covariance")
-        if isinstance(told, Mapping):
-            names = tuple(str(n) for n in told["parameters"])
-            kept = [i for i, n in enumerate(names) if n in vehicle.parameter_names]
-            turn = np.array([_turn(vehicle, names[i]) for i in kept])
-            matrix = np.array(told["matrix"], dtype=float)[np.ix_(kept, kept)]
-            return tuple(names[i] for i in kept), matrix * np.outer(turn, turn)
-    return None
-
-
-def _turn(vehicle: Vehicle, name: str) -> float:
-    """1 or -1: from the signs of the vehicle's file to SNAME signs."""
-    declared = vehicle.declared_parameters
-    return printed(declared.get(name) or declared[bare_name(name)], 1.0, vehicle.signs)
+def _last_covariance(vehicle: Vehicle, source: str | Path) -> tuple[tuple[str, ...], Array]:
+    """Parameters and covariance of the last fit that the history of a file tells of; none if it has none."""
+    names, matrix = last_covariance(read_vehicle_table(resolve_vehicle(source)).history, vehicle)
+    kept = [i for i, n in enumerate(names) if n in vehicle.parameter_names]
+    whole = np.array(matrix, dtype=float).reshape(len(names), len(names))
+    return tuple(names[i] for i in kept), whole[np.ix_(kept, kept)]
 
 
 def family(

@@ -26,7 +26,7 @@ STABLE, UNSTABLE, NOT_LINEAR = "stable", "unstable", "no linear form"
 _SAME = 1e-9
 
 Pole = tuple[float, float, list[str]]
-Verdicts = Callable[[GainSet], Mapping[str, str]]
+Verdicts = Callable[[GainSet], Mapping[str, tuple[str, float | None]]]
 
 
 @dataclass
@@ -105,7 +105,7 @@ def snapshot(
     at : sequence of str
         The same in words.
     conditions : callable, optional
-        Verdicts of the conditions on gains, by condition.
+        Verdicts of the conditions on gains and, where it is of interest, their margins, by condition.
     """
     found = Snapshot(vehicle.name, list(gains), list(at))
     found.parameters = _parameters(vehicle)
@@ -119,8 +119,10 @@ def snapshot(
     for source, gain_set in gains.items():
         for name, trim in hovering.items():
             _add_loop(found, loops, f"{source}, hovering{name}", vehicle, gain_set, trim)
-        verdicts = {} if conditions is None else conditions(gain_set)
-        found.verdicts |= {f"{source}, {name}": verdict for name, verdict in verdicts.items()}
+        for name, (verdict, margin) in ({} if conditions is None else conditions(gain_set)).items():
+            found.verdicts[f"{source}, {name}"] = verdict
+            if margin is not None:
+                found.margins[f"{source}, {name}"] = {"margin": float(margin)}
     return found, loops
 
 
