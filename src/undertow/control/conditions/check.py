@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from undertow.control.gains import GainSet
+from undertow.errors import UndertowError
 
 from .attitude import Certificate
 from .case import SignSet
@@ -30,6 +31,7 @@ def check(
     gains: GainSet,
     uncertainty: Uncertainty,
     *,
+    forms: Sequence[str] = (),
     iota: float | None = None,
     tilt: float = np.pi / 3,
     tell: Tell = lambda done, words: None,
@@ -42,6 +44,8 @@ def check(
         Law, numbers and vehicle.
     uncertainty : Uncertainty
         How far the parameters of the vehicle are known.
+    forms : sequence of str
+        Which forms of conditions; all where none is named.
     iota : float, optional
         The constant of the PID conditions, 1/s; searched for when not given.
     tilt : float
@@ -54,7 +58,8 @@ def check(
     UndertowError
         If the mass matrix is not positive definite, or damping is not finite at rest.
     """
-    problem = Problem(gains, tilt)
+    problem = Problem(gains, tilt).of_forms(forms)
+    _require_damping(problem)
     tell(0.1, "conditions")
     agreements = _agreements(problem, iota)
     rows = _rows(problem, uncertainty, iota, agreements, tell)
@@ -65,7 +70,7 @@ def check(
         vehicle=gains.plant.vehicle.name,
         gains=gains.name,
         law=gains.law.id,
-        rows=(*rows, *reaching(problem, uncertainty)),
+        rows=(*rows, *(reaching(problem, uncertainty) if not forms or "derived" in forms else ())),
         agreements=tuple(agreements),
         channels=tuple(_channels(problem)),
         coupled=_coupled(problem),
@@ -75,6 +80,15 @@ def check(
         left_out=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )
+
+
+def _require_damping(problem: Problem) -> None:
+    needed = [c.statement for c in problem.conditions if "D" in c.uses]
+    if needed and problem.plant.D.is_zero_matrix:
+        raise UndertowError(
+            f"'{problem.plant.vehicle.name}' has no damping, which the condition {needed[0]} is about: add "
+            "[effects.linear_damping] or another effect of that family"
+        )
 
 
 def _actuation(gains: GainSet, equilibria: str) -> str:

@@ -12,7 +12,10 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
         *(pid.MendedDamper(), pid.MendedIntegral(), pid.MendedSpring(), pid.MendedLast()),
         *(pid.Integral(), pid.PositiveCandidate(), pid.FallingCandidate(), pid.SomeIota(), pid.Routh()),
     ),
-    "sliding-mode": (sliding.Reaches(), sliding.Slides()),
+    "sliding-mode": (
+        *(sliding.Reaches(), sliding.Slides()),
+        *(sliding.DerivedReaches(), sliding.DerivedSlides()),
+    ),
     "sliding-mode-boundary-layer": (sliding.DerivedReaches(), sliding.DerivedSlides(), sliding.HasWidth()),
     "super-twisting": (sliding.Root(), sliding.Twist(), sliding.DerivedSlides()),
 }

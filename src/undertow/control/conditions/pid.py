@@ -146,8 +146,11 @@ class PositiveCandidate(Condition):
 class FallingCandidate(Condition):
     id = "V_dot"
     form = "derived"
-    statement = "[[iota K_P - K_I, iota K/2], [iota K/2, K - iota M]] > 0, K = K_V + D"
-    about = "The Lyapunov function falls along every motion near the set-point."
+    statement = "Q(iota) > 0"
+    about = (
+        "The Lyapunov function falls along every motion near the set-point; "
+        "Q = [[iota K_P - K_I, iota K/2], [iota K/2, K - iota M]] with K = K_V + D."
+    )
     source = _OWN
     uses = ("M", "D")
     uses_iota = True

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from undertow.control.gains import GainSet
+from undertow.errors import UndertowError
 
 from .attitude import Attitudes, Certificate, least
 from .case import SignSet, sign_sets
@@ -46,6 +48,17 @@ class Problem:
         other = object.__new__(Problem)
         other.__dict__.update(self.__dict__)
         other.values = values
+        return other
+
+    def of_forms(self, forms: Sequence[str]) -> Problem:
+        """The same with the conditions of some forms only; with all where none is named."""
+        other = self.changed(self.values)
+        other.conditions = tuple(c for c in self.conditions if not forms or c.form in forms)
+        if not other.conditions:
+            raise UndertowError(
+                f"law '{self.gains.law.id}' has no conditions of the form {' or '.join(forms)}: it has "
+                f"{' and '.join(dict.fromkeys(c.form for c in self.conditions))}"
+            )
         return other
 
     @property

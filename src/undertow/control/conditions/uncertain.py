@@ -89,13 +89,9 @@ class Uncertainty:
         matters : array of bool
             The parameters that the margin depends on.
         """
-        low, high = self._intervals(one)
-        free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
-        if len(free) > _MOST_CORNERS:
+        if np.count_nonzero(matters) > _MOST_CORNERS:
             return self._range(margins(one.theta[None]), one.theta[None], one, settled=False)
-        corners = np.tile(one.theta, (2 ** len(free), 1))
-        for row, choice in zip(corners, product(*[(low[j], high[j]) for j in free]), strict=True):
-            row[free] = choice
+        corners = self._corners(one, matters, float(norm.ppf(0.5 + self.confidence / 2)))
         return self._range(margins(corners), corners, one, margins(one.theta[None])[0])
 
     def over_ellipsoid(self, margins: Margins, one: SignSet, features: Array) -> Range:
@@ -124,14 +120,41 @@ class Uncertainty:
         around, on = _around(axes.shape[1])
         if around is None:
             return self._range(margins(one.theta + on @ axes.T), one.theta + on @ axes.T, one, settled=False)
-        found = self._range(margins(one.theta + on @ axes.T), one.theta + on @ axes.T, one)
-        sure = float(margins(one.theta + around @ axes.T).min()) > 0
-        return found if sure or found.verdict != ALL else Range(OPEN, found.margin, {})
+        points = np.concatenate([one.theta[None], one.theta + on @ axes.T])
+        physical = self._within(points, covariance, reach, one)
+        found = self._range(margins(physical), physical, one)
+        if found.verdict != ALL:
+            return found
+        # Concave margins are least at a corner of any polytope around the set: of two, either will do.
+        for corners in (one.theta + around @ axes.T, self._corners(one, np.any(features != 0, axis=0), reach)):
+            if float(margins(corners).min()) > 0:
+                return found
+        return Range(OPEN, found.margin, {})
 
-    def _intervals(self, one: SignSet) -> tuple[Array, Array]:
-        reach = norm.ppf(0.5 + self.confidence / 2) * np.sqrt(np.diag(self.covariance(one.names)))
-        bounds = np.array([self._bounds(n) for n in one.names]).reshape(-1, 2)
-        return np.maximum(one.theta - reach, bounds[:, 0]), np.minimum(one.theta + reach, bounds[:, 1])
+    def _within(self, points: Array, covariance: Array, reach: float, one: SignSet) -> Array:
+        """Points moved to physical values, those of them that are still in the ellipsoid."""
+        bounds = self._all_bounds(one)
+        moved = np.clip(points, bounds[:, 0], bounds[:, 1])
+        away = moved - one.theta
+        distance = np.einsum("ij,jk,ik->i", away, np.linalg.pinv(covariance, hermitian=True), away)
+        return moved[distance <= reach**2 * (1 + 1e-9)]
+
+    def _corners(self, one: SignSet, matters: Array, reach: float) -> Array:
+        """Corners of the box of all physical values within `reach` standard deviations."""
+        low, high = self._intervals(one, reach)
+        free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
+        corners = np.tile(one.theta, (2 ** len(free), 1))
+        for row, choice in zip(corners, product(*[(low[j], high[j]) for j in free]), strict=True):
+            row[free] = choice
+        return corners
+
+    def _intervals(self, one: SignSet, reach: float) -> tuple[Array, Array]:
+        spread = reach * np.sqrt(np.diag(self.covariance(one.names)))
+        bounds = self._all_bounds(one)
+        return np.maximum(one.theta - spread, bounds[:, 0]), np.minimum(one.theta + spread, bounds[:, 1])
+
+    def _all_bounds(self, one: SignSet) -> Array:
+        return np.array([self._bounds(n) for n in one.names]).reshape(-1, 2)
 
     def _bounds(self, name: str) -> tuple[float, float]:
         declared = self.vehicle.declared_parameters
