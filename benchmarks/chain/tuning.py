@@ -15,7 +15,7 @@ PHASE_MARGIN = 50.0
 INERTIA_LAG = 20.0
 """Most phase that inertia may cost at the crossover, degrees: what damping is needed for."""
 LEAST = 0.005
-"""The least gain on the velocity, N s/m: its sensor is noisy, so the law uses no more of it than it has to."""
+"""The least gain on the velocity, N s/m: its sensor is noisy, so the law uses no more than it has to."""
 
 
 def surge_of(vehicle: Vehicle) -> tuple[float, float]:

@@ -170,7 +170,8 @@ def _of_equations(report: Written) -> list[str]:
     """Changes of the code besides those of values, which are told below."""
     if report.first:
         return ["first time"]
-    return [line for line in report.changes if not line.startswith("parameters changed")]
+    kept = [line for line in report.changes if not line.startswith("parameters changed")]
+    return [line.replace("is not as it would be generated", "has changed") for line in kept]
 
 
 def _show_changes(title: str, found: Sequence[Change]) -> None:
