@@ -226,7 +226,7 @@ def _cycle(cycle: Cycle | None, unit: str) -> str:
 
 def _command(c: Any) -> tuple[str, ...]:
     numbers = (f"{v:.4g}" for v in (c.effort, c.rms, c.peak, c.variation))
-    return (c.name, *numbers, f"{100 * c.at_limit:.0f} %" if c.at_limit else "")
+    return (c.name, *numbers, f"{100 * c.at_limit:.2g} %" if c.at_limit else "")
 
 
 def write(records: Sequence[Record], out: Path | None, figures: Path | None, json: Path | None) -> None:

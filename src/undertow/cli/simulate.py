@@ -1,4 +1,4 @@
-"""Simulate a vehicle under a controller, from rest to a set-point.
+"""Simulate a vehicle under a controller on its way to a goal.
 
 Model, sensors, control law, schedule, thrust allocation and integrator (Runge-Kutta of fourth order) are
 compiled into one call. The controller is sampled every --dt and its commands are held in between; with
@@ -17,7 +17,8 @@ without one it is taken from the direction of the set-point (--heading). Numbers
 unit: 135deg. A current, noise and pushes are not known to the controller.
 
 --out writes a log that undertow itself reads: what the sensors report, and the mean of every command from one
-row to the next. An interval --dt that is too long for the law is refused, and the limit is said.
+row to the next. An interval --dt that is too long for the law is refused, and the limit is said. The exit
+code is 1 if a run diverges.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def simulate(
     figures: Annotated[Path | None, _FIGURES] = None,
     json: Annotated[Path | None, _JSON] = None,
     effects: EffectsOption = None,
-) -> None:
+) -> int:
     from undertow.cli._simulation import check_outputs, choices_of, scenario_of, show, simulated, write
 
     check_outputs(gains, out, figures, json, [vehicle, *gains, *([plant] if plant else []), *(effects or [])])
@@ -100,3 +101,4 @@ def simulate(
     records = simulated(vehicle, plant, gains, scenario, choices, without or [], effects or [])
     show([record.result for record in records])
     write(records, out, figures, json)
+    return int(any(record.result.diverged is not None for record in records))

@@ -67,11 +67,12 @@ class Choices:
         UndertowError
             If a file is none, or vehicle, gains and choices do not fit.
         """
-        known = self._with_sway(vehicle)
-        moving = self._in_current(self._with_sway(plant) if plant else known)
-        return ClosedLoop(load_gains(gains, known, self._changed), moving, compiled=compiled)
+        known = self.with_sway(vehicle)
+        moving = self.in_current(self.with_sway(plant) if plant else known)
+        return ClosedLoop(load_gains(gains, known, self.changed), moving, compiled=compiled)
 
-    def _changed(self, table: GainTable) -> GainTable:
+    def changed(self, table: GainTable) -> GainTable:
+        """A gain file with these choices."""
         names = ("order", "heading", "integrators", "gate")
         wanted = {n: getattr(self, n) for n in names if getattr(self, n) is not None}
         left_out = [d for d in table.unactuated if d != "sway" or self.sway is None]
@@ -80,14 +81,22 @@ class Choices:
         schedule = table.schedule.model_copy(update=wanted)
         return table.model_copy(update={"schedule": schedule, "unactuated": left_out})
 
-    def _with_sway(self, vehicle: Vehicle) -> Vehicle:
+    def with_sway(self, vehicle: Vehicle) -> Vehicle:
+        """The vehicle with a sway force if there is to be one.
+
+        Raises
+        ------
+        UndertowError
+            If it does not move sideways.
+        """
         if self.sway != "actuated" or _SWAY_FORCE in vehicle.force_channels:
             return vehicle
         if "sway" not in vehicle.degrees_of_freedom:
             raise UndertowError(f"vehicle '{vehicle.name}' has no sway that could be actuated")
         return replace(vehicle, force_channels=(*vehicle.force_channels, _SWAY_FORCE))
 
-    def _in_current(self, vehicle: Vehicle) -> Vehicle:
+    def in_current(self, vehicle: Vehicle) -> Vehicle:
+        """The vehicle in the current if there is to be one."""
         if self.current is None:
             return vehicle
         values = dict(zip(("V_N", "V_E"), map(Value, self.current), strict=True))

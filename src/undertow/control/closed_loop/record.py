@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from .scenario import Scenario
     from .simulate import ClosedLoop
 
-# Smallest amplitude of an oscillation that is told of, as a part of the largest error.
-_LEAST = 1e-3
+# Smallest amplitude of an oscillation that is told of, as a part of the largest error, and in m or rad.
+_LEAST, _TINY = 2e-3, 1e-5
 
 
 @dataclass(frozen=True)
@@ -109,8 +110,8 @@ class Record:
         return stream.getvalue()
 
     def to_json(self) -> str:
-        """The result as JSON."""
-        return json.dumps(asdict(self.result), indent=2, allow_nan=False) + "\n"
+        """The result as JSON; what has grown beyond all numbers is null."""
+        return json.dumps(_in_json(asdict(self.result)), indent=2, allow_nan=False) + "\n"
 
 
 class Recorder:
@@ -186,5 +187,14 @@ class Recorder:
         )
 
 
+def _in_json(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {k: _in_json(v) for k, v in content.items()}
+    if isinstance(content, list | tuple):
+        return [_in_json(v) for v in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
 def _cycle(t: np.ndarray, error: np.ndarray) -> Cycle | None:
-    return find_cycle(t, error, _LEAST * float(np.abs(error).max(initial=0.0))) if len(t) else None
+    least = max(_LEAST * float(np.abs(error).max(initial=0.0)), _TINY)
+    return find_cycle(t, error, least) if len(t) else None

@@ -15,13 +15,15 @@ _STILL = 1e-4
 _SHORTEST, _LONGEST = 1e-4, 1e3
 # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
 _CREEP = 1e-9
-_STEP = 0.05
+# Longest Runge-Kutta step: s, and as a part of the fastest time constant (right to 0.1 % of its decay).
+_STEP, _REACH = 0.05, 0.5
 
 
 class SampledLoop:
     """A closed loop linearised at its set-point, at rest.
 
     What has a jump there counts as constant, as the sign of a sliding-mode law does; dead times are left out.
+    The vehicle is looked at with either set of parameters that differ by direction, the law with their mean.
 
     Parameters
     ----------
@@ -42,9 +44,10 @@ class SampledLoop:
         parts = self._parts
         states = np.array(parts.controller.initial_states())
         states[-1] = 1.0
-        y = np.concatenate([pose, np.full(len(pose), side * _CREEP)])
+        # The law at rest: beside it, the slope of a root would be that of nowhere else.
+        y = np.concatenate([pose, np.zeros(len(pose))])
         u = np.asarray(parts.law(y, self._desired, states, parts.gains)[0]).ravel()
-        x = parts.at_rest(pose, u, y[len(pose) :])
+        x = parts.at_rest(pose, u, np.full(len(pose), side * _CREEP))
         a, b = _jacobians(parts.dynamics, ("x", "u"), "x_dot", (x, u, parts.parameters, 0.0))
         (c,) = _jacobians(parts.outputs, ("x",), "y", (x, u, parts.parameters, 0.0))
         point = (y, self._desired, states, parts.gains)
@@ -89,7 +92,7 @@ class SampledLoop:
     def substeps(self, dt: float) -> int:
         """Runge-Kutta steps in an interval, so that each is short beside the fastest motion."""
         fastest = max(np.abs(np.linalg.eigvals(side[0])).max(initial=0.0) for side in self._sides)
-        longest = min(_STEP, 1 / fastest if fastest else _STEP)
+        longest = min(_STEP, _REACH / fastest if fastest else _STEP)
         return max(int(np.ceil(dt / longest - 1e-9)), 1)
 
 

@@ -176,10 +176,13 @@ def force_unit(axis: str) -> str:
 
 
 def heading(rule: str, start: Mapping[str, float], to: Mapping[str, float]) -> float:
-    """Heading from the start to the set-point, rad: (42) of the mini-AUV paper, or its four-quadrant form."""
+    """Heading from the start to the set-point, rad: (42) of the mini-AUV paper, or its four-quadrant form.
+
+    Where nothing is to be gone in the plane, the first heading is kept.
+    """
     north, east = to["x"] - start["x"], to["y"] - start["y"]
+    if not (north or east):
+        return start["psi"]
     if rule == "atan2":
         return math.atan2(east, north)
-    return (
-        math.copysign(math.pi / 2, east) if north == 0 and east else math.atan(east / north) if north else 0.0
-    )
+    return math.atan(east / north) if north else math.copysign(math.pi / 2, east)

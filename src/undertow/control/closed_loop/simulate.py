@@ -87,6 +87,7 @@ class ClosedLoop:
         return start, to
 
     # --- running --------------------------------------------------------------------------------
+    @np.errstate(over="ignore", invalid="ignore")  # what diverges is told of in words
     def run(self, scenario: Scenario, progress: Report | None = None) -> Record:
         """Simulate.
 
