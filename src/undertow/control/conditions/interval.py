@@ -162,7 +162,8 @@ def least_eigenvalue(matrix: Any) -> Array:
     usable = np.isfinite(radius).all(axis=(-1, -2))
     middle = np.where(usable[..., None, None], middle, 0.0)
     n = middle.shape[-1]
-    # Weyl: eigenvalues move by no more than the norm of the change; the solver is backward stable.
-    rounding = 8 * n * _EPS * np.linalg.norm(middle, axis=(-1, -2))
-    spread = np.abs(radius).sum(axis=-1).max(axis=-1)
-    return np.where(usable, np.linalg.eigvalsh(middle)[..., 0] - spread - rounding, -np.inf)
+    # x'Ex >= -sum_i (sum_j |E_ij|) x_i^2 for a symmetric change E; the solver is backward stable.
+    spread = np.where(usable[..., None], np.abs(radius).sum(axis=-1), 0.0)
+    lowered = middle - spread[..., None] * np.eye(n)
+    rounding = 8 * n * _EPS * np.linalg.norm(lowered, axis=(-1, -2))
+    return np.where(usable, np.linalg.eigvalsh(lowered)[..., 0] - rounding, -np.inf)
