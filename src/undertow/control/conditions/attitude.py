@@ -110,8 +110,12 @@ class Attitudes:
         k = len(next(iter(values.values())).lo) if values else 1
         zero = Interval(np.zeros(k), np.zeros(k))
         rows = self._function(*(values.get(a, zero) for a in _ANGLES))
-        cells = [[c if isinstance(c, Interval) else Interval(*[np.full(k, float(c))] * 2) for c in r] for r in rows]
-        sides = (np.stack([np.stack([getattr(c, s) for c in r], -1) for r in cells], -2) for s in ("lo", "hi"))
+        cells = [
+            [c if isinstance(c, Interval) else Interval(*[np.full(k, float(c))] * 2) for c in r] for r in rows
+        ]
+        sides = (
+            np.stack([np.stack([getattr(c, s) for c in r], -1) for r in cells], -2) for s in ("lo", "hi")
+        )
         return Interval(*sides)
 
     def at(self, values: dict[str, float]) -> Array:
@@ -140,7 +144,7 @@ def least(
         Whether the margin contains J at all.
     """
     angles = attitudes.angles(turned)
-    if not depends or not angles or attitudes.orthogonal and turned:
+    if not depends or not angles or (attitudes.orthogonal and turned):
         value = float(margin(attitudes.at({})[None])[0])
         return Certificate(value, value, {}, _algebra(attitudes) if depends else "gains alone")
     best, worst = _search(margin, attitudes, angles)
@@ -151,7 +155,9 @@ def least(
     return Certificate(bound, best, place, _bounds(attitudes, angles, seen, bound))
 
 
-def _search(margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...]) -> tuple[float, Array]:
+def _search(
+    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...]
+) -> tuple[float, Array]:
     """The least margin on a grid, polished from there."""
     box = attitudes.box(angles)
     axes = [np.linspace(low, high, _GRID) for low, high in box]

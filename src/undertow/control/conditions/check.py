@@ -109,7 +109,9 @@ def _rows(
         found = [
             row
             for scope in _scopes(problem, condition)
-            for row in _over_sets(_Place(problem, condition, scope, spans.get(condition.form), iota), uncertainty)
+            for row in _over_sets(
+                _Place(problem, condition, scope, spans.get(condition.form), iota), uncertainty
+            )
         ]
         rows += found
     return rows
@@ -124,7 +126,12 @@ class _Place:
     """One condition at one scope: the matrices (None), or a channel by its number."""
 
     def __init__(
-        self, problem: Problem, condition: Condition, channel: int | None, together: Span | None, iota: float | None
+        self,
+        problem: Problem,
+        condition: Condition,
+        channel: int | None,
+        together: Span | None,
+        iota: float | None,
     ) -> None:
         self.problem, self.condition, self.channel = problem, condition, channel
         self._together, self._given = together, iota

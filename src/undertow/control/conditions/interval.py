@@ -143,7 +143,9 @@ def block(rows: Sequence[Sequence[Any]]) -> Any:
     if not any(isinstance(c, Interval) for c in cells):
         return np.block([[np.broadcast_to(c, shape + _shape(c)[-2:]) for c in row] for row in rows])
     sides = (
-        np.block([[np.broadcast_to(getattr(enclose(c), s), shape + _shape(c)[-2:]) for c in row] for row in rows])
+        np.block(
+            [[np.broadcast_to(getattr(enclose(c), s), shape + _shape(c)[-2:]) for c in row] for row in rows]
+        )
         for s in ("lo", "hi")
     )
     return Interval(*sides)

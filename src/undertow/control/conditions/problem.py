@@ -93,7 +93,7 @@ class Problem:
     def _samples(self) -> Array:
         """J^-1 at attitudes spread over the range, shape (k, n, n), to choose iota by."""
         angles = self.attitudes.angles(self.turned)
-        if not angles or self.attitudes.orthogonal and self.turned:
+        if not angles or (self.attitudes.orthogonal and self.turned):
             return self.attitudes.at({})[None]
         axes = [np.linspace(low, high, _SAMPLES) for low, high in self.attitudes.box(angles)]
         grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
@@ -144,7 +144,9 @@ class Problem:
         return least(margins, self.attitudes, self.turned, bool(condition.uses))
 
     # --- iota ---------------------------------------------------------------------------------
-    def iota(self, conditions: list[Condition], sets: list[SignSet], channel: int | None = None) -> Span | None:
+    def iota(
+        self, conditions: list[Condition], sets: list[SignSet], channel: int | None = None
+    ) -> Span | None:
         """The values of iota for which conditions hold together, in all of these sets; None: there are none."""
 
         def together(iota: float) -> float:

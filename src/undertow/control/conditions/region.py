@@ -79,9 +79,7 @@ def _attitudes(problem: Problem) -> list[tuple[dict[str, float], Array]]:
     return [(point, problem.attitudes.at(point)) for point in points]
 
 
-def _left_for_velocities(
-    problem: Problem, one: SignSet, inverse: Array, iota: float
-) -> tuple[Array, Array]:
+def _left_for_velocities(problem: Problem, one: SignSet, inverse: Array, iota: float) -> tuple[Array, Array]:
     """What the quadratic form leaves for nu once the error is at its worst, and the spring of V."""
     s = problem.signs(one, inverse, iota)
     K = s.K_V + s.D

@@ -130,9 +130,7 @@ def singles(problem: Problem) -> list[Single]:
     ]
 
 
-def _single(
-    problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str
-) -> Single:
+def _single(problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str) -> Single:
     def margin(value: float) -> float:
         values = {**problem.values, name: problem.values[name].copy()}
         values[name][i] = value
@@ -164,7 +162,9 @@ def repair(problem: Problem, kind: str) -> Repair:
     variables = _Variables(problem, wanted.changes)
     if kind == "routh":
         return _told(problem, kind, variables, least_change(_routh_cuts(variables), variables.size), None)
-    iota, change = _best_iota(lambda value: least_change(_cuts(variables, wanted.conditions, value), variables.size))
+    iota, change = _best_iota(
+        lambda value: least_change(_cuts(variables, wanted.conditions, value), variables.size)
+    )
     return _told(problem, kind, variables, change, iota)
 
 
