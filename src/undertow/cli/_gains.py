@@ -51,7 +51,9 @@ def judge(
     from undertow.model.vehicle_toml import read_vehicle_table
 
     if iota is not None and not 0 < iota < math.inf:
-        raise UndertowError(f"--iota {iota:g} is not positive and finite: leave it out to have it searched for")
+        raise UndertowError(
+            f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
+        )
     loaded = load_vehicle(vehicle, effect_files=effects)
     history = read_vehicle_table(resolve_vehicle(vehicle)).history
     chosen = load_gains(gains, loaded)
@@ -89,7 +91,9 @@ def show(judged: Judged) -> None:
     from undertow.control.conditions.condition import FORMS
 
     report = judged.report
-    say(f"{report.gains} ({report.law}) on {report.vehicle}: {'all conditions hold' if report.ok else 'some conditions fail'}")
+    say(
+        f"{report.gains} ({report.law}) on {report.vehicle}: {'all conditions hold' if report.ok else 'some conditions fail'}"
+    )
     for form in dict.fromkeys(r.form for r in report.rows):
         own = [r for r in report.rows if r.form == form]
         section(f"Conditions {FORMS[form]}")
@@ -181,7 +185,10 @@ def _show_routh(report: Report) -> None:
     console().print(
         table(
             ("channel", "parameters", "first column", "roots, 1/s", ""),
-            ((c.coordinate, c.signs, _listed(c.first_column), _roots(c.roots), _stability(c)) for c in report.channels),
+            (
+                (c.coordinate, c.signs, _listed(c.first_column), _roots(c.roots), _stability(c))
+                for c in report.channels
+            ),
         )
     )
     for name, roots in report.coupled.items():
@@ -241,14 +248,19 @@ def _show_uncertain(report: Report) -> None:
         f"values of the file, {len(settled) - sure - failing} in between:"
     )
     if told:
-        console().print(table(("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at"), told))
+        console().print(
+            table(("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at"), told)
+        )
 
 
 def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
     for row in rows:
         if row.box is None or row.ellipsoid is None:
             continue
-        if row.box.verdict.startswith("fails at") or row.box.verdict == row.ellipsoid.verdict == "holds for all":
+        if (
+            row.box.verdict.startswith("fails at")
+            or row.box.verdict == row.ellipsoid.verdict == "holds for all"
+        ):
             continue
         example = row.box.counterexample or row.ellipsoid.counterexample
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in example.items())

@@ -57,6 +57,8 @@ def gains(
     from undertow.cli._progress import progress
 
     with progress("checking the gains") as tell:
-        judged = judge(vehicle, gains, [form] if form else [], iota, confidence, tilt, repair, effects or [], tell)
+        judged = judge(
+            vehicle, gains, [form] if form else [], iota, confidence, tilt, repair, effects or [], tell
+        )
     (show_json if json else show)(judged)
     return 0 if judged.report.ok else 1

@@ -150,5 +150,7 @@ def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> t
         raise UndertowError(_NO_COVARIANCE) from error
     if any(len(row) != len(names) for row in (rows, *rows)) or not all(map(isfinite, sum(rows, []))):
         raise UndertowError(_NO_COVARIANCE)
-    turned = [[a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)]
+    turned = [
+        [a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)
+    ]
     return names, turned

@@ -106,7 +106,10 @@ class _Equations:
         symmetric = (balance + balance.T) / 2
         fixed = self.in_body_axes(self.rate() + 2 * self.printed)
         if not _zero(symmetric) and _zero(fixed + fixed.T):
-            numbers = {x: -sm.Float(self.vehicle.value_of(n).value) for x, n in zip(self.added, _names(), strict=True)}
+            numbers = {
+                x: -sm.Float(self.vehicle.value_of(n).value)
+                for x, n in zip(self.added, _names(), strict=True)
+            }
             size = symmetric[0, 1].xreplace(numbers | {self.r: sm.Integer(1)})
             yield Finding(
                 WRONG,

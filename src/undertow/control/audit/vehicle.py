@@ -39,7 +39,10 @@ def audit_vehicle(vehicle: Vehicle) -> list[Finding]:
         *_skew(plant),
         *_definite(plant),
         *_power(vehicle),
-        *(Finding(OPEN, "vehicle file", hint, "what the file states and what it does not") for hint in hints(vehicle)),
+        *(
+            Finding(OPEN, "vehicle file", hint, "what the file states and what it does not")
+            for hint in hints(vehicle)
+        ),
         *(Finding(OPEN, i, "is in none of the matrices", reason) for i, reason in plant.left_out.items()),
     ]
 
@@ -54,7 +57,9 @@ def _skew(plant: Plant) -> Iterator[Finding]:
     """With C skew-symmetric, d(M_q)/dt - 2 C_q is so as well, whatever J."""
     total = (plant.C + plant.C.T).applyfunc(sm.expand)
     if not total.is_zero_matrix:
-        yield Finding(WRONG, "C", "no skew-symmetric C gives the Coriolis force", f"C + C' has {_first(total)}")
+        yield Finding(
+            WRONG, "C", "no skew-symmetric C gives the Coriolis force", f"C + C' has {_first(total)}"
+        )
 
 
 def _first(matrix: sm.Matrix) -> str:
@@ -72,7 +77,9 @@ def _damping(plant: Plant, one: SignSet) -> Iterator[Finding]:
     values, vectors = np.linalg.eigh(symmetric)
     if values[0] < -_ROUNDING * max(1.0, abs(values[-1])):
         of = f" ({one.name})" if one.name else ""
-        along = ", ".join(f"{v} = {x:.3g}" for v, x in zip(plant.nu, vectors[:, 0], strict=True) if abs(x) > 1e-3)
+        along = ", ".join(
+            f"{v} = {x:.3g}" for v, x in zip(plant.nu, vectors[:, 0], strict=True) if abs(x) > 1e-3
+        )
         yield Finding(
             WRONG,
             "D",
@@ -92,7 +99,9 @@ def _power(vehicle: Vehicle) -> Iterator[Finding]:
         limit = _ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
         if effect.workless and np.abs(values).max(initial=0.0) > _ROUNDING * 1e3:
             worst = float(values[np.abs(values).argmax()])
-            yield Finding(WRONG, effect.id, "claims to do no work but does", f"{worst:.4g} W at a random state")
+            yield Finding(
+                WRONG, effect.id, "claims to do no work but does", f"{worst:.4g} W at a random state"
+            )
         if effect.dissipative and values.max(initial=0.0) > limit:
             yield Finding(
                 WRONG,

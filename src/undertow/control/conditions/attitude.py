@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
+from scipy.optimize import minimize
 
 from undertow.control.plant import Plant
-from undertow.model.symbols import symbol
+from undertow.model.kinematics import body_rates
+from undertow.model.symbols import POSE, column, symbol
 
 from .interval import FUNCTIONS, Interval
 
 Array = np.ndarray
 _ANGLES = ("phi", "theta", "psi")
-_MOST_BOXES = 60_000
-_FINEST = 2e-3
+_MOST_BOXES = 40_000
+_GRID = 9
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,15 @@ class Attitudes:
     plant : Plant
         The plant.
     tilt : float
-        Largest roll and pitch that conditions have to hold for, rad; roll is unlimited where this is None.
+        Largest roll and pitch that conditions have to hold for, rad.
+    isotropic : bool
+        Whether every gain is the same for x, y and z. With J^-1 = diag(I, W) diag(R', I) the rotation R of
+        the translations then changes no eigenvalue, and J^-1 stands for diag(I, W) here.
     """
 
-    def __init__(self, plant: Plant, tilt: float) -> None:
+    def __init__(self, plant: Plant, tilt: float, isotropic: bool = False) -> None:
         self._plant, self.tilt = plant, tilt
+        self._isotropic = isotropic and len(plant.nu) == 6
 
     @cached_property
     def orthogonal(self) -> bool:
@@ -94,15 +100,22 @@ class Attitudes:
 
     @cached_property
     def _function(self) -> Callable[..., Any]:
-        return sm.lambdify([symbol(a) for a in _ANGLES], self._plant.J_inverse.tolist(), [FUNCTIONS])
+        inverse = self._plant.J_inverse
+        if self._isotropic:
+            inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:])))
+        return sm.lambdify([symbol(a) for a in _ANGLES], inverse.tolist(), [FUNCTIONS])
 
     def inverse(self, values: dict[str, Interval]) -> Interval:
         """J^-1 for intervals of angles of shape (k,), zero where not given, shape (k, n, n)."""
         k = len(next(iter(values.values())).lo) if values else 1
         zero = Interval(np.zeros(k), np.zeros(k))
         rows = self._function(*(values.get(a, zero) for a in _ANGLES))
-        cells = [[c if isinstance(c, Interval) else Interval(*[np.full(k, float(c))] * 2) for c in r] for r in rows]
-        sides = (np.stack([np.stack([getattr(c, s) for c in r], -1) for r in cells], -2) for s in ("lo", "hi"))
+        cells = [
+            [c if isinstance(c, Interval) else Interval(*[np.full(k, float(c))] * 2) for c in r] for r in rows
+        ]
+        sides = (
+            np.stack([np.stack([getattr(c, s) for c in r], -1) for r in cells], -2) for s in ("lo", "hi")
+        )
         return Interval(*sides)
 
     def at(self, values: dict[str, float]) -> Array:
@@ -111,8 +124,13 @@ class Attitudes:
         return inverse.middle[0]
 
 
-def least(margin: Callable[[Any], Array], attitudes: Attitudes, turned: bool) -> Certificate:
-    """Bound a margin from below over all attitudes by branch and bound on boxes of angles.
+def least(
+    margin: Callable[[Any], Array], attitudes: Attitudes, turned: bool, depends: bool = True
+) -> Certificate:
+    """Bound a margin from below over all attitudes: by algebra, or by branch and bound on boxes of angles.
+
+    The bound is refined until it is above half of the least value that is found at a point, which is all that
+    its sign needs; where that value is not positive, the point is a counterexample and no bound is sought.
 
     Parameters
     ----------
@@ -122,29 +140,52 @@ def least(margin: Callable[[Any], Array], attitudes: Attitudes, turned: bool) ->
         The range.
     turned : bool
         Whether the margin is the same at every heading.
+    depends : bool
+        Whether the margin contains J at all.
     """
     angles = attitudes.angles(turned)
-    if not angles or attitudes.orthogonal and turned:
+    if not depends or not angles or (attitudes.orthogonal and turned):
         value = float(margin(attitudes.at({})[None])[0])
-        return Certificate(value, value, {}, _algebra(attitudes))
-    boxes = attitudes.box(angles)[None]
-    done, best, worst, seen = np.inf, np.inf, boxes[0].mean(axis=1), 0
+        return Certificate(value, value, {}, _algebra(attitudes) if depends else "gains alone")
+    best, worst = _search(margin, attitudes, angles)
+    place = dict(zip(angles, map(float, worst), strict=True))
+    if best <= 0:
+        return Certificate(best, best, place, "fails there")
+    bound, seen = _bound(margin, attitudes, angles, best)
+    return Certificate(bound, best, place, _bounds(attitudes, angles, seen, bound))
+
+
+def _search(
+    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...]
+) -> tuple[float, Array]:
+    """The least margin on a grid, polished from there."""
+    box = attitudes.box(angles)
+    axes = [np.linspace(low, high, _GRID) for low, high in box]
+    grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
+
+    def at(points: Array) -> Array:
+        return margin(_inverses(attitudes, angles, np.stack([points, points], axis=2)).middle)
+
+    start = grid[int(at(grid).argmin())]
+    found = minimize(
+        lambda x: float(at(np.clip(x, box[:, 0], box[:, 1])[None])[0]), start, method="Nelder-Mead",
+        options={"xatol": 1e-6, "fatol": 1e-12, "maxiter": 200},
+    )  # fmt: skip
+    worst = np.clip(found.x, box[:, 0], box[:, 1])
+    return float(at(worst[None])[0]), worst
+
+
+def _bound(
+    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...], best: float
+) -> tuple[float, int]:
+    boxes, done, seen = attitudes.box(angles)[None], np.inf, 0
     while len(boxes):
         seen += len(boxes)
-        points = _inverses(attitudes, angles, boxes.mean(axis=2)[..., None].repeat(2, 2)).middle
-        values = margin(points)
-        if values.min() < best:
-            best, worst = float(values.min()), boxes.mean(axis=2)[int(values.argmin())]
         bounds = margin(_inverses(attitudes, angles, boxes))
-        # Near enough, or of one sign: that is all the verdict needs.
-        enough = bounds >= best - max(2e-2 * abs(best), 1e-12)
-        widest = (boxes[..., 1] - boxes[..., 0]).max(axis=1)
-        if seen > _MOST_BOXES:
-            enough = np.ones_like(enough)
-        settled = enough | (widest < _FINEST)
-        done = min(done, float(bounds[settled].min(initial=np.inf)))
-        boxes = _halved(boxes[~settled])
-    return Certificate(min(done, best), best, dict(zip(angles, map(float, worst), strict=True)), _bounds(attitudes, angles, seen))
+        enough = bounds >= best / 2 if seen < _MOST_BOXES else np.ones(len(boxes), dtype=bool)
+        done = min(done, float(bounds[enough].min(initial=np.inf)))
+        boxes = _halved(boxes[~enough])
+    return min(done, best), seen
 
 
 def _inverses(attitudes: Attitudes, angles: tuple[str, ...], boxes: Array) -> Interval:
@@ -170,7 +211,8 @@ def _algebra(attitudes: Attitudes) -> str:
     return "J is constant"
 
 
-def _bounds(attitudes: Attitudes, angles: tuple[str, ...], boxes: int) -> str:
+def _bounds(attitudes: Attitudes, angles: tuple[str, ...], boxes: int, bound: float) -> str:
     tilted = [a for a in angles if a != "psi"]
     within = f"|{'|, |'.join(tilted)}| <= {np.degrees(attitudes.tilt):.4g} deg, " if tilted else ""
-    return f"{within}all headings: interval arithmetic on {boxes} boxes"
+    said = f"certainly above {bound:.4g}" if bound > 0 else "NOT proved"
+    return f"{said} for {within}all headings: interval arithmetic on {boxes} boxes"

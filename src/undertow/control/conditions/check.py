@@ -109,7 +109,9 @@ def _rows(
         found = [
             row
             for scope in _scopes(problem, condition)
-            for row in _over_sets(_Place(problem, condition, scope, spans.get(condition.form), iota), uncertainty)
+            for row in _over_sets(
+                _Place(problem, condition, scope, spans.get(condition.form), iota), uncertainty
+            )
         ]
         rows += found
     return rows
@@ -124,7 +126,12 @@ class _Place:
     """One condition at one scope: the matrices (None), or a channel by its number."""
 
     def __init__(
-        self, problem: Problem, condition: Condition, channel: int | None, together: Span | None, iota: float | None
+        self,
+        problem: Problem,
+        condition: Condition,
+        channel: int | None,
+        together: Span | None,
+        iota: float | None,
     ) -> None:
         self.problem, self.condition, self.channel = problem, condition, channel
         self._together, self._given = together, iota
@@ -145,7 +152,7 @@ class _Place:
             one.name,
             left,
             right,
-            certificate.bound,
+            certificate.found,
             HOLDS if holds else FAILS,
             span,
             condition.uses_iota,
@@ -238,7 +245,7 @@ class _Place:
 
 def _over_sets(place: _Place, uncertainty: Uncertainty) -> list[Row]:
     """One row for all sets of parameters where they agree; a mixed set only where it is worse."""
-    sets = place.problem.sets
+    sets = place.problem.distinct
     rows = [place.row(one, uncertainty) for one in sets[:2]]
     if len(rows) == 2 and _alike(*rows):
         rows = [replace(rows[0], signs="both")]
@@ -266,7 +273,7 @@ def _agreements(problem: Problem, iota: float | None) -> list[Agreement]:
         own = [c for c in problem.conditions if c.form == form and not c.per_channel_only]
         if not any(c.uses_iota for c in own):
             continue
-        span = problem.iota(own, problem.sets)
+        span = problem.iota(own, problem.distinct)
         served = span is not None and (iota is None or span[0] < iota < span[1])
         found.append(Agreement(form, span, HOLDS if served else FAILS))
     return found

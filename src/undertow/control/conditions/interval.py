@@ -143,7 +143,9 @@ def block(rows: Sequence[Sequence[Any]]) -> Any:
     if not any(isinstance(c, Interval) for c in cells):
         return np.block([[np.broadcast_to(c, shape + _shape(c)[-2:]) for c in row] for row in rows])
     sides = (
-        np.block([[np.broadcast_to(getattr(enclose(c), s), shape + _shape(c)[-2:]) for c in row] for row in rows])
+        np.block(
+            [[np.broadcast_to(getattr(enclose(c), s), shape + _shape(c)[-2:]) for c in row] for row in rows]
+        )
         for s in ("lo", "hi")
     )
     return Interval(*sides)
@@ -162,7 +164,8 @@ def least_eigenvalue(matrix: Any) -> Array:
     usable = np.isfinite(radius).all(axis=(-1, -2))
     middle = np.where(usable[..., None, None], middle, 0.0)
     n = middle.shape[-1]
-    # Weyl: eigenvalues move by no more than the norm of the change; the solver is backward stable.
-    rounding = 8 * n * _EPS * np.linalg.norm(middle, axis=(-1, -2))
-    spread = np.abs(radius).sum(axis=-1).max(axis=-1)
-    return np.where(usable, np.linalg.eigvalsh(middle)[..., 0] - spread - rounding, -np.inf)
+    # x'Ex >= -sum_i (sum_j |E_ij|) x_i^2 for a symmetric change E; the solver is backward stable.
+    spread = np.where(usable[..., None], np.abs(radius).sum(axis=-1), 0.0)
+    lowered = middle - spread[..., None] * np.eye(n)
+    rounding = 8 * n * _EPS * np.linalg.norm(lowered, axis=(-1, -2))
+    return np.where(usable, np.linalg.eigvalsh(lowered)[..., 0] - rounding, -np.inf)

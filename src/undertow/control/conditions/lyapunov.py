@@ -92,7 +92,9 @@ class _Sliding(Candidate):
     V_dot = "-sum K_Z |S|"
     equation = "(38) and (39)"
     zero_set = "S = 0"
-    invariant = "S = 0 (an invariant set, not an initial condition); there q~_dot = -Lambda q~, so q~ = 0 in the end"
+    invariant = (
+        "S = 0 (an invariant set, not an initial condition); there q~_dot = -Lambda q~, so q~ = 0 in the end"
+    )
 
     def value(self, s: LawSignals) -> sm.Expr:
         return _form(self.surface(s), sm.eye(len(s.error))) / 2

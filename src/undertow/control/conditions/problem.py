@@ -37,11 +37,11 @@ class Problem:
         self.coordinates = gains.signals.coordinates
         self.conditions: tuple[Condition, ...] = CONDITIONS[gains.law.id]
         self.sets: list[SignSet] = sign_sets(gains.plant)
-        self.attitudes = Attitudes(gains.plant, tilt)
         self.values = {
             g.name: np.array([gains.values[str(g.symbol(c))] for c in self.coordinates])
             for g in type(gains.law).gains
         }
+        self.attitudes = Attitudes(gains.plant, tilt, self.same(("x", "y", "z")))
 
     def changed(self, values: dict[str, Array]) -> Problem:
         """The same with other gains."""
@@ -66,7 +66,12 @@ class Problem:
         """Number of pose coordinates."""
         return len(self.coordinates)
 
-    @property
+    @cached_property
+    def distinct(self) -> list[SignSet]:
+        """The sign sets that matter: with diagonal matrices the mixed ones add nothing to the first two."""
+        return self.sets[:2] if self.decoupled else self.sets
+
+    @cached_property
     def decoupled(self) -> bool:
         """Whether M and D are diagonal, so that every axis is a channel of its own at rest."""
         matrices = [m for one in self.sets for m in (one.inertia, one.damping)]
@@ -75,16 +80,20 @@ class Problem:
     @property
     def turned(self) -> bool:
         """Whether no gain tells north from east, so that the heading changes no eigenvalue."""
-        if not {"x", "y"} <= set(self.coordinates):
-            return "x" not in self.coordinates and "y" not in self.coordinates
-        x, y = self.coordinates.index("x"), self.coordinates.index("y")
-        return all(v[x] == v[y] for v in self.values.values())
+        return self.same(("x", "y")) or not {"x", "y"} & set(self.coordinates)
+
+    def same(self, coordinates: tuple[str, ...]) -> bool:
+        """Whether the vehicle has these coordinates, and every gain is the same for all of them."""
+        if not set(coordinates) <= set(self.coordinates):
+            return False
+        places = [self.coordinates.index(c) for c in coordinates]
+        return all(len({float(v[i]) for i in places}) == 1 for v in self.values.values())
 
     @cached_property
     def _samples(self) -> Array:
         """J^-1 at attitudes spread over the range, shape (k, n, n), to choose iota by."""
         angles = self.attitudes.angles(self.turned)
-        if not angles or self.attitudes.orthogonal and self.turned:
+        if not angles or (self.attitudes.orthogonal and self.turned):
             return self.attitudes.at({})[None]
         axes = [np.linspace(low, high, _SAMPLES) for low, high in self.attitudes.box(angles)]
         grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
@@ -132,10 +141,12 @@ class Problem:
             count = len(inverse) if isinstance(inverse, np.ndarray) else len(inverse.lo)
             return np.broadcast_to(condition.margin(self.signs(one, inverse, iota)), count)
 
-        return least(margins, self.attitudes, self.turned)
+        return least(margins, self.attitudes, self.turned, bool(condition.uses))
 
     # --- iota ---------------------------------------------------------------------------------
-    def iota(self, conditions: list[Condition], sets: list[SignSet], channel: int | None = None) -> Span | None:
+    def iota(
+        self, conditions: list[Condition], sets: list[SignSet], channel: int | None = None
+    ) -> Span | None:
         """The values of iota for which conditions hold together, in all of these sets; None: there are none."""
 
         def together(iota: float) -> float:

@@ -56,14 +56,14 @@ def _weights(problem: Problem, iota: float) -> tuple[Array, Array]:
     """c_i for each coordinate, and the weakest matrix K_P - K_I/iota - iota^2 M_q."""
     n = problem.size
     weights, springs = np.zeros(n), []
-    for one in problem.sets:
+    for one in problem.sets:  # C mixes what belongs to several velocities
         third = _third_order(problem.plant, one)
         for values, inverse in _attitudes(problem):
             left, spring = _left_for_velocities(problem, one, inverse, iota)
             springs.append(spring)
             root = np.linalg.inv(np.linalg.cholesky(left))
             for i in range(n):
-                H = np.array([[float(e) for e in row] for row in third(i, values).tolist()])
+                H = third(i, values)
                 size = np.abs(np.linalg.eigvalsh(root @ H @ root.T)).max()
                 weights[i] = max(weights[i], size)
     return weights, min(springs, key=lambda P: np.linalg.eigvalsh(P)[0])
@@ -79,9 +79,7 @@ def _attitudes(problem: Problem) -> list[tuple[dict[str, float], Array]]:
     return [(point, problem.attitudes.at(point)) for point in points]
 
 
-def _left_for_velocities(
-    problem: Problem, one: SignSet, inverse: Array, iota: float
-) -> tuple[Array, Array]:
+def _left_for_velocities(problem: Problem, one: SignSet, inverse: Array, iota: float) -> tuple[Array, Array]:
     """What the quadratic form leaves for nu once the error is at its worst, and the spring of V."""
     s = problem.signs(one, inverse, iota)
     K = s.K_V + s.D
@@ -99,10 +97,12 @@ class _ThirdOrder:
         self._angles = [symbol(a) for a in ("phi", "theta", "psi")]
         moving = plant.C - plant.M * plant.J_inverse * plant.J_dot
         whole = (plant.one_way(moving, one.way) * plant.J_inverse).xreplace(plant.numbers)
-        self._forms = [_hessian((plant.nu.T * whole[:, i])[0], plant.nu) for i in range(len(plant.nu))]
+        forms = [_hessian((plant.nu.T * whole[:, i])[0], plant.nu).tolist() for i in range(len(plant.nu))]
+        self._function = sm.lambdify(self._angles, forms, "math", cse=True)
 
-    def __call__(self, i: int, values: dict[str, float]) -> sm.Matrix:
-        return self._forms[i].xreplace({a: sm.Float(values.get(str(a), 0.0)) for a in self._angles}).evalf()
+    def __call__(self, i: int, values: dict[str, float]) -> Array:
+        forms = self._function(*(values.get(str(a), 0.0) for a in self._angles))
+        return np.array(forms[i], dtype=float)
 
 
 def _third_order(plant: Plant, one: SignSet) -> _ThirdOrder:

@@ -19,7 +19,7 @@ from .pid import FallingCandidate, PrintedDamper, PrintedLast, PrintedSpring, Ro
 from .problem import Problem
 
 Array = np.ndarray
-_GRID = np.log(np.logspace(-5, 1, 49))
+_GRID = np.log(np.logspace(-4, 1, 26))
 
 
 class _LastByEigenvalues(PrintedLast):
@@ -130,9 +130,7 @@ def singles(problem: Problem) -> list[Single]:
     ]
 
 
-def _single(
-    problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str
-) -> Single:
+def _single(problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str) -> Single:
     def margin(value: float) -> float:
         values = {**problem.values, name: problem.values[name].copy()}
         values[name][i] = value
@@ -164,7 +162,9 @@ def repair(problem: Problem, kind: str) -> Repair:
     variables = _Variables(problem, wanted.changes)
     if kind == "routh":
         return _told(problem, kind, variables, least_change(_routh_cuts(variables), variables.size), None)
-    iota, change = _best_iota(lambda value: least_change(_cuts(variables, wanted.conditions, value), variables.size))
+    iota, change = _best_iota(
+        lambda value: least_change(_cuts(variables, wanted.conditions, value), variables.size)
+    )
     return _told(problem, kind, variables, change, iota)
 
 
@@ -203,8 +203,9 @@ class _Variables:
 
 
 def _groups(problem: Problem) -> list[list[int]]:
-    together = problem.turned and {"x", "y", "psi"} <= set(problem.coordinates)
-    pair = [problem.coordinates.index(c) for c in "xy"] if together else []
+    """Translations whose gains are alike go together where the heading turns one into the other."""
+    alike = next((c for c in (("x", "y", "z"), ("x", "y")) if problem.same(tuple(c))), ())
+    pair = [problem.coordinates.index(c) for c in alike] if "psi" in problem.coordinates else []
     rest = [[i] for i in range(problem.size) if i not in pair]
     return [pair, *rest] if pair else rest
 
@@ -221,7 +222,7 @@ def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Ar
     around = float(_GRID[max(best - 1, 0)]), float(_GRID[min(best + 1, len(_GRID) - 1)])
     big = 1e6 * (1.0 + costs[best])
     found = minimize_scalar(
-        lambda v: min(cost(v), big), bounds=around, method="bounded", options={"xatol": 1e-9}
+        lambda v: min(cost(v), big), bounds=around, method="bounded", options={"xatol": 1e-7}
     )
     iota = math.exp(found.x if found.fun < costs[best] else _GRID[best])
     return iota, solve(iota)
@@ -237,7 +238,7 @@ def _cuts(
     def at(x: Array) -> Iterator[Cut]:
         here = problem.changed(variables.values(x))
         for condition in conditions:
-            for one in problem.sets:
+            for one in problem.distinct:
                 for inverse in problem.few_attitudes:
                     yield from _matrix_cuts(here, condition, one, inverse, iota, directions, x)
 

@@ -49,7 +49,9 @@ class HasWidth(Condition):
     id = "width"
     form = "derived"
     statement = "width > 0"
-    about = "Inside the layer S_dot = -(K_Z/width) S: S dies out, so on the exact model nothing is left of it."
+    about = (
+        "Inside the layer S_dot = -(K_Z/width) S: S dies out, so on the exact model nothing is left of it."
+    )
     source = "derived here from V = S' S/2; Slotine and Li (1991), chapter 7"
 
     def left(self, s: Signs) -> Any:

@@ -126,7 +126,10 @@ class Uncertainty:
         if found.verdict != ALL:
             return found
         # Concave margins are least at a corner of any polytope around the set: of two, either will do.
-        for corners in (one.theta + around @ axes.T, self._corners(one, np.any(features != 0, axis=0), reach)):
+        for corners in (
+            one.theta + around @ axes.T,
+            self._corners(one, np.any(features != 0, axis=0), reach),
+        ):
             if float(margins(corners).min()) > 0:
                 return found
         return Range(OPEN, found.margin, {})
