@@ -85,6 +85,16 @@ def test_attitude_may_be_held(rov: Vehicle) -> None:
     assert trim.states["w"] == pytest.approx(0.5 * np.tan(0.2), rel=1e-9)  # depth does not change
 
 
+def test_a_dead_band_does_not_hide_the_trim(auv: Vehicle) -> None:
+    from undertow.model.effects.thruster_deadband import ThrusterDeadband
+
+    names = [p.name for p in ThrusterDeadband(tuple(t.name for t in auv.thrusters)).parameters]
+    sticky = auv.with_effect(ThrusterDeadband, {name: Value(0.3) for name in names})
+    trim, ideal = find_trim(sticky), find_trim(auv)
+    assert trim.commands["f1"] == pytest.approx(ideal.commands["f1"] - 0.3, abs=0.02)
+    assert controllability(linearize(sticky, trim)).missing == ("x", "y", "psi", "u", "v", "r")
+
+
 @pytest.mark.parametrize(
     ("held", "free", "words"),
     [

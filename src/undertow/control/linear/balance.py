@@ -78,15 +78,22 @@ class Balance:
         return np.hstack([a, b])[np.ix_(self._rows, self.unknown)]
 
 
-def solve(balance: Balance) -> tuple[Array, Array]:
+def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array]:
     """State and commands of the cheapest steady motion.
+
+    Parameters
+    ----------
+    balance : Balance
+        The equations.
+    commands : ndarray, shape (nu,), optional
+        Where the search begins.
 
     Raises
     ------
     UndertowError
         If there is none, or none within the limits of the commands.
     """
-    found = [_from(balance, y) for y in _starts(balance)]
+    found = [_from(balance, y) for y in _starts(balance, commands)]
     good = [y for y in found if _size(balance, y) < _BALANCED]
     if not good:
         raise UndertowError(_reason(balance, min(found, key=lambda y: _size(balance, y))))
@@ -109,10 +116,13 @@ def _tidied(balance: Balance, y: Array) -> tuple[Array, Array]:
     return upright.split(again) if fine else balance.split(y)
 
 
-def _starts(balance: Balance) -> list[Array]:
+def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
     """Where the search begins: at rest, with several headings where the heading is to be found."""
     places = {balance.names[i]: k for k, i in enumerate(balance.unknown)}
     begin = np.zeros(len(places))
+    for name, value in zip(balance.numeric.commands, () if commands is None else commands, strict=False):
+        if name in places:
+            begin[places[name]] = value
     if "psi" not in places:
         return [begin]
     turns = np.tile(begin, (len(_HEADINGS), 1))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.model.effect import Actuation
 from undertow.model.symbols import POSE
 from undertow.model.vehicle import Vehicle
 
@@ -113,8 +114,7 @@ def _search(vehicle: Vehicle, wanted: Request, direction: dict[str, int]) -> Tri
             f"forces on '{vehicle.name}' depend on time (waves, a supply that fades): there is no steady "
             "motion; take such effects out of a copy of the vehicle file"
         )
-    balance = Balance(numeric, wanted)
-    x, u = solve(balance)
+    x, u = _solved(numeric, wanted)
     _check_steady(numeric, x, u)
     resting = [n for n in reversing(one_way) if n not in direction and _at_rest(numeric, x, n)]
     if resting:
@@ -122,6 +122,23 @@ def _search(vehicle: Vehicle, wanted: Request, direction: dict[str, int]) -> Tri
     states, commands = dict(zip(numeric.states, x, strict=True)), dict(zip(numeric.commands, u, strict=True))
     turning = any(abs(r) > _AT_REST for r in _turning_rates(numeric, x, u))
     return Trim(states, commands, direction, wanted, turning=turning)
+
+
+def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
+    """State and commands; where a dead band hides the way, from the commands that ideal thrusters need."""
+    balance, vehicle = Balance(numeric, wanted), numeric.vehicle
+    try:
+        return solve(balance)
+    except UndertowError:
+        ideal = replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
+        if len(ideal.effects) == len(vehicle.effects):
+            raise
+        try:
+            _, commands = solve(Balance(Numeric(ideal), wanted))
+            return solve(balance, commands)
+        except UndertowError:
+            pass
+        raise
 
 
 def _at_rest(numeric: Numeric, x: Array, name: str) -> bool:
