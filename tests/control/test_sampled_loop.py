@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from tests.control.loops import GOAL, law_of, loop, run
-from undertow.control.closed_loop import Push, Scenario
+from undertow.control.closed_loop import ClosedLoop, Push, Scenario
 from undertow.control.closed_loop.cycles import find_cycle
 from undertow.control.closed_loop.sampling import SampledLoop, offsets
+from undertow.control.gain_schema import GainTable
+from undertow.control.gains import gains_from_table
 from undertow.errors import UndertowError
+from undertow.model.loading import load_vehicle
 
 
 # --- sampling intervals ------------------------------------------------------------------------------
@@ -113,3 +116,21 @@ def test_oscillations_are_told_apart(growth: float, kind: str) -> None:
 )
 def test_what_is_no_lasting_oscillation_is_none(error: np.ndarray) -> None:
     assert find_cycle(T, error, 1e-3) is None
+
+
+# --- other vehicles ---------------------------------------------------------------------------------
+def test_sliding_mode_moves_every_vehicle_alike() -> None:
+    """It takes out the vehicle's own dynamics: a ship with five thrusters, a box pushed by a known force."""
+    content = {"schema": "undertow/gains/1", "name": "smc", "law": "sliding-mode-boundary-layer"}
+    table = GainTable.model_validate(content | {"gains": {"K_Z": 0.3, "Lambda": 0.5, "width": 0.05}})
+    goals = {"cybership2": (2.0, 1.0, 1.0), "box-hull": (2.0,)}
+    moved = {
+        name: ClosedLoop(gains_from_table(table, load_vehicle(name))).run(Scenario(to, 20.0, 0.001))
+        for name, to in goals.items()
+    }
+    ship, box = moved.values()
+    assert ship.state["x"] == pytest.approx(box.state["x"], abs=1e-3)
+    # S falls by 0.3 m/s^2 from 1 m/s, the error follows S = 0.5 error - velocity.
+    assert float(np.interp(2.0, box.t, 0.5 * box.errors["x"] - box.state["u"])) == pytest.approx(
+        0.4, abs=1e-3
+    )
