@@ -91,9 +91,8 @@ def show(judged: Judged) -> None:
     from undertow.control.conditions.condition import FORMS
 
     report = judged.report
-    say(
-        f"{report.gains} ({report.law}) on {report.vehicle}: {'all conditions hold' if report.ok else 'some conditions fail'}"
-    )
+    told = "all conditions hold" if report.ok else "some conditions fail"
+    say(f"{report.gains} ({report.law}) on {report.vehicle}: {told}")
     for form in dict.fromkeys(r.form for r in report.rows):
         own = [r for r in report.rows if r.form == form]
         section(f"Conditions {FORMS[form]}")
@@ -244,8 +243,8 @@ def _show_uncertain(report: Report) -> None:
     sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
     failing = sum(r.box.verdict.startswith("fails at") for r in settled)  # type: ignore[union-attr]
     say(
-        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at the "
-        f"values of the file, {len(settled) - sure - failing} in between:"
+        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
+        f"the values of the file, {len(settled) - sure - failing} in between:"
     )
     if told:
         console().print(

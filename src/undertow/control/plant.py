@@ -175,7 +175,7 @@ class Plant:
             self.left_out[effect.id] = reason
             return
         accelerations = self._composition.nu_dot
-        pushed = wrench.jacobian(self.inputs)
+        pushed = self._slope_in_inputs(wrench)
         at_rest = dict.fromkeys([*accelerations, *self.inputs], _ZERO)
         own = wrench.xreplace(at_rest)
         static = own.xreplace(dict.fromkeys(self.nu, _ZERO))
@@ -191,13 +191,17 @@ class Plant:
         if effect.workless:
             self._moving += moving
 
+    def _slope_in_inputs(self, wrench: sm.Matrix) -> sm.Matrix:
+        """Derivative in the inputs, of which there may be none."""
+        return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
+
     def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
         """Why a wrench has no place in the matrices, or nothing."""
         if wrench.free_symbols & set(effect.state_symbols):
             return "it has states of its own"
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
-        if wrench.jacobian(self.inputs).free_symbols & {*self.nu, *self.eta, *self.inputs}:
+        if self._slope_in_inputs(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return "its force depends on inputs and on the motion together"
         return ""
 
