@@ -1,4 +1,4 @@
-"""What the audit finds in the equations of the paper and of vehicles, and that it finds nothing in sound ones."""
+"""What the audit finds in the equations of the paper and of vehicles, and not in sound ones."""
 
 from __future__ import annotations
 

@@ -91,9 +91,7 @@ def show(judged: Judged) -> None:
     from undertow.control.conditions.condition import FORMS
 
     report = judged.report
-    say(
-        f"{report.gains} ({report.law}) on {report.vehicle}: {'all conditions hold' if report.ok else 'some conditions fail'}"
-    )
+    say(f"{report.gains} ({report.law}) on {report.vehicle}: {_headline(report)}")
     for form in dict.fromkeys(r.form for r in report.rows):
         own = [r for r in report.rows if r.form == form]
         section(f"Conditions {FORMS[form]}")
@@ -108,6 +106,14 @@ def show(judged: Judged) -> None:
     _show_uncertain(report)
     _show_repairs(judged)
     _show_rest(report)
+
+
+def _headline(report: Report) -> str:
+    if not report.conditions_hold:
+        return "some conditions fail"
+    return "all conditions hold" + (
+        ", but a force is missing that the law asks for" if report.actuation else ""
+    )
 
 
 def say(line: str, style: str = "") -> None:
@@ -152,7 +158,8 @@ def _show_channels(rows: list[Row]) -> None:
 
 def _verdict(row: Row) -> str:
     if not row.uses_iota:
-        return row.verdict
+        reached = row.where if row.scope != "matrices" else ""
+        return f"{row.verdict}; {reached}" if reached else row.verdict
     return f"{'holds' if row.verdict == 'holds' else 'fails'}; {_bounds(row)}" if row.iota else "no iota"
 
 
@@ -244,8 +251,8 @@ def _show_uncertain(report: Report) -> None:
     sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
     failing = sum(r.box.verdict.startswith("fails at") for r in settled)  # type: ignore[union-attr]
     say(
-        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at the "
-        f"values of the file, {len(settled) - sure - failing} in between:"
+        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
+        f"the values of the file, {len(settled) - sure - failing} in between:"
     )
     if told:
         console().print(

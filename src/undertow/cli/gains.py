@@ -1,7 +1,7 @@
 """Check the gains of a control law against every condition for stability, on the model of the vehicle.
 
-Conditions come in three forms: as the mini-AUV paper prints them, with units that fit, and derived anew from the
-model; as matrices and channel by channel; for the forward and the backward set of parameters; over all
+Conditions come in three forms: as the mini-AUV paper prints them, with units that fit, and derived anew from
+the model; as matrices and channel by channel; for the forward and the backward set of parameters; over all
 headings and attitudes with a proof; over the uncertainty that the vehicle file states. Every linearised
 channel is judged by Routh-Hurwitz, the Lyapunov function is compared with the model.
 

@@ -175,7 +175,7 @@ class Plant:
             self.left_out[effect.id] = reason
             return
         accelerations = self._composition.nu_dot
-        pushed = self._pushed(wrench)
+        pushed = self._slope_in_inputs(wrench)
         at_rest = dict.fromkeys([*accelerations, *self.inputs], _ZERO)
         own = wrench.xreplace(at_rest)
         static = own.xreplace(dict.fromkeys(self.nu, _ZERO))
@@ -191,9 +191,9 @@ class Plant:
         if effect.workless:
             self._moving += moving
 
-    def _pushed(self, wrench: sm.Matrix) -> sm.Matrix:
-        """Derivative in the inputs, shape (n, n_inputs); SymPy has none in nothing."""
-        return wrench.jacobian(self.inputs) if self.inputs else sm.zeros(len(wrench), 0)
+    def _slope_in_inputs(self, wrench: sm.Matrix) -> sm.Matrix:
+        """Derivative in the inputs, of which there may be none."""
+        return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
 
     def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
         """Why a wrench has no place in the matrices, or nothing."""
@@ -201,7 +201,7 @@ class Plant:
             return "it has states of its own"
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
-        if self._pushed(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
+        if self._slope_in_inputs(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return "its force depends on inputs and on the motion together"
         return ""
 

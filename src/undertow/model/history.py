@@ -148,7 +148,7 @@ def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> t
         signs = [_turn(vehicle, n, vehicle.signs) for n in names]
     except (KeyError, TypeError, ValueError) as error:
         raise UndertowError(_NO_COVARIANCE) from error
-    if any(len(row) != len(names) for row in (rows, *rows)) or not all(map(isfinite, sum(rows, []))):
+    if {len(rows), *map(len, rows)} != {len(names)} or not all(isfinite(v) for row in rows for v in row):
         raise UndertowError(_NO_COVARIANCE)
     turned = [
         [a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)

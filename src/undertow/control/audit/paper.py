@@ -115,8 +115,9 @@ class _Equations:
                 WRONG,
                 "(10), (11)",
                 "d(M_q)/dt - 2 C_q is not skew-symmetric, so energy comes from nowhere in turns",
-                f"symmetric part in body axes {sm.factor(symmetric[0, 1])} off the diagonal, {float(size):.7g} kg/s "
-                "with Table 4 at r = 1 rad/s; with the sign of (11) changed it is skew-symmetric",
+                f"symmetric part in body axes {sm.factor(symmetric[0, 1])} off the diagonal, "
+                f"{float(size):.7g} kg/s with Table 4 at r = 1 rad/s; "
+                "with the sign of (11) changed it is skew-symmetric",
             )
 
     def frames(self) -> Iterator[Finding]:
@@ -130,7 +131,8 @@ class _Equations:
                 WRONG,
                 "(8), (9)",
                 "even with the sign of (11) fixed, (8) is not (9) in the inertial frame",
-                f"(8) has ({shown}) more in body axes: its C_q lacks the mass; equal they are with J M_gamma J_dot'",
+                f"(8) has ({shown}) more in body axes: its C_q lacks the mass; "
+                "they are equal with J M_gamma J_dot'",
             )
 
     def munk(self) -> Iterator[Finding]:
@@ -161,11 +163,12 @@ class _Equations:
         present = self.plant.M.free_symbols | self.plant.D.free_symbols
         assumed = [n for n, v in self.vehicle.values.items() if v.assumed and symbol(n) in present]
         if assumed:
+            said = next(h for h in hints(self.full) if h.startswith("assumed"))
             yield Finding(
                 OPEN,
                 "(10), (12)",
                 f"{', '.join(assumed)} are in the matrices, but the paper prints no value",
-                f"the bundled vehicle file says: {next(h for h in hints(self.full) if h.startswith('assumed'))}",
+                f"the bundled vehicle file says: {said}",
             )
 
 

@@ -89,7 +89,7 @@ def _damping(plant: Plant, one: SignSet) -> Iterator[Finding]:
 
 
 def _power(vehicle: Vehicle) -> Iterator[Finding]:
-    """Power of each effect at random states: workless ones have none, dissipative ones none that is positive."""
+    """Power of each effect at random states: none where it is workless, none above zero if dissipative."""
     powers = vehicle.power()
     for effect in vehicle.effects:
         if not isinstance(effect, Wrench) or not (effect.workless or effect.dissipative):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -168,7 +169,7 @@ class _Place:
         return self.problem.iota([self.condition], [one], self.channel)
 
     def _iota(self, one: SignSet, span: Span | None) -> float | None:
-        """The iota that serves all conditions if there is one, else one that serves this one, else the best."""
+        """The iota that serves all conditions if there is one, else one for this one, else the best."""
         if not self.condition.uses_iota:
             return None
         if self._given is not None:
@@ -298,7 +299,7 @@ def _channel(problem: Problem, one: SignSet, i: int, coordinate: str) -> Channel
         return None
     first = [float(row[0]) for row in routh_array(polynomial)]
     found = roots(polynomial)
-    stable = all(a * b > 0 for a, b in zip(first, first[1:], strict=False)) and found[0].real < 0
+    stable = all(a * b > 0 for a, b in pairwise(first)) and found[0].real < 0
     return Channel(coordinate, one.name, polynomial, first, found, stable)
 
 

@@ -1,4 +1,4 @@
-"""The smallest change of gains that satisfies concave demands: cutting planes and a least-distance problem."""
+"""The smallest change of gains that satisfies concave demands, by cutting planes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,10 @@ def _scaled(cut: Cut) -> Cut:
 
 
 def _least_distance(slopes: Array, floors: Array) -> Array | None:
-    """The x of least length with slopes x >= floors (Lawson and Hanson 1974, Solving Least Squares Problems)."""
+    """The x of least length with slopes x >= floors.
+
+    Lawson and Hanson (1974), Solving Least Squares Problems: least-distance programming by nnls.
+    """
     scale = max(1.0, float(floors.max()))
     matrix = np.vstack([slopes.T, floors / scale])
     target = np.zeros(matrix.shape[0])

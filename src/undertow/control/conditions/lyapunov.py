@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from random import Random
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import sympy as sm
 
@@ -165,13 +165,13 @@ def along_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
 
 def identity(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
     """The derivative worked out from the model, and what it is said to be, all parameters forward."""
-    candidate, s = CANDIDATES[law.id], LawSignals(_Forward(plant), law)
+    candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _Forward(plant)), law)
     return along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
 
 
 def compare(plant: Plant, law: Law) -> float:
     """Largest relative difference of the two at random points, with the numbers of the vehicle."""
-    candidate, s = CANDIDATES[law.id], LawSignals(_InNumbers(plant), law)
+    candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _InNumbers(plant)), law)
     worked, stated = along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
     names = sorted(worked.free_symbols | stated.free_symbols, key=str)
     function = sm.lambdify(names, [worked, stated], "math", cse=True)
@@ -224,8 +224,8 @@ class _InNumbers(_Forward):
 def equilibria_without_thrust(plant: Plant, law: Law) -> str:
     """Where the loop comes to rest beside the set-point because no thruster pushes, or nothing.
 
-    At rest the force beyond weight is J' w with w = K_P q~ (and K_I phi); it is zero in every pushed axis for w
-    along J^-T times the axes that nothing pushes.
+    At rest the force beyond weight is J' w with w = K_P q~ (and K_I phi); it is zero in every pushed axis for
+    w along J^-T times the axes that nothing pushes.
     """
     silent = [i for i, row in enumerate(plant.B.tolist()) if not any(row)]
     if not silent:
@@ -239,6 +239,6 @@ def equilibria_without_thrust(plant: Plant, law: Law) -> str:
         parts = ", ".join(f"{c}: {v}" for c, v in zip(coordinates, column, strict=True) if v != 0)
         lines.append(f"({parts})")
     return (
-        f"not only q~ = 0: at rest with K_P q~ along {' and '.join(lines)} nothing moves, because no thruster "
-        f"acts in {lacking}; that error is never corrected"
+        f"not only q~ = 0: at rest with K_P q~ along {' and '.join(lines)} nothing moves, because no "
+        f"thruster acts in {lacking}; that error is never corrected"
     )

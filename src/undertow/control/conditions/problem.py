@@ -147,7 +147,7 @@ class Problem:
     def iota(
         self, conditions: list[Condition], sets: list[SignSet], channel: int | None = None
     ) -> Span | None:
-        """The values of iota for which conditions hold together, in all of these sets; None: there are none."""
+        """The values of iota for which conditions hold together in all of these sets, or None."""
 
         def together(iota: float) -> float:
             if channel is None:

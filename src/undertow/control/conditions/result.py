@@ -192,8 +192,13 @@ class Report:
     uncertainty: str = ""
 
     @property
-    def ok(self) -> bool:
-        """Whether every condition of every form holds, one iota serves all, and every axis is pushed."""
+    def conditions_hold(self) -> bool:
+        """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
         rows = all(r.verdict == HOLDS for r in self.rows)
         together = all(a.verdict == HOLDS for a in self.agreements)
-        return rows and together and all(c.stable for c in self.channels) and not self.actuation
+        return rows and together and all(c.stable for c in self.channels)
+
+    @property
+    def ok(self) -> bool:
+        """Whether conditions hold and every force that the law asks for can be given."""
+        return self.conditions_hold and not self.actuation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def routh_array(coefficients: Sequence[Any]) -> list[list[Any]]:
 def unstable_roots(coefficients: Sequence[float]) -> int:
     """Number of roots in the open right half-plane: sign changes in the first column of the Routh array."""
     first = [row[0] for row in routh_array(coefficients)]
-    return sum(a * b < 0 for a, b in zip(first, first[1:], strict=False))
+    return sum(a * b < 0 for a, b in pairwise(first))
 
 
 def _padded(row: list[Any], width: int) -> list[Any]:
