@@ -135,6 +135,20 @@ def test_a_vehicle_without_a_steady_motion_is_refused(folder: Path, capsys: Capt
     assert "depend on time" in said
 
 
+def test_a_vehicle_without_thrusters_has_poles_only(folder: Path, capsys: Capture) -> None:
+    text = Path("auv.toml").read_text()
+    buoyant = text.replace('B_net = { value = "-14.309872 N"', 'B_net = { value = "0 N"')
+    Path("float.toml").write_text(buoyant[: buoyant.index("[[thrusters]]")])
+    content = _content(["linearize", "float.toml"], capsys)
+    assert content["controllability"]["rank"] == 0
+    assert len(content["modes"]) == 8
+    assert main(["linearize", "float.toml", "--plot", "poles", "--out", "a.png"]) == 0
+    for words in (["linearize", "float.toml", "--plot", "bode", "--out", "b.png"], ["design", *DESIGN[1:]]):
+        said = refusal([w.replace("auv.toml", "float.toml") for w in words], capsys, folder)
+        assert "has no thruster" in said
+    assert main(["update", "float.toml"]) == 0
+
+
 # --- design ---------------------------------------------------------------------------------------
 DESIGN = ["design", "auv.toml", "--error", "x=0.5,z=0.2,psi=10deg", "--force", "surge=1,heave=2,yaw=0.1"]
 

@@ -37,6 +37,8 @@ def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
     """
     draw = {"bode": _bode, "step": _steps, "poles": _poles, "root-locus": _loci}[kind]
     alive = [c for c in channels if c.system.nstates]
+    if not channels and kind != "poles":
+        raise UndertowError(f"'{found.vehicle.name}' has no thruster, so only --plot poles: state a thruster")
     if not alive and kind != "poles":
         raise UndertowError(f"{channels[0].name} is not connected: choose another --input or --output")
     with look():

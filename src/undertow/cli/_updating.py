@@ -126,9 +126,8 @@ def _pictures(
     """Pictures by file name, of what has a linear form."""
     trim = wish.trim(vehicle)
     own = Analysis(vehicle, trim)
-    drawn: dict[str, object] = {
-        f"vehicle-{kind}": picture(kind, own, own.main_channels) for kind in ("poles", "bode")
-    }
+    kinds = ("poles", "bode") if own.main_channels else ("poles",)
+    drawn: dict[str, object] = {f"vehicle-{kind}": picture(kind, own, own.main_channels) for kind in kinds}
     hover = Wish(wish.vehicle, [], [], None, [], effects=wish.effects).trim(vehicle)
     for name, one in gains.items():
         if any(loop.startswith(f"{name}, ") for loop in loops):

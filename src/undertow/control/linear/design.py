@@ -139,6 +139,8 @@ class _Channels:
         self.vehicle, self.trim = vehicle, trim
         plant = with_forces(vehicle, linearize(vehicle, trim))
         pushed = [name.removeprefix("force_") for name in plant.input_labels]
+        if not pushed:
+            raise UndertowError(f"'{vehicle.name}' has no thruster: state one, there is nothing to design")
         self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in pushed]
         self.coordinates = [vehicle.pose_names[i] for i in self.rows]
         dofs = [vehicle.degrees_of_freedom[i] for i in self.rows]
