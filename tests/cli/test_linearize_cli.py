@@ -85,12 +85,6 @@ def test_a_channel_is_chosen(folder: Path, capsys: Capture) -> None:
     assert list(_content(words, capsys)["zeros"]) == ["force_yaw to r"]
 
 
-def test_the_same_seed_gives_the_same_family(folder: Path, capsys: Capture) -> None:
-    words = ["linearize", "mini-auv", "--at", "u=0.5", "--family", "4", "--seed"]
-    one, same, other = (_content([*words, seed], capsys)["family"] for seed in ("1", "1", "2"))
-    assert one == same != other
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

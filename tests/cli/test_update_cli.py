@@ -43,10 +43,16 @@ def test_an_update_tells_what_an_edit_changes(folder: Path, capsys: Capture) -> 
     assert re.search(r"paper-pid, hovering forward, force_surge: delay +0 s +9\.127 s", out)
     assert re.search(r"paper-pid, hovering forward +unstable +stable", out)
     assert "0.4" in Path("build/mini-auv/model.c").read_text()
+
+
+def test_a_second_update_finds_nothing_new(folder: Path, capsys: Capture) -> None:
+    assert main(["update", "auv.toml", "--at", "u=0.3"]) == 0
     before = {p: p.read_bytes() for p in Path("build").rglob("*") if p.is_file()}
+    capsys.readouterr()
     assert main(["update", "auv.toml"]) == 0
     assert capsys.readouterr().out.count("none has changed") == 4
     assert {p: p.read_bytes() for p in before} == before
+    assert '"at": [\n  "u=0.3"\n ]' in Path("build/mini-auv/update.json").read_text()
 
 
 def test_an_effect_that_is_added_is_told(folder: Path, capsys: Capture) -> None:
