@@ -172,6 +172,8 @@ class Report:
         PID only.
     actuation : str
         Empty, or what follows from forces that no thruster gives.
+    speed : str
+        Damping at speed against that at rest; PD only, whose claim is for all motions.
     left_out : dict of str
         Effects that no condition knows, with the reason.
     uncertainty : str
@@ -188,6 +190,7 @@ class Report:
     lyapunov: Lyapunov
     region: Region | None
     actuation: str
+    speed: str = ""
     left_out: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
 
