@@ -199,7 +199,8 @@ class Report:
         """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
         rows = all(r.verdict == HOLDS for r in self.rows)
         together = all(a.verdict == HOLDS for a in self.agreements)
-        return rows and together and all(c.stable for c in self.channels)
+        coupled = all(r.real < 0 for roots in self.coupled.values() for r in roots) or bool(self.actuation)
+        return rows and together and coupled and all(c.stable for c in self.channels)
 
     @property
     def ok(self) -> bool:
