@@ -98,6 +98,23 @@ def test_good_gains_end_with_zero(sled: Path, capsys: Capture) -> None:
     assert main(["gains", "sled.toml", "gains.toml"]) == 1  # as printed they fail: K_V > M
 
 
+LAWS = {
+    "sliding-mode-boundary-layer": "K_Z = 0.5\nLambda = 0.5\nwidth = 0.05",
+    "super-twisting": "K_1 = 0.5\nK_2 = 0.1\nLambda = 0.5",
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_other_sliding_laws(law: str, sled: Path, capsys: Capture) -> None:
+    head = GAINS.partition("[gains]")[0].replace('"pid"', f'"{law}"')
+    (sled / "other.toml").write_text(f"{head}[gains]\n{LAWS[law]}\n")
+    code, found = content(capsys, "sled.toml", "other.toml")
+    assert code == 0
+    assert found["lyapunov"]["identity"].startswith("equal to V_dot")
+    certified = "not certified" if law == "super-twisting" else "on the exact model"
+    assert any(certified in r["about"] for r in found["rows"])
+
+
 def test_an_iota_of_ones_own(sled: Path, capsys: Capture) -> None:
     code, found = content(capsys, "sled.toml", "gains.toml", "--form", "derived", "--iota", "0.1")
     assert code == 0

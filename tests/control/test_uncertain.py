@@ -11,6 +11,7 @@ from undertow.control.conditions.check import check
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.region import region
 from undertow.control.conditions.routh import coupled_roots
+from undertow.control.conditions.speed import damping_at_speed
 from undertow.control.conditions.uncertain import ALL, NOMINAL, SOME, Uncertainty
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.plant import Plant
@@ -103,7 +104,7 @@ def test_region_of_the_local_result_is_the_closed_form_of_a_level_vehicle() -> N
     assert found.angle == pytest.approx(min(limits), rel=1e-6)
     assert found.level is not None
     spring = 0.1 - 0.00005 / iota - iota**2 * 0.2750417
-    assert found.level == pytest.approx(spring * found.angle**2 / 2, rel=1e-6)
+    assert found.level == pytest.approx(spring * min(found.angle, np.pi) ** 2 / 2, rel=1e-6)
 
 
 def test_coupled_axes_are_judged_together() -> None:
@@ -122,3 +123,10 @@ def test_coupled_axes_are_judged_together() -> None:
         assert abs(np.linalg.det(matrix)) < 1e-6 * abs(np.linalg.det(one.inertia)) * max(1, abs(root)) ** (
             2 * n
         )
+
+
+def test_damping_at_speed_is_proved_or_refuted() -> None:
+    vehicle = load_vehicle("mini-auv")
+    assert damping_at_speed(Problem(load_gains("paper-pd", vehicle))).startswith("never less")
+    odd = vehicle.with_values({"X_uabsu_backward": Value(5.0)})
+    assert "u = -" in damping_at_speed(Problem(load_gains("paper-pd", odd)))

@@ -236,6 +236,8 @@ def _show_lyapunov(report: Report) -> None:
         ("V_dot = 0", told.zero_set),
         ("largest invariant subset", told.invariant),
     ]
+    if report.speed:
+        rows.append(("damping at speed", report.speed))
     if report.region is not None:
         rows.append(("region", report.region.text))
     console().print(table(("", ""), rows))

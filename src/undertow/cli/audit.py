@@ -24,7 +24,7 @@ import typer
 from undertow.cli._vehicle_and_logs import EffectsOption
 
 _VEHICLE = typer.Argument(
-    metavar="[VEHICLE]",
+    metavar="VEHICLE",
     help="Vehicle file (TOML), or the name of a bundled vehicle; the paper's equations without one.",
 )
 _JSON = typer.Option("--json", help="Print JSON instead of text.")

@@ -21,6 +21,7 @@ from .reaching import reaching
 from .region import region
 from .result import FAILS, HOLDS, Agreement, Channel, Report, Row
 from .routh import channel_polynomial, coupled_roots, roots, routh_array
+from .speed import damping_at_speed
 from .uncertain import NOMINAL, Range, Uncertainty
 
 Array = np.ndarray
@@ -78,6 +79,7 @@ def check(
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
         region=region(problem, span) if gains.law.id == "pid" else None,
         actuation=_actuation(gains, equilibria),
+        speed=damping_at_speed(problem) if gains.law.id == "pd" else "",
         left_out=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )

@@ -40,10 +40,16 @@ def region(problem: Problem, iota: Span | None) -> Region:
     if weights.max() < _SMALL:
         text = "everywhere: the inertia depends on no coordinate, so there is no term of third order"
         return Region(chosen, np.inf, np.inf, text)
-    level = 1.0 / (2.0 * chosen**2 * float(weights @ np.abs(np.linalg.inv(spring)) @ weights))
+    turning = [_unit(c) == "rad" for c in problem.coordinates]
+    # Errors of angles are within half a turn: beyond it V jumps.
+    limited = np.where(turning, np.maximum(weights, 1.0 / (chosen * np.pi)), weights)
+    level = 1.0 / (2.0 * chosen**2 * float(limited @ np.abs(np.linalg.inv(spring)) @ limited))
     shares = {c: 1.0 / (chosen * w) for c, w in zip(problem.coordinates, weights, strict=True) if w > _SMALL}
     bounds = " + ".join(f"|q~_{c}|/{limit:.4g} {_unit(c)}" for c, limit in shares.items())
-    text = f"{bounds} < 1 at iota = {chosen:.4g} 1/s; motions that begin with V < {level:.4g} stay there"
+    text = (
+        f"{bounds} < 1 at iota = {chosen:.4g} 1/s; motions that begin with V < {level:.4g} stay there and "
+        "within half a turn"
+    )
     angles = [limit for c, limit in shares.items() if c in ("phi", "theta", "psi")]
     return Region(chosen, min(angles, default=np.inf), level, text)
 

@@ -172,6 +172,8 @@ class Report:
         PID only.
     actuation : str
         Empty, or what follows from forces that no thruster gives.
+    speed : str
+        Damping at speed against that at rest; PD only, whose claim is for all motions.
     left_out : dict of str
         Effects that no condition knows, with the reason.
     uncertainty : str
@@ -188,6 +190,7 @@ class Report:
     lyapunov: Lyapunov
     region: Region | None
     actuation: str
+    speed: str = ""
     left_out: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
 
@@ -196,7 +199,8 @@ class Report:
         """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
         rows = all(r.verdict == HOLDS for r in self.rows)
         together = all(a.verdict == HOLDS for a in self.agreements)
-        return rows and together and all(c.stable for c in self.channels)
+        coupled = all(r.real < 0 for roots in self.coupled.values() for r in roots) or bool(self.actuation)
+        return rows and together and coupled and all(c.stable for c in self.channels)
 
     @property
     def ok(self) -> bool:
