@@ -49,7 +49,7 @@ class _Places:
     def dense(self, nonzeros: np.ndarray) -> np.ndarray:
         rows, columns = self._shape
         if self._full:
-            return nonzeros.reshape(-1, columns, rows).transpose(0, 2, 1).copy()
+            return nonzeros.reshape(len(nonzeros), columns, rows).transpose(0, 2, 1).copy()
         result = np.zeros((len(nonzeros), rows, columns))
         result[:, self._rows, self._columns] = nonzeros
         return result

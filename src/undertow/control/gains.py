@@ -12,6 +12,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
+from undertow.model.loading import is_file
 from undertow.model.units import to_si
 from undertow.model.vehicle import Vehicle
 from undertow.model.vehicle_schema import Quantity
@@ -118,7 +119,7 @@ def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
 
 def _resolve(source: str | Path) -> Path:
     path, bundled = Path(source), bundled_gains()
-    if path.is_file():
+    if is_file(path):
         return path
     if str(source) in bundled:
         return bundled[str(source)]

@@ -30,7 +30,7 @@ class _Sliding(Law):
     def force(self, s: LawSignals) -> sm.Matrix:
         plant = s.plant
         wanted = self.reach(s) - plant.J_dot * plant.nu - s.Lambda * plant.J * plant.nu
-        acceleration = plant.J.inv().applyfunc(sm.trigsimp) * wanted
+        acceleration = plant.J_inverse * wanted
         return plant.M * acceleration + (plant.C + plant.D) * plant.nu + plant.g
 
 
