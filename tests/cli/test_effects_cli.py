@@ -118,7 +118,7 @@ def test_show_as_json(run: Run) -> None:
     shown = json.loads(run("effects", "show", "thruster_lag", "--json")[1])
     (lag,) = shown["parameters"]
     assert lag["name"] == "T_lag"
-    assert (lag["low"], lag["high"], lag["unit"], lag["linear"]) == (0.02, 20.0, "s", False)
+    assert (lag["low"], lag["high"], lag["unit"], lag["linear"]) == (0.01, 20.0, "s", False)
     rows = {e["left"]: e["plain"] for e in shown["equations"]}
     assert rows["output_port"] == "lagged_port"
     assert rows["d(lagged_port)/dt"] == "(command_port - lagged_port)/T_lag"

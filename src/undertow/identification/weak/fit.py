@@ -15,7 +15,7 @@ from undertow.model.vehicle import Vehicle
 
 from .constraints import Constraints
 from .data import WeakData
-from .disturbance import disturbed, first_guess, matched_disturbance, mean_square
+from .disturbance import disturbed, first_guess, fits_noise, matched_disturbance, mean_square
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
 from .solution import Solution, clustered
@@ -30,9 +30,6 @@ _NOISE_SETTLED = 0.2
 # Change of a parameter from which the sensors' noise enters otherwise. Position and velocity together tell
 # slow forces so well that noise of the velocity, let in by a damping wrong by percents, would hide them.
 _MOVED = 0.005
-# The same, up to which what a model leaves is judged by the noise alone: a disturbance that swallows so
-# little would hide a small effect for good.
-_LITTLE = 5.0
 # The same, up to which a fit without any disturbance may bring it down to that.
 _WORTH_A_LOOK = 30.0
 _PLAIN = Constraints()
@@ -186,7 +183,7 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
         return fit
     none = np.zeros_like(fit.disturbance)
     other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
-    if np.nanmax(mean_square(other.at.r, fit.data)) > _LITTLE:
+    if not fits_noise(other.at, fit.data):
         return fit
     if _moved(other.p, fit.p):
         quiet = fit.model.whitening(fit.data, other.p)
