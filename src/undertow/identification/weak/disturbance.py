@@ -19,7 +19,7 @@ _MATCHING_STEPS = 4
 # Mean square of an equation of kinematics from which pose and velocity contradict each other.
 _GROSS = 100.0
 # Largest mean square of an equation that still counts as noise of the channels.
-_NOISE_EXPLAINS = 1.6
+NOISE_EXPLAINS = 1.6
 
 
 def mean_square(r: Array, data: WeakData) -> Array:
@@ -74,4 +74,4 @@ def _matched(
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:
-    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
+    return bool(np.nanmax(mean_square(at.r, data)) < NOISE_EXPLAINS)
