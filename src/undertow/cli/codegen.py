@@ -4,7 +4,12 @@ Written are model.c and model.h (dynamics, Jacobians, residual, regressor and ou
 example main.c that steps the model, a CMakeLists.txt and a manifest. What has changed since the last time is
 printed.
 
-With --check nothing is written; the exit code is 1 when the code does not fit the vehicle file any more.
+With --controller a control law with its gains is written, too, as controller.c and controller.h in a folder
+of its own: one step function with schedule, thrust allocation and anti-windup, and only math.h behind it.
+
+    undertow codegen mini-auv --controller paper-pid
+
+With --check nothing is written; the exit code is 1 when the code does not fit the files any more.
 """
 
 from __future__ import annotations
@@ -18,14 +23,20 @@ import typer
 from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
 
 if TYPE_CHECKING:
-    from undertow.codegen.export import Report
+    from undertow.codegen.export import Export, Report
+    from undertow.control.export import ControllerExport
+    from undertow.model.vehicle import Vehicle
 
 _OUT = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
 _CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
+_CONTROLLER = typer.Option(
+    "--controller", metavar="GAINS", help="Gain file (TOML), or the name of a bundled one: write that, too."
+)
 
 
 def codegen(
     vehicle: VehicleArgument,
+    controller: Annotated[str | None, _CONTROLLER] = None,
     out: Annotated[Path, _OUT] = Path("build"),
     check: Annotated[bool, _CHECK] = False,
     effects: EffectsOption = None,
@@ -33,13 +44,31 @@ def codegen(
     from undertow.codegen.export import Export
     from undertow.model.loading import load_vehicle
 
-    export = Export(load_vehicle(vehicle, effect_files=effects or []))
+    model = load_vehicle(vehicle, effect_files=effects or [])
+    exports: list[Export | ControllerExport] = [Export(model)]
+    if controller is not None:
+        exports.append(_controller_export(controller, model))
     if check:
-        return _checked(export.check(out), vehicle)
-    report = export.write(out)
+        again = vehicle if controller is None else f"{vehicle} --controller {controller}"
+        return max([_checked(export.check(out), again) for export in exports])
+    for export in exports:
+        _written(export.write(out))
+    return 0
+
+
+def _controller_export(gains: str, vehicle: Vehicle) -> ControllerExport:
+    from undertow.control.controller import Controller
+    from undertow.control.export import ControllerExport
+    from undertow.control.gains import load_gains
+
+    export = ControllerExport(Controller(load_gains(gains, vehicle)))
+    assert export.texts  # what cannot be stated in C is refused before anything is written
+    return export
+
+
+def _written(report: Report) -> None:
     typer.echo(f"{report.folder}: written")
     _say(["first time"] if report.first else report.changes or ["nothing has changed since the last time"])
-    return 0
 
 
 def _checked(report: Report, vehicle: str) -> int:

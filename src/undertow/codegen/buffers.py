@@ -30,7 +30,7 @@ class Evaluator:
             self._buffer.set_res(i, memoryview(array.data))  # type: ignore[call-arg]
         self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
 
-    def __call__(self, *inputs: np.ndarray) -> list[np.ndarray]:
+    def __call__(self, *inputs: np.ndarray | float) -> list[np.ndarray]:
         """Outputs of shape (batch, rows, columns) for inputs of shape (batch or 1, size)."""
         for array, given in zip(self._inputs, inputs, strict=True):
             array[:] = given
@@ -49,7 +49,7 @@ class _Places:
     def dense(self, nonzeros: np.ndarray) -> np.ndarray:
         rows, columns = self._shape
         if self._full:
-            return nonzeros.reshape(-1, columns, rows).transpose(0, 2, 1).copy()
+            return nonzeros.reshape(len(nonzeros), columns, rows).transpose(0, 2, 1).copy()
         result = np.zeros((len(nonzeros), rows, columns))
         result[:, self._rows, self._columns] = nonzeros
         return result

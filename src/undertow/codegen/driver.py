@@ -25,7 +25,7 @@ class CompiledStepper:
         function = functions.tangents("x", "p") if sensitivities else functions.dynamics
         source, name = driver_source(function, functions.nu_dot.numel())
         self.library: Path = library_for(source, compiler)
-        self._simulate = getattr(_loaded(self.library), name)
+        self._simulate = getattr(loaded(self.library), name)
         self._simulate.restype = ctypes.c_int
 
     def advance(self, problem: Problem, first: int, last: int) -> None:
@@ -45,7 +45,14 @@ class CompiledStepper:
             raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
 
 
-def _loaded(library: Path) -> ctypes.CDLL:
+def loaded(library: Path) -> ctypes.CDLL:
+    """A compiled library, ready to be called.
+
+    Raises
+    ------
+    UndertowError
+        If the system cannot load it.
+    """
     try:
         return ctypes.CDLL(str(library))
     except OSError as error:
@@ -63,7 +70,7 @@ def _shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
 
 
 # Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
-_SEPARATE = """\
+SEPARATE = """\
 #if defined(__GNUC__)
 #define SEPARATE __attribute__((noinline))
 #else
@@ -84,7 +91,7 @@ def driver_source(function: ca.Function, n_dof: int) -> tuple[str, str]:
         defines += _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
     model = plain_c(function, function.name(), packed=("R_x", "R_p"), prefix="static SEPARATE ")
-    text = "\n".join([*defines, _SEPARATE, "#include <math.h>", "", model, driver])
+    text = "\n".join([*defines, SEPARATE, "#include <math.h>", "", model, driver])
     name = f"undertow_{digest(text)[:16]}_simulate"
     return f"#define SIMULATE {name}\n{text}", name
 

@@ -17,7 +17,7 @@ _CALL = {
     **{"OP_SIN": "sin", "OP_COS": "cos", "OP_TAN": "tan", "OP_ASIN": "asin", "OP_ACOS": "acos"},
     **{"OP_ATAN": "atan", "OP_ATAN2": "atan2", "OP_SINH": "sinh", "OP_COSH": "cosh", "OP_TANH": "tanh"},
     **{"OP_EXP": "exp", "OP_LOG": "log", "OP_SQRT": "sqrt", "OP_POW": "pow", "OP_CONSTPOW": "pow"},
-    **{"OP_FABS": "fabs", "OP_FMIN": "fmin", "OP_FMAX": "fmax"},
+    **{"OP_FABS": "fabs", "OP_FMIN": "fmin", "OP_FMAX": "fmax", "OP_FLOOR": "floor"},
 }
 _TWO_OPERANDS = ("OP_ATAN2", "OP_POW", "OP_CONSTPOW", "OP_FMIN", "OP_FMAX")
 _FORM: dict[str, str] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
@@ -12,6 +12,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
+from undertow.model.loading import is_file
 from undertow.model.units import to_si
 from undertow.model.vehicle import Vehicle
 from undertow.model.vehicle_schema import Quantity
@@ -72,7 +73,9 @@ def bundled_gains() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
+def load_gains(
+    source: str | Path, vehicle: Vehicle, change: Callable[[GainTable], GainTable] | None = None
+) -> GainSet:
     """Read a gain file, or a bundled one by its name, for a vehicle.
 
     Parameters
@@ -81,6 +84,8 @@ def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
         Path of a gain file, or the name of a bundled one (paper-pd, paper-pid, paper-smc).
     vehicle : Vehicle
         The vehicle that is controlled.
+    change : callable, optional
+        Changes the table of the file before it is checked against the vehicle.
 
     Raises
     ------
@@ -91,7 +96,7 @@ def load_gains(source: str | Path, vehicle: Vehicle) -> GainSet:
     path = _resolve(source)
     table = read_table(path, GainTable, "gain file")
     try:
-        return gains_from_table(table, vehicle)
+        return gains_from_table(change(table) if change else table, vehicle)
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
 
@@ -114,7 +119,7 @@ def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
 
 def _resolve(source: str | Path) -> Path:
     path, bundled = Path(source), bundled_gains()
-    if path.is_file():
+    if is_file(path):
         return path
     if str(source) in bundled:
         return bundled[str(source)]
@@ -202,12 +207,22 @@ def _check_axes(table: GainTable, plant: Plant) -> None:
             f"'{vehicle.name}' gives: add a thruster, or write unactuated = {_quoted(silent)} if that force "
             "is to be left out"
         )
-    odd = [d for d in table.unactuated if d not in silent]
+    odd = [d for d in table.unactuated if d not in silent and not _dependent(d, table, plant)]
     if odd:
         raise UndertowError(
             f"unactuated names {', '.join(odd)}, which '{vehicle.name}' "
             f"{'can push in' if odd[0] in vehicle.degrees_of_freedom else 'does not have'}: remove it"
         )
+
+
+def _dependent(dof: str, table: GainTable, plant: Plant) -> bool:
+    """Whether what pushes in a degree of freedom always pushes in another one that the law uses, too."""
+    dofs = plant.vehicle.degrees_of_freedom
+    rows = plant.B.xreplace(plant.numbers)
+    kept = [i for i, d in enumerate(dofs) if d not in table.unactuated]
+    columns = list(range(rows.cols))
+    both = [*kept, dofs.index(dof)] if dof in dofs else []
+    return bool(both) and rows.extract(both, columns).rank() == rows.extract(kept, columns).rank()
 
 
 def _quoted(names: list[str]) -> str:

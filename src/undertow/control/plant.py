@@ -9,7 +9,8 @@ from functools import cached_property
 import sympy as sm
 
 from undertow.model.effect import Wrench, kinds_of
-from undertow.model.symbols import symbol
+from undertow.model.kinematics import body_rates, rotation
+from undertow.model.symbols import POSE, column, symbol
 from undertow.model.vehicle import Vehicle
 
 _ZERO = sm.Integer(0)
@@ -120,13 +121,22 @@ class Plant:
 
     # --- inertial frame -----------------------------------------------------------------------
     @cached_property
-    def _J_inverse(self) -> sm.Matrix:
-        return self.J.inv().applyfunc(sm.trigsimp)
+    def J_inverse(self) -> sm.Matrix:
+        """The inverse of J, shape (n, n), by its two blocks; six Euler angles are not inverted by force."""
+        dofs = self.vehicle.dof_indices
+        whole = {3: rotation(_angles()).T, 6: body_rates(_angles())}
+        blocks = []
+        for first in (0, 3):
+            own = [i for i, dof in enumerate(dofs) if first <= dof < first + 3]
+            part = self.J.extract(own, own)
+            full = len(own) == 3 and len(dofs) == 6
+            blocks.append(whole[first + 3] if full else part.inv().applyfunc(sm.trigsimp) if own else part)
+        return sm.diag(*[b for b in blocks if b.rows])
 
     def inertial(self, matrix: sm.Matrix) -> sm.Matrix:
         """A matrix of the body frame in pose coordinates: J^-T matrix J^-1; a column becomes J^-T column."""
-        left = self._J_inverse.T * matrix
-        return left if matrix.cols == 1 else left * self._J_inverse
+        left = self.J_inverse.T * matrix
+        return left if matrix.cols == 1 else left * self.J_inverse
 
     @cached_property
     def M_q(self) -> sm.Matrix:
@@ -139,7 +149,7 @@ class Plant:
 
         From nu_dot = J^-1 (q_ddot - J_dot J^-1 q_dot).
         """
-        return self.inertial(self.C - self.M * self._J_inverse * self.J_dot)
+        return self.inertial(self.C - self.M * self.J_inverse * self.J_dot)
 
     @cached_property
     def D_q(self) -> sm.Matrix:
@@ -165,7 +175,7 @@ class Plant:
             self.left_out[effect.id] = reason
             return
         accelerations = self._composition.nu_dot
-        pushed = wrench.jacobian(self.inputs)
+        pushed = self._slope_in_inputs(wrench)
         at_rest = dict.fromkeys([*accelerations, *self.inputs], _ZERO)
         own = wrench.xreplace(at_rest)
         static = own.xreplace(dict.fromkeys(self.nu, _ZERO))
@@ -181,13 +191,17 @@ class Plant:
         if effect.workless:
             self._moving += moving
 
+    def _slope_in_inputs(self, wrench: sm.Matrix) -> sm.Matrix:
+        """Derivative in the inputs, of which there may be none."""
+        return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
+
     def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
         """Why a wrench has no place in the matrices, or nothing."""
         if wrench.free_symbols & set(effect.state_symbols):
             return "it has states of its own"
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
-        if wrench.jacobian(self.inputs).free_symbols & {*self.nu, *self.eta, *self.inputs}:
+        if self._slope_in_inputs(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return "its force depends on inputs and on the motion together"
         return ""
 
@@ -206,9 +220,13 @@ def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
     return replace(vehicle, effects=tuple(e for e in kept if e.id not in left_out))
 
 
-def _jacobian(column: sm.Matrix, by: sm.Matrix) -> sm.Matrix:
+def _angles() -> sm.Matrix:
+    return column(POSE[3:])
+
+
+def _jacobian(force: sm.Matrix, by: sm.Matrix) -> sm.Matrix:
     """Derivative in which the sign of a velocity counts as constant: a set of parameters holds for one."""
-    return column.jacobian(by).replace(sm.DiracDelta, lambda *_: _ZERO)
+    return force.jacobian(by).replace(sm.DiracDelta, lambda *_: _ZERO)
 
 
 def _damping(force: sm.Matrix, nu: sm.Matrix) -> sm.Matrix | None:

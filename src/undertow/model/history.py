@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from typing import Any
 
 import tomlkit
 from tomlkit.items import AoT
+
+from undertow.errors import UndertowError
 
 from .parameter import bare_name, printed
 from .tomltext import array_of_tables, safe
@@ -17,6 +20,10 @@ _BEFORE = "; before: "
 _FITTED = re.compile(r"(fit to .* on \S+|fitted)", re.DOTALL)
 _SHOWN_LOGS = 3
 _COVARIANCE_DIGITS = 6
+_NO_COVARIANCE = (
+    "the covariance in [[history]] is not a square matrix of finite numbers for parameters of the vehicle: "
+    "correct or remove it"
+)
 
 
 def fit_source(history: Mapping[str, object] | None, before: str) -> str:
@@ -110,3 +117,40 @@ def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
     bare = bare_name(name)
     parameter = vehicle.declared_parameters.get(name) or vehicle.declared_parameters[bare]
     return printed(parameter, 1.0, signs)
+
+
+def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:
+    """Parameters of the last covariance that a file's history holds, and the matrix, SI and SNAME signs.
+
+    Parameters
+    ----------
+    history : sequence of mapping
+        The ``[[history]]`` tables.
+    vehicle : Vehicle
+        The vehicle of the file.
+
+    Returns
+    -------
+    list of str, list of list of float
+        Empty where the file has none.
+
+    Raises
+    ------
+    UndertowError
+        If it is no square matrix of finite numbers for parameters that the vehicle has.
+    """
+    told = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
+    if told is None:
+        return [], []
+    try:
+        names = [str(n) for n in told["parameters"]]
+        rows = [[float(v) for v in row] for row in told["matrix"]]
+        signs = [_turn(vehicle, n, vehicle.signs) for n in names]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UndertowError(_NO_COVARIANCE) from error
+    if {len(rows), *map(len, rows)} != {len(names)} or not all(isfinite(v) for row in rows for v in row):
+        raise UndertowError(_NO_COVARIANCE)
+    turned = [
+        [a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)
+    ]
+    return names, turned

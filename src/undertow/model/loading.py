@@ -60,7 +60,7 @@ def resolve_vehicle(source: str | Path) -> Path:
     """The path that a user means by a path or the name of a bundled vehicle."""
     path = Path(source)
     bundled = bundled_vehicles()
-    if _is_file(path):
+    if is_file(path):
         return path
     if str(source) in bundled:
         return bundled[str(source)]
@@ -70,7 +70,8 @@ def resolve_vehicle(source: str | Path) -> Path:
     )
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; no for what no file can be called."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # a name that is too long for the system, or unreadable folders on the way

@@ -105,6 +105,13 @@ class Law(abc.ABC):
         """Time derivative of the law's states, shape (n_states * n, 1)."""
         return sm.zeros(len(s.states), 1)
 
+    def offset(self, s: LawSignals) -> sm.Matrix:
+        """Distance from the set-point that sampling the law may leave, per second of the interval, (n, 1).
+
+        Zero for laws without a jump.
+        """
+        return sm.zeros(len(s.coordinates), 1)
+
     @classmethod
     def state_names(cls, coordinates: tuple[str, ...]) -> list[str]:
         """Names of the states for these pose coordinates, such as integral_x."""

@@ -30,7 +30,7 @@ class _Sliding(Law):
     def force(self, s: LawSignals) -> sm.Matrix:
         plant = s.plant
         wanted = self.reach(s) - plant.J_dot * plant.nu - s.Lambda * plant.J * plant.nu
-        acceleration = plant.J.inv().applyfunc(sm.trigsimp) * wanted
+        acceleration = plant.J_inverse * wanted
         return plant.M * acceleration + (plant.C + plant.D) * plant.nu + plant.g
 
 
@@ -43,6 +43,12 @@ class SlidingMode(_Sliding):
 
     def reach(self, s: LawSignals) -> sm.Matrix:
         return s.K_Z * self.surface(s).applyfunc(sm.sign)
+
+    def offset(self, s: LawSignals) -> sm.Matrix:
+        # A sample takes S at most K_Z dt past zero, and S = Lambda error at rest.
+        return sm.Matrix(
+            [k / a if a else a for k, a in zip(s.K_Z.diagonal(), s.Lambda.diagonal(), strict=True)]
+        )
 
 
 class BoundaryLayer(_Sliding):

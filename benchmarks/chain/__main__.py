@@ -1,0 +1,56 @@
+"""Command line: python -m benchmarks.chain --help"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from undertow.files import write_whole
+from undertow.identification.report.style import save_png
+
+from .page import page, picture
+from .steps import Chain, Said
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make the page and its picture."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.chain", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="default: %(default)s")
+    parser.add_argument("--keep", type=Path, help="folder for the files of the way, which are kept")
+    options = parser.parse_args(arguments)
+    with TemporaryDirectory() as passing:
+        folder = options.keep or Path(passing)
+        folder.mkdir(parents=True, exist_ok=True)
+        said, gains = worked(Chain(folder, lambda words: print(words, file=sys.stderr, flush=True)))
+        (options.out / "images").mkdir(parents=True, exist_ok=True)
+        save_png(picture(folder), options.out / "images" / "chain.png")
+        write_whole(options.out / "chain.md", page(said, gains))
+    return 0
+
+
+def worked(chain: Chain) -> tuple[dict[str, Said], dict[str, str]]:
+    """Go through the chain: what the commands said, and both gain files."""
+    said, gains = {}, {}
+    chain.fly()
+    said["fit"] = chain.fit()
+    gains["first"] = chain.tune()
+    said["gains on the model"] = chain.check("rov.toml", expect=0)
+    said["simulated on the model"] = chain.simulate(out="on-model.csv")
+    said["first update"] = chain.update("--gains", "tuned.toml", "--at", "u=0.3")
+    said["simulated on the vehicle"] = chain.simulate("--plant", "truth.toml", out="on-vehicle.csv")
+    said["gains on the vehicle"] = chain.check("truth.toml", expect=1)
+    said["diagnosis"] = chain.diagnose()
+    said["added"] = chain.add()
+    said["second update"] = chain.update()
+    said["gains on the new model"] = chain.check("rov.toml", expect=1)
+    gains["second"] = chain.tune()
+    said["gains tuned anew"] = chain.check("rov.toml", expect=0)
+    said["third update"] = chain.update()
+    said["simulated anew"] = chain.simulate("--plant", "truth.toml", out="anew.csv")
+    return said, gains
+
+
+if __name__ == "__main__":
+    sys.exit(main())

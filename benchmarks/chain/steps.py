@@ -1,0 +1,122 @@
+"""The steps of the chain, each a command of undertow, with what it said."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from undertow.model.loading import load_vehicle
+
+from .tuning import gain_file
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+WIDTH = 108
+FLIGHTS = {"run1": "8,1,1,0", "run2": "1,8,0,0", "run3": "-6,-6,1,1", "run4": "-7,5,1,-1"}
+"""Set-points of the flights that are logged; the last one is kept aside."""
+NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r"), 0.005)}
+GOAL = ["--to", "2,1,1,0", "--for", "240", "--dt", "0.02", "--log", "0.2"]
+LOGS = ["run1.csv", "run2.csv", "run3.csv", "--holdout", "run4.csv"]
+
+
+@dataclass(frozen=True)
+class Said:
+    """A command and its answer.
+
+    Attributes
+    ----------
+    words : list of str
+        The command without `undertow`.
+    code : int
+        Its exit code.
+    text : str
+        What it printed.
+    """
+
+    words: list[str]
+    code: int
+    text: str
+
+
+class Chain:
+    """The chain in a folder of its own.
+
+    Parameters
+    ----------
+    folder : Path
+        Where files are written.
+    tell : callable
+        Is told what is being done.
+    """
+
+    def __init__(self, folder: Path, tell: Callable[[str], None] = lambda words: None) -> None:
+        self.folder, self._tell = folder, tell
+        for name in ("truth.toml", "survey.toml"):
+            shutil.copy(HERE / name, folder / name)
+        (folder / "rov.toml").write_text(without_drag((folder / "truth.toml").read_text()))
+
+    def undertow(self, *words: str, expect: int = 0) -> Said:
+        """Run a command, which has to end with a certain code."""
+        self._tell(" ".join(("undertow", *words)))
+        path = os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
+        done = subprocess.run(
+            [sys.executable, "-m", "undertow", *words],
+            cwd=self.folder,
+            env={**os.environ, "COLUMNS": str(WIDTH), "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != expect:
+            raise RuntimeError(f"undertow {' '.join(words)} ended with {done.returncode}: {done.stderr}")
+        lines = [line.rstrip() for line in done.stdout.strip("\n").splitlines()]
+        return Said(list(words), done.returncode, "\n".join(lines))
+
+    # --- steps --------------------------------------------------------------------------------
+    def fly(self) -> None:
+        """Log the true vehicle, with noise in every sensor."""
+        noise = [word for name, size in NOISE.items() for word in ("--noise", f"{name}={size}")]
+        for seed, (name, to) in enumerate(FLIGHTS.items(), start=1):
+            words = ["simulate", "truth.toml", "survey.toml", f"--to={to}", "--for", "40", "--dt", "0.02"]
+            self.undertow(*words, *noise, "--seed", str(seed), "--log", "0.1", "--out", f"{name}.csv")
+
+    def fit(self) -> Said:
+        """Fit the model that lacks an effect."""
+        return self.undertow("fit", "rov.toml", *LOGS, "--in-place")
+
+    def tune(self) -> str:
+        """Tune surge and sway on whatever the model says now; the text of the gain file."""
+        text = gain_file(load_vehicle(self.folder / "rov.toml"))
+        (self.folder / "tuned.toml").write_text(text)
+        return text
+
+    def check(self, vehicle: str, expect: int) -> Said:
+        """The conditions that are derived from a model."""
+        return self.undertow("gains", vehicle, "tuned.toml", "--form", "derived", expect=expect)
+
+    def simulate(self, *plant: str, out: str) -> Said:
+        """A run to the goal, on the model or on the true vehicle."""
+        return self.undertow("simulate", "rov.toml", "tuned.toml", *plant, *GOAL, "--out", out)
+
+    def update(self, *more: str) -> Said:
+        """Everything that follows from the vehicle file."""
+        return self.undertow("update", "rov.toml", *more)
+
+    def diagnose(self) -> Said:
+        """What the model lacks."""
+        return self.undertow("diagnose", "rov.toml", *LOGS)
+
+    def add(self) -> Said:
+        """Put it in."""
+        return self.undertow("add", "quadratic_damping", "rov.toml", *LOGS, "--in-place")
+
+
+def without_drag(text: str) -> str:
+    """A vehicle file without its quadratic drag, and with a guess of the linear one."""
+    begin, end = text.index("[effects.quadratic_damping]"), text.index("[effects.net_buoyancy]")
+    return (text[:begin] + text[end:]).replace('"0.15 kg/s"', '"3 kg/s"')

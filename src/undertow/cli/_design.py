@@ -1,0 +1,86 @@
+"""Quadratic designs from the words of a command line, and the gain file that comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from undertow.cli._linear import Wish, pairs, show_modes, si
+from undertow.cli._show import console, section, table, text
+from undertow.control.linear.certified import certified
+from undertow.control.linear.design import Design, lqr
+from undertow.model.symbols import DOFS, FORCE_UNITS, POSE
+
+_POSE_UNITS = dict(zip(POSE, (*("m",) * 3, *("rad",) * 3), strict=True))
+_UNITS_OF_FORCE = dict(zip(DOFS, FORCE_UNITS, strict=True))
+
+
+def designed(
+    vehicle: str,
+    error: Sequence[str],
+    force: Sequence[str],
+    law: str,
+    direction: Sequence[str],
+    name: str,
+    effects: Sequence[Path],
+) -> Design:
+    """The design that is asked for."""
+    wish = Wish(vehicle, [], [], None, list(direction), effects=effects)
+    model = wish.model()
+    errors = {n: si(f"--error {n}", v, _POSE_UNITS.get(n, "1")) for n, v in pairs("--error", error)}
+    forces = {n: si(f"--force {n}", v, _UNITS_OF_FORCE.get(n, "1")) for n, v in pairs("--force", force)}
+    return lqr(model, errors, forces, law=law, trim=wish.trim(model), conditions=certified, name=name)
+
+
+def show(done: Design) -> None:
+    """Print gains, poles and margins."""
+    section(f"Gains of law {done.gains.law.id}", table(("", *_coordinates(done)), _rows(done)))
+    out = console()
+    share = f"{100 * done.coupling:.3g} %"
+    out.print(text(f"  coupling that the diagonal law leaves out: up to {share} of the optimal gain"))
+    out.print(
+        text(f"  conditions derived from the model (undertow gains): {_VERDICTS[bool(done.certified)]}")
+    )
+    if done.slowed:
+        out.print(text(f"  the integral was given twice the time {done.slowed} times until they held"))
+    show_modes("Poles of the loop", done.modes)
+
+
+_VERDICTS = {True: "all hold", False: "not all hold"}
+
+
+def _coordinates(done: Design) -> list[str]:
+    gain = type(done.gains.law).gains[0]
+    return [c for c in done.gains.signals.coordinates if done.gains.values[str(gain.symbol(c))]]
+
+
+def _rows(done: Design) -> list[tuple[str, ...]]:
+    return [
+        (g.name, *(f"{done.gains.values[str(g.symbol(c))]:.6g} {g.unit(c)}" for c in _coordinates(done)))
+        for g in type(done.gains.law).gains
+    ]
+
+
+def gain_file(done: Design, error: Sequence[str], force: Sequence[str]) -> str:
+    """Text of the gain file."""
+    gains, document = done.gains, tomlkit.document()
+    document.add(tomlkit.comment("Linear-quadratic design at hover with the diagonal of the optimal gain."))
+    document["schema"] = "undertow/gains/1"
+    document["name"] = gains.name
+    vehicle = gains.plant.vehicle.name
+    document["description"] = f"{gains.law.id} for {vehicle}"
+    document["source"] = f"undertow design: --error {','.join(error)} --force {','.join(force)}"
+    document["law"] = gains.law.id
+    if gains.unactuated:
+        document["unactuated"] = list(gains.unactuated)
+    tables: Any = tomlkit.table()
+    for gain in type(gains.law).gains:
+        row = tomlkit.inline_table()
+        for c in _coordinates(done):
+            row[c] = f"{gains.values[str(gain.symbol(c))]:.6g} {gain.unit(c)}"
+        tables[gain.name] = row
+    document["gains"] = tables
+    return tomlkit.dumps(document)

@@ -1,0 +1,324 @@
+"""Checking gains for the command `gains`, and printing what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from undertow.errors import UndertowError
+
+from ._progress import Report as Tell
+from ._show import console, print_json, section, table, text
+
+if TYPE_CHECKING:
+    from undertow.control.conditions.repair import Repair, Single
+    from undertow.control.conditions.result import Channel, Report, Row
+
+_GREEN, _RED = "green", "red"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A report with the repairs that were asked for."""
+
+    report: Report
+    singles: list[Single]
+    repair: Repair | None
+
+
+def judge(
+    vehicle: str,
+    gains: str,
+    forms: Sequence[str],
+    iota: float | None,
+    confidence: float,
+    tilt: float,
+    kind: str | None,
+    effects: Sequence[Path],
+    tell: Tell,
+) -> Judged:
+    """Read both files and check them."""
+    from undertow.control.conditions.check import check
+    from undertow.control.conditions.problem import Problem
+    from undertow.control.conditions.repair import repair, singles
+    from undertow.control.conditions.uncertain import Uncertainty
+    from undertow.control.gains import load_gains
+    from undertow.model.history import last_covariance
+    from undertow.model.loading import load_vehicle, resolve_vehicle
+    from undertow.model.vehicle_toml import read_vehicle_table
+
+    if iota is not None and not 0 < iota < math.inf:
+        raise UndertowError(
+            f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
+        )
+    loaded = load_vehicle(vehicle, effect_files=effects)
+    history = read_vehicle_table(resolve_vehicle(vehicle)).history
+    chosen = load_gains(gains, loaded)
+    uncertainty = Uncertainty(loaded, confidence, last_covariance(history, loaded))
+    found = check(chosen, uncertainty, forms=forms, iota=iota, tilt=math.radians(tilt), tell=tell)
+    problem = Problem(chosen, math.radians(tilt))
+    return Judged(found, singles(problem), repair(problem, kind) if kind else None)
+
+
+# --- JSON -----------------------------------------------------------------------------------------
+def show_json(judged: Judged) -> None:
+    """Everything as JSON; roots as [real, imaginary], what has no end as null."""
+    content = {
+        "ok": judged.report.ok,
+        **asdict(judged.report),
+        "single_repairs": [asdict(s) for s in judged.singles],
+        "repair": asdict(judged.repair) if judged.repair else None,
+    }
+    print_json(_plain(content))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# --- text -----------------------------------------------------------------------------------------
+def show(judged: Judged) -> None:
+    """Print the report."""
+    from undertow.control.conditions.condition import FORMS
+
+    report = judged.report
+    say(f"{report.gains} ({report.law}) on {report.vehicle}: {_headline(report)}")
+    for form in dict.fromkeys(r.form for r in report.rows):
+        own = [r for r in report.rows if r.form == form]
+        section(f"Conditions {FORMS[form]}")
+        _show_matrices([r for r in own if r.scope == "matrices"])
+        _show_channels([r for r in own if r.scope != "matrices"])
+        for agreement in (a for a in report.agreements if a.form == form):
+            told = f"iota in {_span(agreement.iota)}" if agreement.iota else "there is none"
+            say(f"  one iota for all of them, in every set of parameters: {told}")
+        _explain(own)
+    _show_routh(report)
+    _show_lyapunov(report)
+    _show_uncertain(report)
+    _show_repairs(judged)
+    _show_rest(report)
+
+
+def _headline(report: Report) -> str:
+    if not report.conditions_hold:
+        return "some conditions fail"
+    return "all conditions hold" + (
+        ", but a force is missing that the law asks for" if report.actuation else ""
+    )
+
+
+def say(line: str, style: str = "") -> None:
+    """Print a line that the terminal may wrap, and files may not."""
+    console().print(text(line, style), soft_wrap=True)
+
+
+def _show_matrices(rows: list[Row]) -> None:
+    if not rows:
+        return
+    places = list(dict.fromkeys(r.where for r in rows))
+    cells = [
+        (
+            *(r.statement, r.signs, _number(r.left), _number(r.right), _number(r.margin)),
+            text(_verdict(r), _GREEN if r.verdict == "holds" else _RED),
+            f"[{places.index(r.where) + 1}]",
+        )
+        for r in rows
+    ]
+    heads = ("as matrices", "parameters", "left", "right", "margin", "verdict", "where")
+    console().print(table(heads, cells))
+    for number, place in enumerate(places, 1):
+        say(f"  [{number}] {place}")
+
+
+def _show_channels(rows: list[Row]) -> None:
+    """One line for each condition and set of parameters, one column for each channel."""
+    if not rows:
+        return
+    coordinates = list(dict.fromkeys(r.scope for r in rows))
+    lines = []
+    for condition in dict.fromkeys(r.condition for r in rows):
+        own = {(r.signs, r.scope): r for r in rows if r.condition == condition}
+        signs = [s for s in dict.fromkeys(s for s, _ in own) if s != "both"] or ["both"]
+        for sign in signs:
+            found = [own.get((sign, c)) or own[("both", c)] for c in coordinates]
+            shown = [text(_verdict(r), _GREEN if r.verdict == "holds" else _RED) for r in found]
+            lines.append((found[0].statement, sign, *shown))
+    console().print()
+    console().print(table(("channel by channel", "parameters", *coordinates), lines))
+
+
+def _verdict(row: Row) -> str:
+    if not row.uses_iota:
+        reached = row.where if row.scope != "matrices" else ""
+        return f"{row.verdict}; {reached}" if reached else row.verdict
+    return f"{'holds' if row.verdict == 'holds' else 'fails'}; {_bounds(row)}" if row.iota else "no iota"
+
+
+def _bounds(row: Row) -> str:
+    assert row.iota is not None
+    low, high = row.iota
+    if low == 0.0:
+        return "any iota" if math.isinf(high) else f"iota < {high:.6g}"
+    return f"iota > {low:.6g}" if math.isinf(high) else f"iota {low:.6g} to {high:.6g}"
+
+
+def _span(span: tuple[float, float] | None) -> str:
+    low, high = span or (math.nan, math.nan)
+    return f"({low:.6g}, {high:.6g}) 1/s"
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}" if abs(value) > 1e-300 else "0"
+
+
+def _explain(rows: list[Row]) -> None:
+    for about in {r.statement: f"  {r.statement}: {r.about} ({r.source})" for r in rows}.values():
+        say(about, "dim")
+
+
+def _show_routh(report: Report) -> None:
+    if not report.channels:
+        return
+    section("Linearised channels at rest (Routh-Hurwitz)")
+    console().print(
+        table(
+            ("channel", "parameters", "first column", "roots, 1/s", ""),
+            (
+                (c.coordinate, c.signs, _listed(c.first_column), _roots(c.roots), _stability(c))
+                for c in report.channels
+            ),
+        )
+    )
+    for name, roots in report.coupled.items():
+        say(f"  all axes together{f', {name}' if name else ''}: {_roots(roots)}")
+    for channel in report.channels:
+        if not channel.stable:
+            of = f" ({channel.signs})" if channel.signs else ""
+            say(f"  the loop in {channel.coordinate}{of} is linearly unstable: {_roots(channel.roots)}", _RED)
+
+
+def _stability(channel: Channel) -> Any:
+    return text("stable", _GREEN) if channel.stable else text("unstable", _RED)
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(_number(v) for v in values)
+
+
+def _roots(roots: Sequence[complex]) -> str:
+    """Complex pairs once, with both signs."""
+    shown = []
+    for root in roots:
+        if abs(root.imag) < 1e-12:
+            shown.append(f"{root.real:+.6f}")
+        elif root.imag > 0:
+            shown.append(f"{root.real:+.6f} +- {root.imag:.6f}i")
+    return ", ".join(shown)
+
+
+def _show_lyapunov(report: Report) -> None:
+    section("Lyapunov function")
+    told = report.lyapunov
+    rows = [
+        ("V", told.V),
+        ("V_dot", told.V_dot),
+        ("in the paper", told.equation),
+        ("checked", told.identity),
+        ("V_dot = 0", told.zero_set),
+        ("largest invariant subset", told.invariant),
+    ]
+    if report.speed:
+        rows.append(("damping at speed", report.speed))
+    if report.region is not None:
+        rows.append(("region", report.region.text))
+    console().print(table(("", ""), rows))
+
+
+def _show_uncertain(report: Report) -> None:
+    section(f"Over the uncertainty of the parameters ({report.uncertainty})")
+    told = list(_uncertain(report.rows))
+    settled = [r for r in report.rows if r.box is not None]
+    if not settled:
+        say("  no condition contains a parameter with a standard deviation")
+        return
+    sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
+    failing = sum(r.box.verdict.startswith("fails at") for r in settled)  # type: ignore[union-attr]
+    say(
+        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
+        f"the values of the file, {len(settled) - sure - failing} in between:"
+    )
+    if told:
+        console().print(
+            table(("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at"), told)
+        )
+
+
+def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    for row in rows:
+        if row.box is None or row.ellipsoid is None:
+            continue
+        if (
+            row.box.verdict.startswith("fails at")
+            or row.box.verdict == row.ellipsoid.verdict == "holds for all"
+        ):
+            continue
+        example = row.box.counterexample or row.ellipsoid.counterexample
+        shown = ", ".join(f"{n} = {v:.5g}" for n, v in example.items())
+        yield (
+            *(row.statement, row.scope, row.signs, _iota(row, row.box.verdict)),
+            *(row.ellipsoid.verdict, shown),
+        )
+
+
+def _iota(row: Row, verdict: str) -> str:
+    return f"{verdict} at iota = {row.at_iota:.4g}" if row.at_iota is not None else verdict
+
+
+# --- repairs --------------------------------------------------------------------------------------
+def _show_repairs(judged: Judged) -> None:
+    if judged.singles:
+        section("Repairs by one gain alone")
+        rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_wanted(s)}") for s in judged.singles)
+        console().print(table(("to satisfy", "parameters", "one of"), rows))
+    if judged.repair is None:
+        return
+    section(f"Smallest change of all gains together ({judged.repair.kind})")
+    if not judged.repair.found:
+        say("  none was found")
+        return
+    rows_of = [
+        (f"{name}_{c}", f"{value:.6g}", f"{judged.repair.factors[name][c]:.6g}")
+        for name, values in judged.repair.gains.items()
+        for c, value in values.items()
+    ]
+    if rows_of:
+        console().print(table(("gain", "new value", "times the old one"), rows_of))
+    else:
+        say("  nothing has to change")
+    if judged.repair.iota is not None:
+        say(f"  with iota = {judged.repair.iota:.6g} 1/s")
+    say(f"  {judged.repair.method}", "dim")
+
+
+def _wanted(single: Single) -> str:
+    if single.bound is None:
+        return "alone never suffices"
+    return f"{'>' if single.above else '<'} {single.bound:.6g}"
+
+
+def _show_rest(report: Report) -> None:
+    if report.actuation:
+        section("Forces that no thruster gives")
+        say(f"  {report.actuation}", _RED)
+    if report.left_out:
+        section("Not in the conditions")
+        console().print(table(("", ""), report.left_out.items()))

@@ -1,0 +1,58 @@
+"""Find what does not fit in the equations of the mini-AUV paper, or of a vehicle.
+
+Without a vehicle, the equations of the paper are compared with what follows from the effects: the sign of
+the Coriolis matrix (11), the power balance, (8) against (9), the units of the conditions on PID gains, and
+parameters that are needed but not given; every finding comes with the computation that shows it. The
+paper's tables of estimates have a command of their own, audit-tables.
+
+With a vehicle, its own equations are looked at: a symmetric and positive definite mass matrix, Coriolis
+forces that do no work, damping that takes energy, effects that lack their partner, values that are assumed.
+
+    undertow audit
+    undertow audit rov.toml
+
+The exit code is 1 where something is wrong, so that a pipeline stops; what is only missing or assumed
+("open") does not count.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from undertow.cli._vehicle_and_logs import EffectsOption
+
+_VEHICLE = typer.Argument(
+    metavar="VEHICLE",
+    help="Vehicle file (TOML), or the name of a bundled vehicle; the paper's equations without one.",
+)
+_JSON = typer.Option("--json", help="Print JSON instead of text.")
+
+
+def audit(
+    vehicle: Annotated[str | None, _VEHICLE] = None,
+    json: Annotated[bool, _JSON] = False,
+    effects: EffectsOption = None,
+) -> int:
+    from dataclasses import asdict
+
+    from undertow.cli._show import console, print_json, section, text
+    from undertow.control.audit import audit_paper, audit_vehicle
+    from undertow.model.loading import load_vehicle
+
+    found = audit_vehicle(load_vehicle(vehicle, effect_files=effects or [])) if vehicle else audit_paper()
+    wrong = sum(finding.kind == "wrong" for finding in found)
+    if json:
+        print_json([asdict(finding) for finding in found])
+        return int(wrong > 0)
+    for kind, title in (("wrong", "Wrong"), ("open", "Open")):
+        own = [finding for finding in found if finding.kind == kind]
+        if own:
+            section(title)
+        for finding in own:
+            console().print(text(f"  {finding.where}: {finding.text}"), soft_wrap=True)
+            console().print(text(f"    {finding.evidence}", "dim"), soft_wrap=True)
+    what = vehicle or "the equations of the paper (its tables: undertow audit-tables)"
+    console().print(text(f"{wrong} wrong, {len(found) - wrong} open in {what}"), soft_wrap=True)
+    return int(wrong > 0)

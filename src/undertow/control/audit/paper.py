@@ -1,0 +1,212 @@
+"""The equations of the mini-AUV paper against what follows from the effects.
+
+The matrices below are typed in as the paper prints them; everything that they are compared with is derived
+from the effects of the bundled vehicle without the two that hold the Coriolis terms, which is model (9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+
+import sympy as sm
+
+from undertow.control.conditions import CONDITIONS, Signs
+from undertow.control.conditions.lyapunov import CANDIDATES
+from undertow.control.laws import LAWS, LawSignals
+from undertow.control.plant import Plant
+from undertow.errors import UndertowError
+from undertow.model.dimensions import dimension_of, unit_text
+from undertow.model.hints import hints
+from undertow.model.loading import load_vehicle
+from undertow.model.symbols import symbol
+
+from .finding import OPEN, WRONG, Finding
+
+_CORIOLIS = ("rigid_body_coriolis", "added_mass_coriolis")
+
+
+def audit_paper() -> list[Finding]:
+    """Everything in equations (8) to (15), (24), (25) and the PID conditions that does not fit."""
+    equations = _Equations()
+    return [
+        *equations.coriolis_sign(),
+        *equations.power(),
+        *equations.frames(),
+        *equations.munk(),
+        *condition_units(),
+        *equations.zero_set(),
+        *equations.missing(),
+    ]
+
+
+class _Equations:
+    """Printed and derived matrices in the paper's positive magnitudes, forward parameters."""
+
+    def __init__(self) -> None:
+        vehicle = load_vehicle("mini-auv")
+        self.full = vehicle
+        self.vehicle = replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in _CORIOLIS))
+        self.plant = Plant(self.vehicle)
+        self.added = [symbol(n) for n in ("X_udot", "Y_vdot", "Z_wdot", "N_rdot")]
+        self.r, self.psi = symbol("r"), symbol("psi")
+
+    def forward(self, matrix: sm.Matrix) -> sm.Matrix:
+        """An expression of the forward set with the paper's names and signs."""
+        one = self.plant.one_way(matrix, dict.fromkeys(self.plant.reversing, 1))
+        names = {x: symbol(str(x).removesuffix("_forward")) for x in one.free_symbols}
+        return one.xreplace(names).xreplace({a: -a for a in self.added}).applyfunc(sm.expand)
+
+    @cached_property
+    def J_rate(self) -> sm.Matrix:
+        """J_dot = dJ/dpsi r."""
+        return self.plant.J.diff(self.psi) * self.r
+
+    @cached_property
+    def printed(self) -> sm.Matrix:
+        """C_q as (11) prints it."""
+        X, Y = self.added[:2]
+        s, c = sm.sin(self.psi), sm.cos(self.psi)
+        rows = [
+            [-s * c * (Y - X), -(s**2 * Y + c**2 * X), 0, 0],
+            [c**2 * Y + s**2 * X, s * c * (Y - X), 0, 0],
+            [0, 0, 0, 0],
+            [0, 0, 0, 0],
+        ]
+        return sm.Matrix(rows) * self.r
+
+    @cached_property
+    def mass(self) -> sm.Matrix:
+        """M_gamma of (10), derived."""
+        return self.forward(self.plant.M)
+
+    def in_body_axes(self, matrix: sm.Matrix) -> sm.Matrix:
+        """J' matrix J."""
+        return (self.plant.J.T * matrix * self.plant.J).applyfunc(lambda e: sm.trigsimp(sm.expand(e)))
+
+    def rate(self) -> sm.Matrix:
+        """Time derivative of M_q = J M J'."""
+        return (self.plant.J * self.mass * self.plant.J.T).diff(self.psi) * self.r
+
+    # --- findings
+    def coriolis_sign(self) -> Iterator[Finding]:
+        added = sm.diag(*self.added)
+        derived = self.plant.J * added * self.J_rate.T
+        if _zero(self.printed + derived) and not _zero(self.printed - derived):
+            yield Finding(
+                WRONG,
+                "(11)",
+                "C_q has the wrong sign",
+                "it equals -J M_a J_dot', but J M_a J_dot' follows from (9) by q_dot = J gamma",
+            )
+
+    def power(self) -> Iterator[Finding]:
+        balance = self.in_body_axes(self.rate() - 2 * self.printed)
+        symmetric = (balance + balance.T) / 2
+        fixed = self.in_body_axes(self.rate() + 2 * self.printed)
+        if not _zero(symmetric) and _zero(fixed + fixed.T):
+            numbers = {
+                x: -sm.Float(self.vehicle.value_of(n).value)
+                for x, n in zip(self.added, _names(), strict=True)
+            }
+            size = symmetric[0, 1].xreplace(numbers | {self.r: sm.Integer(1)})
+            yield Finding(
+                WRONG,
+                "(10), (11)",
+                "d(M_q)/dt - 2 C_q is not skew-symmetric, so energy comes from nowhere in turns",
+                f"symmetric part in body axes {sm.factor(symmetric[0, 1])} off the diagonal, "
+                f"{float(size):.7g} kg/s with Table 4 at r = 1 rad/s; "
+                "with the sign of (11) changed it is skew-symmetric",
+            )
+
+    def frames(self) -> Iterator[Finding]:
+        """(8) with the sign of (11) fixed, less what (9) becomes in the inertial frame."""
+        J, nu = self.plant.J, self.plant.nu
+        equivalent = J * self.mass * self.J_rate.T
+        extra = self.in_body_axes(-self.printed - equivalent) * nu
+        if not _zero(extra):
+            shown = ", ".join(str(sm.factor(e)) for e in extra)
+            yield Finding(
+                WRONG,
+                "(8), (9)",
+                "even with the sign of (11) fixed, (8) is not (9) in the inertial frame",
+                f"(8) has ({shown}) more in body axes: its C_q lacks the mass; "
+                "they are equal with J M_gamma J_dot'",
+            )
+
+    def munk(self) -> Iterator[Finding]:
+        complete = Plant(self.full)
+        dropped = self.forward((complete.C - self.plant.C) * self.plant.nu)
+        moment = sm.factor(dropped[3])
+        if moment != 0:
+            shown = ", ".join(str(sm.factor(e)) for e in dropped[:2])
+            yield Finding(
+                WRONG,
+                "(8), (9)",
+                "the Munk moment is absent from both, and the Coriolis forces from (9)",
+                f"the effects give the moment {moment} on the left-hand side, and the forces {shown}",
+            )
+
+    def zero_set(self) -> Iterator[Finding]:
+        s = LawSignals(self.plant, LAWS["pd"]())
+        rest = CANDIDATES["pd"].derivative(s).xreplace(dict.fromkeys(self.plant.nu, sm.Integer(0)))
+        if rest == 0:
+            yield Finding(
+                WRONG,
+                "text below (25)",
+                "the set of all states with V_dot = 0 is not q~ = 0, gamma = 0",
+                "(25) is zero at gamma = 0 for every q~; the printed set is its largest invariant subset",
+            )
+
+    def missing(self) -> Iterator[Finding]:
+        present = self.plant.M.free_symbols | self.plant.D.free_symbols
+        assumed = [n for n, v in self.vehicle.values.items() if v.assumed and symbol(n) in present]
+        if assumed:
+            said = next(h for h in hints(self.full) if h.startswith("assumed"))
+            yield Finding(
+                OPEN,
+                "(10), (12)",
+                f"{', '.join(assumed)} are in the matrices, but the paper prints no value",
+                f"the bundled vehicle file says: {said}",
+            )
+
+
+def _names() -> tuple[str, ...]:
+    return ("X_udot_forward", "Y_vdot", "Z_wdot_forward", "N_rdot")
+
+
+def _zero(matrix: sm.Matrix) -> bool:
+    return matrix.applyfunc(lambda e: sm.trigsimp(sm.expand(e))).is_zero_matrix is True
+
+
+def condition_units() -> Iterator[Finding]:
+    """Printed PID conditions whose units do not fit, neither with iota a pure number nor with iota in 1/s."""
+    units = {g.name: g.force for g in LAWS["pid"].gains} | {"M": "kg", "D": "kg/s"}
+    s = Signs({name: symbol(name) for name in (*units, "iota")})
+    for condition in CONDITIONS["pid"]:
+        if condition.form != "printed":
+            continue
+        complaints = []
+        for iota in ("1", "1/s"):
+            known = {symbol(n): u for n, u in (units | {"iota": iota}).items()}
+            complaint = _mismatch(condition.left(s), condition.right(s), known)
+            if complaint:
+                complaints.append(f"iota in {iota}: {complaint}" if condition.uses_iota else complaint)
+        if len(complaints) == 2:
+            yield Finding(
+                WRONG,
+                "PID conditions",
+                f"the units of {condition.statement} do not fit",
+                "; ".join(dict.fromkeys(complaints)),
+            )
+
+
+def _mismatch(left: sm.Expr, right: sm.Expr, units: dict[sm.Symbol, str]) -> str:
+    """What is wrong with the units of a comparison, or nothing."""
+    try:
+        one, other = dimension_of(left, units), dimension_of(right, units)
+    except UndertowError as error:
+        return str(error)
+    fits = one is None or other is None or one == other
+    return "" if fits else f"{left} is {unit_text(one)}, {right} {unit_text(other)}"

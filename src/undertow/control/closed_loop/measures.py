@@ -1,0 +1,256 @@
+"""What a run comes to: settling, overshoot, what is left, effort; gathered at every sample as it goes by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .cycles import Cycle
+from .scenario import UNITS
+
+if TYPE_CHECKING:
+    from .problem import Rows
+    from .scenario import Scenario
+    from .simulate import ClosedLoop
+
+BAND = 0.02
+TAIL = 0.1
+ALONG, CROSS = "along track", "cross track"
+
+
+@dataclass(frozen=True)
+class CoordinateResult:
+    """How one coordinate came to its set-point; errors are desired less true.
+
+    Attributes
+    ----------
+    name, unit : str
+        The coordinate; "along track" and "cross track" are measured on the line from the start to the goal.
+    move : float
+        What was to be gone.
+    settling : float, optional
+        Time after which the error stays within 2 % of the move, s; None if it is not there for the whole last
+        tenth of the run (it may just pass), or nothing was to go.
+    overshoot : float, optional
+        Largest distance beyond the set-point, % of the move.
+    final_error : float
+        Error at the end.
+    steady_error, steady_spread : float
+        Mean of the error over the last tenth of the run, and half the distance between its extremes there.
+    largest : float
+        Largest magnitude of the error.
+    sampling_offset : float
+        What the sampled jump of the law may leave, zero for laws without one.
+    cycle : Cycle, optional
+        The oscillation of the last part of the run.
+    """
+
+    name: str
+    unit: str
+    move: float
+    settling: float | None
+    overshoot: float | None
+    final_error: float
+    steady_error: float
+    steady_spread: float
+    largest: float
+    sampling_offset: float
+    cycle: Cycle | None
+
+
+@dataclass(frozen=True)
+class CommandResult:
+    """What a command did, in units of the command.
+
+    Attributes
+    ----------
+    name : str
+        The thruster.
+    effort : float
+        Integral of the magnitude over time.
+    rms, peak : float
+        Root of the mean square, and largest magnitude.
+    variation : float
+        Sum of all changes from sample to sample, per second: how much the law chatters.
+    at_limit : float
+        Share of the time at the limit.
+    """
+
+    name: str
+    effort: float
+    rms: float
+    peak: float
+    variation: float
+    at_limit: float
+
+
+class _Error:
+    """What is gathered of one coordinate."""
+
+    def __init__(self, move: float) -> None:
+        self.move, self.band = move, BAND * abs(move)
+        self.settled: float | None = 0.0
+        self.beyond, self.largest, self.final = 0.0, 0.0, move
+        self.tail: list[np.ndarray] = []
+        self._before: float | None = None
+
+    def add(self, t: np.ndarray, error: np.ndarray, tail: float) -> None:
+        self.tail.append(error[t >= tail])
+        if self._before is not None:
+            dt = t[1] - t[0] if len(t) > 1 else 0.0
+            t, error = np.r_[t[0] - dt, t], np.r_[self._before, error]
+        self._settle(t, np.abs(error))
+        self.beyond = max(self.beyond, float((-error * np.sign(self.move)).max()))
+        self.largest = max(self.largest, float(np.abs(error).max()))
+        self._before = self.final = float(error[-1])
+
+    def _settle(self, t: np.ndarray, size: np.ndarray) -> None:
+        outside = np.flatnonzero(~(size <= self.band))
+        if not outside.size:
+            return
+        last = int(outside[-1])
+        if last == len(t) - 1:
+            self.settled = None
+            return
+        ahead = (size[last] - self.band) / (size[last] - size[last + 1])
+        self.settled = float(t[last] + ahead * (t[last + 1] - t[last]))
+
+
+class Measures:
+    """Gathers the measures of a run.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        The loop that runs.
+    scenario : Scenario
+        What is asked.
+    start, to : mapping
+        First and desired pose in the vehicle's coordinates.
+    left : mapping
+        What sampling may leave, by coordinate.
+    """
+
+    def __init__(
+        self,
+        loop: ClosedLoop,
+        scenario: Scenario,
+        start: Mapping[str, float],
+        to: Mapping[str, float],
+        left: Mapping[str, float],
+    ) -> None:
+        self._scenario, self._left = scenario, left
+        self._goal = {name: start[name] + _short(name, to[name] - start[name]) for name in to}
+        moves = {name: self._goal[name] - start[name] for name in to}
+        self._course: float | None = None
+        if {"x", "y"} <= moves.keys() and (moves["x"] or moves["y"]):
+            self._course = math.atan2(moves["y"], moves["x"])
+            moves |= {ALONG: math.hypot(moves["x"], moves["y"]), CROSS: 0.0}
+        self._errors = {name: _Error(move) for name, move in moves.items()}
+        self._names = list(to)
+        self._commands = _Commands(loop)
+        self.gate: float | None = None
+        self.diverged: float | None = None
+
+    @property
+    def goal(self) -> dict[str, float]:
+        """The set-point, angles as many turns on as the vehicle comes to it."""
+        return self._goal
+
+    def add(self, begin: int, rows: Rows) -> None:
+        """Take in the rows of the samples from `begin` on."""
+        good = np.isfinite(rows.x).all(axis=1)
+        count = len(good) if good.all() else int(np.argmin(good))
+        t = (begin + np.arange(len(good))) * self._scenario.dt
+        if count < len(good):
+            self.diverged = float(t[count])
+        if not count:
+            return
+        errors = self.errors(rows.x[:count])
+        for name, error in errors.items():
+            self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
+        passed = np.flatnonzero(rows.s[:count, -1] > 0)
+        if self.gate is None and passed.size:
+            self.gate = float(t[passed[0]])
+        self._commands.add(rows.u[:count], self._scenario.dt)
+
+    def errors(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """Desired less true pose over rows of states, along and across the track, too."""
+        errors = {name: self._goal[name] - x[:, i] for i, name in enumerate(self._names)}
+        if self._course is not None:
+            c, s = math.cos(self._course), math.sin(self._course)
+            errors[ALONG] = c * errors["x"] + s * errors["y"]
+            errors[CROSS] = c * errors["y"] - s * errors["x"]
+        return errors
+
+    def coordinates(self, cycles: Mapping[str, Cycle | None]) -> tuple[CoordinateResult, ...]:
+        """The measures of every coordinate."""
+        return tuple(self._coordinate(name, cycles.get(name)) for name in self._errors)
+
+    def commands(self) -> tuple[CommandResult, ...]:
+        """The measures of every command."""
+        return self._commands.results()
+
+    def _coordinate(self, name: str, cycle: Cycle | None) -> CoordinateResult:
+        e = self._errors[name]
+        tail = np.concatenate(e.tail) if e.tail else np.array([])
+        tail = tail if tail.size else np.array([e.final])
+        moved = self.diverged is None and e.move != 0
+        stays = e.settled is not None and e.settled <= (1 - TAIL) * self._scenario.duration
+        return CoordinateResult(
+            name,
+            UNITS.get(name, "m"),
+            e.move,
+            e.settled if moved and stays else None,
+            100 * e.beyond / abs(e.move) if e.move else None,
+            e.final,
+            float(tail.mean()),
+            float(np.ptp(tail)) / 2,
+            e.largest,
+            self._left.get(name, 0.0),
+            cycle,
+        )
+
+
+class _Commands:
+    """What is gathered of the commands."""
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        self._names, self._places = loop.parts.controller.command_names, loop.parts.commanded
+        self._limits = loop.parts.controller.allocation.limits
+        n = len(self._names)
+        self._effort, self._square, self._peak, self._changes, self._limited = (np.zeros(n) for _ in range(5))
+        self._time = 0.0
+        self._last: np.ndarray | None = None
+
+    def add(self, u: np.ndarray, dt: float) -> None:
+        u = u[:, self._places]
+        size = np.abs(u)
+        self._effort += dt * size.sum(axis=0)
+        self._square += dt * (u**2).sum(axis=0)
+        self._peak = np.maximum(self._peak, size.max(axis=0))
+        self._limited += dt * (size >= self._limits * (1 - 1e-12)).sum(axis=0)
+        before = u[:1] if self._last is None else self._last
+        self._changes += np.abs(np.diff(np.vstack([before, u]), axis=0)).sum(axis=0)
+        self._last, self._time = u[-1:], self._time + dt * len(u)
+
+    def results(self) -> tuple[CommandResult, ...]:
+        time = self._time or 1.0
+        columns = (
+            self._effort,
+            np.sqrt(self._square / time),
+            self._peak,
+            self._changes / time,
+            self._limited / time,
+        )
+        rows = np.transpose(columns).tolist()
+        return tuple(CommandResult(n, *row) for n, row in zip(self._names, rows, strict=True))
+
+
+def _short(name: str, move: float) -> float:
+    """The short way round for an angle."""
+    return math.remainder(move, 2 * math.pi) if UNITS[name] == "rad" else move

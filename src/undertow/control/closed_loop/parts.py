@@ -1,0 +1,108 @@
+"""The functions of a closed loop: a vehicle, its sensors, and a controller that may know another vehicle."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from undertow.codegen.functions import Functions
+from undertow.codegen.manifest import dead_time, output_delay
+from undertow.control.controller import Controller
+from undertow.errors import UndertowError
+from undertow.model.vehicle import Vehicle
+
+
+class Parts:
+    """Model and controller with the signals of one wired to those of the other by name.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle that moves.
+    controller : Controller
+        The controller; the vehicle that it knows may have fewer degrees of freedom.
+
+    Raises
+    ------
+    UndertowError
+        If the vehicle lacks a motion or a command of the controller.
+    """
+
+    def __init__(self, vehicle: Vehicle, controller: Controller) -> None:
+        self.vehicle, self.controller = vehicle, controller
+        self.functions = Functions(vehicle)
+        known = controller.gains.plant.vehicle
+        self._check("degree of freedom", known.degrees_of_freedom, vehicle.degrees_of_freedom)
+        self._check("command", controller.command_names, vehicle.command_names)
+        self.reported_names = (*vehicle.pose_names, *vehicle.velocity_names)
+        wanted = (*known.pose_names, *known.velocity_names)
+        self.told = [self.reported_names.index(name) for name in wanted]
+        self.commanded = [vehicle.command_names.index(name) for name in controller.command_names]
+
+    def _check(self, what: str, needed: tuple[str, ...], present: tuple[str, ...]) -> None:
+        missing = [name for name in needed if name not in present]
+        if missing:
+            raise UndertowError(
+                f"vehicle '{self.vehicle.name}' lacks {what} '{missing[0]}', which the controller for "
+                f"'{self.controller.gains.plant.vehicle.name}' uses: take a vehicle that has it"
+            )
+
+    # --- functions ----------------------------------------------------------------------------
+    @property
+    def dynamics(self) -> ca.Function:
+        """`x_dot = dynamics(x, u, p, t)`."""
+        return self.functions.dynamics
+
+    @property
+    def outputs(self) -> ca.Function:
+        """`y = outputs(x, u, p, t)`."""
+        return self.functions.outputs
+
+    @cached_property
+    def control(self) -> ca.Function:
+        """`(u, s_next, tau) = control(y, r, s, k, dt)` in the reports and commands of the vehicle."""
+        return self._wired(self.controller.sampled, "control")
+
+    @cached_property
+    def law(self) -> ca.Function:
+        """`(u, s_dot, tau) = law(y, r, s, k)`."""
+        return self._wired(self.controller.continuous, "law")
+
+    def _wired(self, function: ca.Function, name: str) -> ca.Function:
+        names = function.name_in()
+        y = ca.SX.sym("y", len(self.reported_names))
+        others = [ca.SX.sym(n, function.size1_in(n)) for n in names[1:]]
+        commands, *results = function(y[self.told], *others)
+        u = ca.SX.zeros(self.functions.u.numel(), 1)
+        u[self.commanded] = commands
+        outputs = [ca.densify(o) for o in (u, *results)]
+        return ca.Function(name, [y, *others], outputs, names, function.name_out())
+
+    # --- numbers ------------------------------------------------------------------------------
+    @cached_property
+    def parameters(self) -> np.ndarray:
+        """Values of p."""
+        return np.array(self.functions.values(), dtype=float)
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Values of k."""
+        return np.array(self.controller.gain_values())
+
+    def at_rest(
+        self, pose: np.ndarray, commands: np.ndarray | None = None, velocity: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The state of a vehicle whose commands have been held for long; none and no velocity by default."""
+        u = np.zeros(self.functions.u.numel()) if commands is None else commands
+        actuators = np.asarray(self.functions.rest(u, self.parameters, 0.0)).ravel()
+        memory = np.zeros(self.functions.memory.numel())
+        moving = np.zeros(len(pose)) if velocity is None else velocity
+        return np.concatenate([pose, moving, memory, actuators])
+
+    @cached_property
+    def late(self) -> tuple[float, np.ndarray]:
+        """Dead time of the commands and of each report, s."""
+        reports = output_delay(self.functions)
+        return dead_time(self.functions), np.array([reports.get(n, 0.0) for n in self.reported_names])

@@ -1,0 +1,200 @@
+"""The rows of a run that are kept, its log, and its result."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .cycles import Cycle, find_cycle
+from .measures import CommandResult, CoordinateResult, Measures
+
+if TYPE_CHECKING:
+    from .problem import Rows
+    from .scenario import Scenario
+    from .simulate import ClosedLoop
+
+# Smallest amplitude of an oscillation that is told of, as a part of the largest error, and in m or rad.
+_LEAST, _TINY = 2e-3, 1e-5
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """What came of a run.
+
+    Attributes
+    ----------
+    controller, law, vehicle : str
+        Name and law of the gain set, and name of the vehicle that moved.
+    duration, dt : float
+        Length of the run and sampling interval, s.
+    law_is : str
+        "sampled" or "continuous".
+    start, to : mapping
+        First and desired pose, m and rad.
+    gate_passed : float, optional
+        When the heading came within the gate, s; None if it did not, or there is no gate.
+    diverged : float, optional
+        When the state was no number any more, s.
+    coordinates : tuple of CoordinateResult
+        One for each pose coordinate, and along and across the track.
+    commands : tuple of CommandResult
+        One for each command.
+    """
+
+    controller: str
+    law: str
+    vehicle: str
+    duration: float
+    dt: float
+    law_is: str
+    start: Mapping[str, float]
+    to: Mapping[str, float]
+    gate_passed: float | None
+    diverged: float | None
+    coordinates: tuple[CoordinateResult, ...]
+    commands: tuple[CommandResult, ...]
+
+    def of(self, name: str) -> CoordinateResult:
+        """The measures of one coordinate."""
+        return next(c for c in self.coordinates if c.name == name)
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times of the rows, s.
+    state : mapping
+        True pose and velocity, by name.
+    told : mapping
+        What the sensors report, noise included, by name.
+    commands : mapping
+        Mean of each command from its row to the next, so that the impulse is the true one.
+    force : mapping
+        Force that the law asks for, body frame, by degree of freedom.
+    errors : mapping
+        Desired less true pose, and along and across the track, by name.
+    result : LoopResult
+        The measures.
+    """
+
+    t: np.ndarray
+    state: Mapping[str, np.ndarray]
+    told: Mapping[str, np.ndarray]
+    commands: Mapping[str, np.ndarray]
+    force: Mapping[str, np.ndarray]
+    errors: Mapping[str, np.ndarray]
+    result: LoopResult
+
+    def to_csv(self) -> str:
+        """A log as undertow reads it: t, what the sensors report, and the commands."""
+        columns = {"t": self.t, **self.told, **self.commands}
+        stream = io.StringIO()
+        np.savetxt(
+            stream,
+            np.column_stack(list(columns.values())),
+            fmt="%.12g",
+            delimiter=",",
+            header=",".join(columns),
+            comments="",
+        )
+        return stream.getvalue()
+
+    def to_json(self) -> str:
+        """The result as JSON; what has grown beyond all numbers is null."""
+        return json.dumps(_in_json(asdict(self.result)), indent=2, allow_nan=False) + "\n"
+
+
+class Recorder:
+    """Keeps every so many-th row of a run, with the mean of the commands up to the next.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        The loop that runs.
+    scenario : Scenario
+        What is asked.
+    """
+
+    def __init__(self, loop: ClosedLoop, scenario: Scenario) -> None:
+        self._loop, self._scenario, self._stride = loop, scenario, scenario.stride
+        rows = -(-scenario.samples // self._stride)
+        self._sums = np.zeros((rows, loop.parts.functions.u.numel()))
+        self._counts = np.zeros(rows)
+        self._kept: list[tuple[np.ndarray, ...]] = []
+
+    def add(self, begin: int, rows: Rows) -> None:
+        """Take in the rows of the samples from `begin` on."""
+        samples = begin + np.arange(len(rows.x))
+        every = np.flatnonzero(samples % self._stride == 0)
+        self._kept.append((samples[every], *(part[every] for part in (rows.x, rows.y, rows.tau))))
+        bins = samples // self._stride
+        starts = np.flatnonzero(np.diff(bins, prepend=-1))
+        self._sums[bins[starts]] += np.add.reduceat(rows.u, starts)
+        self._counts[bins[starts]] += np.diff(starts, append=len(samples))
+
+    def record(self, start: Mapping[str, float], to: Mapping[str, float], measures: Measures) -> Record:
+        """The rows and the result."""
+        samples, x, y, tau = (np.concatenate(part) for part in zip(*self._kept, strict=True))
+        good = np.isfinite(x).all(axis=1)
+        samples, x, y, tau = (part[good] for part in (samples, x, y, tau))
+        t, parts = samples * self._scenario.dt, self._loop.parts
+        vehicle, known = parts.vehicle, self._loop.gains.plant.vehicle
+        means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
+        if len(means) > 1 and self._counts[-1] < self._stride:
+            means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
+        errors = measures.errors(x)
+        return Record(
+            t,
+            dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=False)),
+            dict(zip(parts.reported_names, y.T, strict=True)),
+            {n: means[:, i] for n, i in zip(parts.controller.command_names, parts.commanded, strict=True)},
+            dict(zip(known.degrees_of_freedom, tau.T, strict=True)),
+            errors,
+            self._result(start, to, measures, {n: _cycle(t, e) for n, e in errors.items()}),
+        )
+
+    def _result(
+        self,
+        start: Mapping[str, float],
+        to: Mapping[str, float],
+        measures: Measures,
+        cycles: Mapping[str, Cycle | None],
+    ) -> LoopResult:
+        gains, scenario = self._loop.gains, self._scenario
+        return LoopResult(
+            gains.name,
+            gains.law.id,
+            self._loop.vehicle.name,
+            scenario.duration,
+            scenario.dt,
+            "continuous" if scenario.continuous else "sampled",
+            dict(start),
+            measures.goal if to else {},
+            measures.gate if gains.schedule.order == "yaw-first" else None,
+            measures.diverged,
+            measures.coordinates(cycles),
+            measures.commands(),
+        )
+
+
+def _in_json(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {k: _in_json(v) for k, v in content.items()}
+    if isinstance(content, list | tuple):
+        return [_in_json(v) for v in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def _cycle(t: np.ndarray, error: np.ndarray) -> Cycle | None:
+    least = max(_LEAST * float(np.abs(error).max(initial=0.0)), _TINY)
+    return find_cycle(t, error, least) if len(t) else None

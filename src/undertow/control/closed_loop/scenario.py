@@ -1,0 +1,188 @@
+"""What is asked of a closed loop: from where to where, how long, how often, and what gets in the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.model.catalogue import nearest
+from undertow.model.symbols import FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.units import to_si
+from undertow.model.vehicle_schema import Quantity
+
+MOST_SAMPLES = 50_000_000
+_POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+UNITS = {**dict(zip(POSE, _POSE_UNITS, strict=True)), **dict(zip(VELOCITY, VELOCITY_UNITS, strict=True))}
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force on the vehicle that the controller does not know of.
+
+    Attributes
+    ----------
+    axis : str
+        X, Y, Z, K, M or N, body frame.
+    value : float
+        N or N m.
+    begin, end : float
+        When it acts, s.
+    """
+
+    axis: str
+    value: float
+    begin: float = 0.0
+    end: float = math.inf
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One run of a closed loop.
+
+    Attributes
+    ----------
+    to : tuple
+        Desired position and, if wanted, heading, or the whole desired pose; in the order of the vehicle's
+        pose coordinates, numbers in SI or quantities such as "135 deg".
+    duration : float
+        Length of the run, s.
+    dt : float
+        Sampling interval of the controller, s.
+    start : tuple
+        Where the vehicle begins, as `to`; missing coordinates are zero.
+    moving : mapping
+        Body velocities that it begins with, SI, by name; at rest by default. Of parameters that differ by
+        direction the mean holds at exactly zero velocity.
+    continuous : bool
+        Whether the law acts without sampling, at every stage of the integration with steps of dt.
+    noise : mapping
+        Standard deviation of what a sensor adds to each sample, SI, by channel (x ... psi, u ... r).
+    seed : int
+        Of the noise.
+    pushes : tuple of Push
+        Forces that disturb.
+    log_interval : float, optional
+        Interval of the recorded rows, s; by default about 5000 rows.
+    """
+
+    to: Sequence[Quantity]
+    duration: float = 240.0
+    dt: float = 0.001
+    start: Sequence[Quantity] = ()
+    moving: Mapping[str, float] = field(default_factory=dict)
+    continuous: bool = False
+    noise: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+    pushes: tuple[Push, ...] = ()
+    log_interval: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("length of the run", self.duration), ("dt", self.dt)):
+            if not 0 < value < math.inf:
+                raise UndertowError(f"{name} = {value:g} s is no time: give one above zero")
+        if self.duration < self.dt:
+            raise UndertowError(
+                f"dt = {self.dt:g} s is longer than the run of {self.duration:g} s: shorten it"
+            )
+        if self.duration / self.dt > MOST_SAMPLES:
+            raise UndertowError(
+                f"{self.duration:g} s at dt = {self.dt:g} s are {self.duration / self.dt:.3g} samples, and "
+                f"{MOST_SAMPLES:.0e} are the most: shorten the run or lengthen dt"
+            )
+        if self.log_interval is not None and not self.dt <= self.log_interval <= self.duration:
+            raise UndertowError(
+                f"interval of the log = {self.log_interval:g} s: give one from dt = {self.dt:g} s to the "
+                f"length of the run, {self.duration:g} s"
+            )
+        if self.continuous and any(self.noise.values()):
+            raise UndertowError("noise comes with every sample, but the law is not sampled: leave one out")
+        if self.seed < 0:
+            raise UndertowError(f"seed {self.seed} is below zero: give a whole number from 0 on")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, the one at the end included."""
+        return round(self.duration / self.dt) + 1
+
+    @property
+    def stride(self) -> int:
+        """Samples from one recorded row to the next."""
+        if self.log_interval is None:
+            return max((self.samples - 1) // 5000, 1)
+        return max(round(self.log_interval / self.dt), 1)
+
+    def pose(self, values: Sequence[Quantity], names: tuple[str, ...], what: str) -> dict[str, float]:
+        """Coordinates by name; which ones a number of values stands for follows from the vehicle.
+
+        Raises
+        ------
+        UndertowError
+            If there are too few or too many values, or one is no quantity.
+        """
+        upright = [n for n in names if n not in ("phi", "theta")]
+        flat = [n for n in upright if n != "psi"]
+        for known in (flat, upright, list(names)):
+            if len(values) == len(known):
+                units = (UNITS[n] for n in known)
+                return {n: _number(v, u, f"{what} {n}") for n, v, u in zip(known, values, units, strict=True)}
+        raise UndertowError(
+            f"{what} has {len(values)} values: give {len(flat)} ({','.join(flat)}), or {len(upright)} with "
+            f"the heading ({','.join(upright)})"
+        )
+
+    def velocity(self, names: tuple[str, ...]) -> np.ndarray:
+        """First body velocity, shape (n,).
+
+        Raises
+        ------
+        UndertowError
+            If the vehicle does not have one that is given.
+        """
+        alien = [n for n in self.moving if n not in names]
+        if alien:
+            raise UndertowError(
+                f"velocity '{alien[0]}' is none of the vehicle's{nearest(alien[0], names)}: it has "
+                f"{', '.join(names)}"
+            )
+        return np.array([self.moving.get(n, 0.0) for n in names])
+
+    def noise_of(self, names: tuple[str, ...]) -> np.ndarray:
+        """Standard deviation for each of the channels of a vehicle, shape (n,)."""
+        for name, value in self.noise.items():
+            if name not in names:
+                raise UndertowError(
+                    f"noise for '{name}', which is not reported{nearest(name, names)}: channels are "
+                    f"{', '.join(names)}"
+                )
+            if not 0 <= value < math.inf:
+                raise UndertowError(f"noise of {name} = {value:g}: give a standard deviation, zero or above")
+        return np.array([self.noise.get(name, 0.0) for name in names])
+
+
+def _number(value: Quantity, unit: str, what: str) -> float:
+    try:
+        return to_si(value, unit)
+    except UndertowError as error:
+        raise UndertowError(f"{what}: {error}") from error
+
+
+def force_unit(axis: str) -> str:
+    """Unit of a force or moment: X, Y, Z in N, K, M, N in N m."""
+    return FORCE_UNITS["XYZKMN".index(axis)]
+
+
+def heading(rule: str, start: Mapping[str, float], to: Mapping[str, float]) -> float:
+    """Heading from the start to the set-point, rad: (42) of the mini-AUV paper, or its four-quadrant form.
+
+    Where nothing is to be gone in the plane, the first heading is kept.
+    """
+    north, east = to["x"] - start["x"], to["y"] - start["y"]
+    if not (north or east):
+        return start["psi"]
+    if rule == "atan2":
+        return math.atan2(east, north)
+    return math.atan(east / north) if north else math.copysign(math.pi / 2, east)

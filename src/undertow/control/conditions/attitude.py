@@ -1,0 +1,218 @@
+"""Conditions over all attitudes: by algebra where J is orthogonal, else by bounds over boxes of angles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy as sm
+from scipy.optimize import minimize
+
+from undertow.control.plant import Plant
+from undertow.model.kinematics import body_rates
+from undertow.model.symbols import POSE, column, symbol
+
+from .interval import FUNCTIONS, Interval
+
+Array = np.ndarray
+_ANGLES = ("phi", "theta", "psi")
+_MOST_BOXES = 40_000
+_GRID = 9
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is known of a number over all attitudes.
+
+    Attributes
+    ----------
+    bound : float
+        The number is nowhere below this.
+    found : float
+        The least value found at a point.
+    worst : dict of float
+        Angles of that point, rad.
+    proof : str
+        Why the bound holds, in words.
+    """
+
+    bound: float
+    found: float
+    worst: dict[str, float]
+    proof: str
+
+
+class Attitudes:
+    """The attitudes of a plant: J^-1 as numbers and as intervals.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    tilt : float
+        Largest roll and pitch that conditions have to hold for, rad.
+    isotropic : bool
+        Whether every gain is the same for x, y and z. With J^-1 = diag(I, W) diag(R', I) the rotation R of
+        the translations then changes no eigenvalue, and J^-1 stands for diag(I, W) here.
+    """
+
+    def __init__(self, plant: Plant, tilt: float, isotropic: bool = False) -> None:
+        self._plant, self.tilt = plant, tilt
+        self._isotropic = isotropic and len(plant.nu) == 6
+
+    @cached_property
+    def orthogonal(self) -> bool:
+        """Whether J J' = I, proved symbolically: then M_q = J M J' has the eigenvalues of M."""
+        J = self._plant.J
+        return (J * J.T).applyfunc(sm.trigsimp) == sm.eye(J.rows)
+
+    @cached_property
+    def heading_turns_out(self) -> bool:
+        """Whether J(psi) = Z(psi) J(0) with Z orthogonal, proved: then psi does not change eigenvalues."""
+        psi = symbol("psi")
+        if psi not in self._plant.J.free_symbols:
+            return True
+        turn = self._turn
+        rest = turn * self._plant.J.xreplace({psi: sm.Integer(0)}) - self._plant.J
+        return rest.applyfunc(lambda e: sm.trigsimp(sm.expand(e))).is_zero_matrix is True
+
+    @cached_property
+    def _turn(self) -> sm.Matrix:
+        names = self._plant.vehicle.pose_names
+        turn, psi = sm.eye(len(names)), symbol("psi")
+        if "x" in names and "y" in names:
+            i, j = names.index("x"), names.index("y")
+            turn[i, i] = turn[j, j] = sm.cos(psi)
+            turn[i, j], turn[j, i] = -sm.sin(psi), sm.sin(psi)
+        return turn
+
+    def angles(self, turned: bool) -> tuple[str, ...]:
+        """Angles that a matrix can depend on; the heading only if it is not `turned` out."""
+        found = [a for a in _ANGLES if symbol(a) in self._plant.J.free_symbols]
+        return tuple(a for a in found if not (a == "psi" and turned and self.heading_turns_out))
+
+    def box(self, angles: tuple[str, ...]) -> Array:
+        """Range of these angles, shape (n, 2), rad."""
+        return np.array([[-np.pi, np.pi] if a == "psi" else [-self.tilt, self.tilt] for a in angles])
+
+    @cached_property
+    def _function(self) -> Callable[..., Any]:
+        inverse = self._plant.J_inverse
+        if self._isotropic:
+            inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:])))
+        return sm.lambdify([symbol(a) for a in _ANGLES], inverse.tolist(), [FUNCTIONS])
+
+    def inverse(self, values: dict[str, Interval]) -> Interval:
+        """J^-1 for intervals of angles of shape (k,), zero where not given, shape (k, n, n)."""
+        k = len(next(iter(values.values())).lo) if values else 1
+        zero = Interval(np.zeros(k), np.zeros(k))
+        rows = self._function(*(values.get(a, zero) for a in _ANGLES))
+        cells = [
+            [c if isinstance(c, Interval) else Interval(*[np.full(k, float(c))] * 2) for c in r] for r in rows
+        ]
+        sides = (
+            np.stack([np.stack([getattr(c, s) for c in r], -1) for r in cells], -2) for s in ("lo", "hi")
+        )
+        return Interval(*sides)
+
+    def at(self, values: dict[str, float]) -> Array:
+        """J^-1 at one attitude, shape (n, n)."""
+        inverse = self.inverse({a: Interval([v], [v]) for a, v in values.items()})
+        return inverse.middle[0]
+
+
+def least(
+    margin: Callable[[Any], Array], attitudes: Attitudes, turned: bool, depends: bool = True
+) -> Certificate:
+    """Bound a margin from below over all attitudes: by algebra, or by branch and bound on boxes of angles.
+
+    The bound is refined until it is above half of the least value that is found at a point, which is all that
+    its sign needs; where that value is not positive, the point is a counterexample and no bound is sought.
+
+    Parameters
+    ----------
+    margin : callable
+        From J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below it.
+    attitudes : Attitudes
+        The range.
+    turned : bool
+        Whether the margin is the same at every heading.
+    depends : bool
+        Whether the margin contains J at all.
+    """
+    angles = attitudes.angles(turned)
+    if not depends or not angles or (attitudes.orthogonal and turned):
+        value = float(margin(attitudes.at({})[None])[0])
+        return Certificate(value, value, {}, _algebra(attitudes) if depends else "gains alone")
+    best, worst = _search(margin, attitudes, angles)
+    place = dict(zip(angles, map(float, worst), strict=True))
+    if best <= 0:
+        return Certificate(best, best, place, "fails there")
+    bound, seen = _bound(margin, attitudes, angles, best)
+    return Certificate(bound, best, place, _bounds(attitudes, angles, seen, bound))
+
+
+def _search(
+    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...]
+) -> tuple[float, Array]:
+    """The least margin on a grid, polished from there."""
+    box = attitudes.box(angles)
+    axes = [np.linspace(low, high, _GRID) for low, high in box]
+    grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
+
+    def at(points: Array) -> Array:
+        return margin(_inverses(attitudes, angles, np.stack([points, points], axis=2)).middle)
+
+    start = grid[int(at(grid).argmin())]
+    found = minimize(
+        lambda x: float(at(np.clip(x, box[:, 0], box[:, 1])[None])[0]), start, method="Nelder-Mead",
+        options={"xatol": 1e-6, "fatol": 1e-12, "maxiter": 200},
+    )  # fmt: skip
+    worst = np.clip(found.x, box[:, 0], box[:, 1])
+    return float(at(worst[None])[0]), worst
+
+
+def _bound(
+    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...], best: float
+) -> tuple[float, int]:
+    boxes, done, seen = attitudes.box(angles)[None], np.inf, 0
+    while len(boxes):
+        seen += len(boxes)
+        bounds = margin(_inverses(attitudes, angles, boxes))
+        enough = bounds >= best / 2 if seen < _MOST_BOXES else np.ones(len(boxes), dtype=bool)
+        done = min(done, float(bounds[enough].min(initial=np.inf)))
+        boxes = _halved(boxes[~enough])
+    return min(done, best), seen
+
+
+def _inverses(attitudes: Attitudes, angles: tuple[str, ...], boxes: Array) -> Interval:
+    return attitudes.inverse({a: Interval(boxes[:, i, 0], boxes[:, i, 1]) for i, a in enumerate(angles)})
+
+
+def _halved(boxes: Array) -> Array:
+    """Every box cut across its longest side."""
+    if not len(boxes):
+        return boxes
+    rows = np.arange(len(boxes))
+    axis = (boxes[..., 1] - boxes[..., 0]).argmax(axis=1)
+    middle = boxes[rows, axis].mean(axis=1)
+    first, second = boxes.copy(), boxes.copy()
+    first[rows, axis, 1] = middle
+    second[rows, axis, 0] = middle
+    return np.concatenate([first, second])
+
+
+def _algebra(attitudes: Attitudes) -> str:
+    if attitudes.angles(False):
+        return "all headings: J J' = I, so M_q = J M J' has the eigenvalues of M"
+    return "J is constant"
+
+
+def _bounds(attitudes: Attitudes, angles: tuple[str, ...], boxes: int, bound: float) -> str:
+    tilted = [a for a in angles if a != "psi"]
+    within = f"|{'|, |'.join(tilted)}| <= {np.degrees(attitudes.tilt):.4g} deg, " if tilted else ""
+    said = f"certainly above {bound:.4g}" if bound > 0 else "NOT proved"
+    return f"{said} for {within}all headings: interval arithmetic on {boxes} boxes"

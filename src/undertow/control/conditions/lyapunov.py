@@ -1,0 +1,244 @@
+"""Lyapunov candidates, their derivatives along the closed loop, and LaSalle's sets."""
+
+from __future__ import annotations
+
+import abc
+from random import Random
+from typing import ClassVar, cast
+
+import sympy as sm
+
+from undertow.control.laws import Law, LawSignals
+from undertow.control.plant import Plant
+from undertow.model.symbols import symbol
+
+from .result import Lyapunov
+
+IOTA = symbol("iota")
+_SEED, _POINTS, _TOLERANCE = 20210405, 3, 1e-9
+
+
+class Candidate(abc.ABC):
+    """A Lyapunov candidate and what its derivative is said to be.
+
+    Errors are q~ = q_d - q as in the paper, so that the integral of a PID law is that of q~.
+
+    Attributes
+    ----------
+    V, V_dot : str
+        Both as text.
+    equation : str
+        What they are in the paper.
+    zero_set, invariant : str
+        Where V_dot is zero, and the largest invariant subset of it, if every axis is pushed.
+    """
+
+    V: ClassVar[str]
+    V_dot: ClassVar[str]
+    equation: ClassVar[str]
+    zero_set: ClassVar[str]
+    invariant: ClassVar[str]
+
+    @abc.abstractmethod
+    def value(self, s: LawSignals) -> sm.Expr:
+        """The candidate."""
+
+    @abc.abstractmethod
+    def derivative(self, s: LawSignals) -> sm.Expr:
+        """What its derivative along the closed loop is said to be."""
+
+
+class _PD(Candidate):
+    V = "nu' M nu/2 + q~' K_P q~/2"
+    V_dot = "-nu' J' K_V J nu - nu' D nu"
+    equation = "(24) and (25)"
+    zero_set = "nu = 0 with any q~ (the paper prints q~ = 0 as well, which is the invariant subset)"
+    invariant = "q~ = 0, nu = 0: elsewhere K_P q~ sets the vehicle in motion"
+
+    def value(self, s: LawSignals) -> sm.Expr:
+        return _form(s.plant.nu, s.plant.M) / 2 + _form(s.error, s.K_P) / 2
+
+    def derivative(self, s: LawSignals) -> sm.Expr:
+        rate = s.plant.J * s.plant.nu
+        return -_form(rate, s.K_V) - _form(s.plant.nu, s.plant.D)
+
+
+class _PID(_PD):
+    V = "nu' M nu/2 + q~' K_P q~/2 - iota q~' M_q q_dot + phi' K_I q~ + iota phi' K_I phi/2"
+    V_dot = (
+        "-q~' (iota K_P - K_I) q~ + iota q~' K q_dot - q_dot' (K - iota M_q) q_dot - iota q~' C_q' q_dot, "
+        "K = K_V + D_q, phi_dot = q~"
+    )
+    equation = "half of the candidate after (33) with q for q - q_d and the integral of q - q_d for phi"
+    zero_set = "q~ = 0, nu = 0 with any phi, where the conditions on V_dot hold"
+    invariant = "q~ = 0, nu = 0, phi = 0: elsewhere K_I phi sets the vehicle in motion"
+
+    def value(self, s: LawSignals) -> sm.Expr:
+        momentum = s.plant.J_inverse.T * s.plant.M * s.plant.nu
+        cross = -IOTA * (s.error.T * momentum)[0] + (s.states.T * s.K_I * s.error)[0]
+        return super().value(s) + cross + IOTA * _form(s.states, s.K_I) / 2
+
+    def derivative(self, s: LawSignals) -> sm.Expr:
+        plant = s.plant
+        rate = plant.J * plant.nu
+        spring = _form(s.error, IOTA * s.K_P - s.K_I)
+        K = s.K_V + plant.D_q
+        motion = _form(rate, K - IOTA * plant.M_q)
+        return -spring + IOTA * (s.error.T * (K - plant.C_q.T) * rate)[0] - motion
+
+
+class _Sliding(Candidate):
+    V = "S' S/2"
+    V_dot = "-sum K_Z |S|"
+    equation = "(38) and (39)"
+    zero_set = "S = 0"
+    invariant = (
+        "S = 0 (an invariant set, not an initial condition); there q~_dot = -Lambda q~, so q~ = 0 in the end"
+    )
+
+    def value(self, s: LawSignals) -> sm.Expr:
+        return _form(self.surface(s), sm.eye(len(s.error))) / 2
+
+    def derivative(self, s: LawSignals) -> sm.Expr:
+        return -sum((s.K_Z * self.surface(s).applyfunc(sm.Abs)), sm.Integer(0))
+
+    def surface(self, s: LawSignals) -> sm.Matrix:
+        return -s.plant.J * s.plant.nu + s.Lambda * s.error
+
+
+class _Layer(_Sliding):
+    V_dot = "-sum K_Z |S| min(1, |S|/width)"
+    equation = "(39), with a boundary layer"
+
+    def derivative(self, s: LawSignals) -> sm.Expr:
+        size = self.surface(s).applyfunc(sm.Abs)
+        share = (s.width.inv() * size).applyfunc(lambda e: sm.Min(1, e))
+        return -(size.T * s.K_Z * share)[0]
+
+
+class _Twisting(_Sliding):
+    V = "sum K_2 |S| + twist' twist/2"
+    V_dot = "-sum K_1 K_2 sqrt|S|"
+    equation = "none of the paper's"
+    zero_set = "S = 0 with any twist"
+    invariant = "S = 0, twist = 0: elsewhere S_dot = -twist leads away from S = 0"
+
+    def value(self, s: LawSignals) -> sm.Expr:
+        size = self.surface(s).applyfunc(sm.Abs)
+        return sum(s.K_2 * size, sm.Integer(0)) + _form(s.states, sm.eye(len(s.states))) / 2
+
+    def derivative(self, s: LawSignals) -> sm.Expr:
+        root = self.surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)))
+        return -sum(s.K_1 * s.K_2 * root, sm.Integer(0))
+
+
+CANDIDATES: dict[str, Candidate] = {
+    "pd": _PD(),
+    "pid": _PID(),
+    "sliding-mode": _Sliding(),
+    "sliding-mode-boundary-layer": _Layer(),
+    "super-twisting": _Twisting(),
+}
+"""The candidate of each law."""
+
+
+def _form(x: sm.Matrix, matrix: sm.Matrix) -> sm.Expr:
+    return (x.T * matrix * x)[0]
+
+
+def along_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
+    """Derivative of an expression along the closed loop of a law that gets the force it asks for.
+
+    The sign of a velocity that switches parameters counts as constant.
+    """
+    plant = s.plant
+    rate = plant.J * plant.nu
+    net = law.force(s) - (plant.C + plant.D) * plant.nu - plant.g
+    rates = [
+        *zip(plant.eta, rate, strict=True),
+        *zip(s.error, -rate, strict=True),
+        *zip(s.states, law.rates(s), strict=True),
+        *zip(plant.nu, plant.M.LUsolve(net), strict=True),
+    ]
+    return sum((value.diff(x) * v for x, v in rates), sm.Integer(0))
+
+
+def identity(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
+    """The derivative worked out from the model, and what it is said to be, all parameters forward."""
+    candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _Forward(plant)), law)
+    return along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
+
+
+def compare(plant: Plant, law: Law) -> float:
+    """Largest relative difference of the two at random points, with the numbers of the vehicle."""
+    candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _InNumbers(plant)), law)
+    worked, stated = along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
+    names = sorted(worked.free_symbols | stated.free_symbols, key=str)
+    function = sm.lambdify(names, [worked, stated], "math", cse=True)
+    random, worst = Random(_SEED), 0.0
+    for _ in range(_POINTS):
+        values = [random.uniform(0.2, 1.2) for _ in names]
+        one, other = function(*values)
+        worst = max(worst, abs(one - other) / max(abs(one), abs(other), 1e-12))
+    return worst
+
+
+def lyapunov(plant: Plant, law: Law, equilibria: str) -> Lyapunov:
+    """The candidate of a law with the comparison, and the equilibria of what is not pushed."""
+    candidate = CANDIDATES[law.id]
+    difference = compare(plant, law)
+    agrees = "equal" if difference < _TOLERANCE else "NOT equal"
+    told = f"{agrees} to V_dot worked out from the model ({_POINTS} random points, {difference:.0e} apart)"
+    return Lyapunov(
+        candidate.V,
+        candidate.V_dot,
+        candidate.equation,
+        told,
+        candidate.zero_set,
+        equilibria or candidate.invariant,
+    )
+
+
+class _Forward:
+    """A plant with every switched parameter at its forward value."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self._way = dict.fromkeys(plant.reversing, 1)
+
+    def __getattr__(self, name: str) -> sm.Matrix:
+        found = getattr(self._plant, name)
+        return self._filled(found) if isinstance(found, sm.MatrixBase) else found
+
+    def _filled(self, matrix: sm.Matrix) -> sm.Matrix:
+        return self._plant.one_way(matrix, self._way)
+
+
+class _InNumbers(_Forward):
+    """The same with numbers for the parameters."""
+
+    def _filled(self, matrix: sm.Matrix) -> sm.Matrix:
+        return super()._filled(matrix).xreplace(self._plant.numbers)
+
+
+def equilibria_without_thrust(plant: Plant, law: Law) -> str:
+    """Where the loop comes to rest beside the set-point because no thruster pushes, or nothing.
+
+    At rest the force beyond weight is J' w with w = K_P q~ (and K_I phi); it is zero in every pushed axis for
+    w along J^-T times the axes that nothing pushes.
+    """
+    silent = [i for i, row in enumerate(plant.B.tolist()) if not any(row)]
+    if not silent:
+        return ""
+    dofs, coordinates = plant.vehicle.degrees_of_freedom, plant.vehicle.pose_names
+    lacking = ", ".join(dofs[i] for i in silent)
+    if "K_P" not in [g.name for g in type(law).gains]:
+        return f"not only S = 0: nothing drives S to zero along {lacking}, which no thruster pushes"
+    lines = []
+    for column in (plant.J_inverse.T[:, i] for i in silent):
+        parts = ", ".join(f"{c}: {v}" for c, v in zip(coordinates, column, strict=True) if v != 0)
+        lines.append(f"({parts})")
+    return (
+        f"not only q~ = 0: at rest with K_P q~ along {' and '.join(lines)} nothing moves, because no "
+        f"thruster acts in {lacking}; that error is never corrected"
+    )

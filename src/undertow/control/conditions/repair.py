@@ -1,0 +1,316 @@
+"""Minimal repairs: the smallest change of gains that satisfies a set of conditions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from undertow.errors import UndertowError
+
+from .case import SignSet
+from .condition import Condition
+from .feasible import where_positive
+from .least_change import Cut, least_change
+from .pid import FallingCandidate, PrintedDamper, PrintedLast, PrintedSpring, Routh, SomeIota
+from .problem import Problem
+
+Array = np.ndarray
+_GRID = np.log(np.logspace(-4, 1, 26))
+
+
+class _LastByEigenvalues(PrintedLast):
+    """The printed last condition in the manner of the others: smallest gain against largest inertia."""
+
+    eigenvalues = True
+
+
+@dataclass(frozen=True)
+class Repairs:
+    """A kind of repair.
+
+    Attributes
+    ----------
+    conditions : tuple of Condition
+        What has to hold afterwards.
+    changes : tuple of str
+        The gains that may change.
+    method : str
+        How the change is found.
+    """
+
+    conditions: tuple[Condition, ...]
+    changes: tuple[str, ...]
+    method: str
+
+
+_LINEAR = (
+    "convex for a given iota: cutting planes, each a least-distance problem solved by scipy.optimize.nnls; "
+    "iota by a search in one dimension"
+)
+KINDS = {
+    "literal": Repairs((PrintedDamper(), PrintedSpring(), _LastByEigenvalues()), ("K_P", "K_V"), _LINEAR),
+    "lyapunov": Repairs((FallingCandidate(),), ("K_P", "K_V", "K_I"), _LINEAR),
+    "routh": Repairs(
+        (Routh(),),
+        ("K_P", "K_V", "K_I"),
+        "convex in k_p, k_v and sqrt(k_i): cutting planes, each a least-distance problem solved by "
+        "scipy.optimize.nnls",
+    ),
+}
+"""What `--repair` takes."""
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Gains with which a set of conditions holds.
+
+    Attributes
+    ----------
+    kind, method : str
+        Which conditions, and how the change was found.
+    gains : dict of dict of float
+        New value by gain and coordinate, SI; only what changes.
+    factors : dict of dict of float
+        New over old value.
+    iota : float or None
+        The iota that belongs to them.
+    found : bool
+        False where no change of the gains was found to do it.
+    """
+
+    kind: str
+    method: str
+    gains: dict[str, dict[str, float]]
+    factors: dict[str, dict[str, float]]
+    iota: float | None
+    found: bool
+
+
+@dataclass(frozen=True)
+class Single:
+    """What one gain would have to be if it alone changed.
+
+    Attributes
+    ----------
+    kind : str
+        "routh" or "lyapunov".
+    gain, coordinate, signs : str
+        Which one, in which channel and set of parameters.
+    bound : float or None
+        The value it has to pass; None where no value of it does.
+    above : bool
+        Whether it has to be larger than that.
+    """
+
+    kind: str
+    gain: str
+    coordinate: str
+    signs: str
+    bound: float | None
+    above: bool
+
+
+# --- one gain alone -----------------------------------------------------------------------------
+def singles(problem: Problem) -> list[Single]:
+    """For every channel that fails a condition: what each of its gains would have to be alone."""
+    if "K_I" not in problem.values:
+        return []
+    kinds: tuple[tuple[str, Condition], ...] = (("routh", Routh()), ("lyapunov", SomeIota()))
+    return [
+        found
+        for kind, condition in kinds
+        for one in problem.sets[:2]
+        for i in range(problem.size)
+        if problem.channel_margin(condition, one, i, None) <= 0
+        for found in (_single(problem, kind, condition, one, i, name) for name in ("K_P", "K_V", "K_I"))
+    ]
+
+
+def _single(problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str) -> Single:
+    def margin(value: float) -> float:
+        values = {**problem.values, name: problem.values[name].copy()}
+        values[name][i] = value
+        return problem.changed(values).channel_margin(condition, one, i, None)
+
+    span = where_positive(margin)
+    present = float(problem.values[name][i])
+    above = span is not None and present <= span[0]
+    bound = None if span is None else span[0] if above else span[1]
+    return Single(kind, name, problem.coordinates[i], one.name, bound, above)
+
+
+# --- all gains together -------------------------------------------------------------------------
+def repair(problem: Problem, kind: str) -> Repair:
+    """The smallest change, in the sum of squared relative changes, after which conditions hold in every set.
+
+    Where the heading matters, gains that are the same for x and y stay the same.
+
+    Raises
+    ------
+    UndertowError
+        If the law has no such conditions.
+    """
+    if "K_I" not in problem.values:
+        raise UndertowError(
+            f"--repair {kind} is for PID gains: the conditions of law '{problem.gains.law.id}' are signs only"
+        )
+    wanted = KINDS[kind]
+    variables = _Variables(problem, wanted.changes)
+    if kind == "routh":
+        return _told(problem, kind, variables, least_change(_routh_cuts(variables), variables.size), None)
+    iota, change = _best_iota(
+        lambda value: least_change(_cuts(variables, wanted.conditions, value), variables.size)
+    )
+    return _told(problem, kind, variables, change, iota)
+
+
+class _Variables:
+    """Relative changes of gains, one for each gain of a coordinate or of several that go together."""
+
+    def __init__(self, problem: Problem, names: tuple[str, ...]) -> None:
+        self.problem, self.names = problem, names
+        self.groups = _groups(problem)
+
+    @property
+    def size(self) -> int:
+        return len(self.names) * len(self.groups)
+
+    def place(self, name: str, i: int) -> int:
+        """Which variable a gain is."""
+        group = next(k for k, members in enumerate(self.groups) if i in members)
+        return self.names.index(name) * len(self.groups) + group
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """All gains after a change."""
+        result = {name: v.copy() for name, v in self.problem.values.items()}
+        for name in self.names:
+            for i in range(self.problem.size):
+                result[name][i] *= 1.0 + x[self.place(name, i)]
+        return result
+
+    def directions(self) -> list[dict[str, Array]]:
+        """The gains that each variable moves by one."""
+        zero = {name: np.zeros_like(v) for name, v in self.problem.values.items()}
+        found = [{n: v.copy() for n, v in zero.items()} for _ in range(self.size)]
+        for name in self.names:
+            for i in range(self.problem.size):
+                found[self.place(name, i)][name][i] = self.problem.values[name][i]
+        return found
+
+
+def _groups(problem: Problem) -> list[list[int]]:
+    """Translations whose gains are alike go together where the heading turns one into the other."""
+    alike = next((c for c in (("x", "y", "z"), ("x", "y")) if problem.same(tuple(c))), ())
+    pair = [problem.coordinates.index(c) for c in alike] if "psi" in problem.coordinates else []
+    rest = [[i] for i in range(problem.size) if i not in pair]
+    return [pair, *rest] if pair else rest
+
+
+def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Array | None]:
+    def cost(logarithm: float) -> float:
+        x = solve(math.exp(logarithm))
+        return math.inf if x is None else float(x @ x)
+
+    costs = [cost(v) for v in _GRID]
+    best = int(np.argmin(costs))
+    if math.isinf(costs[best]):
+        return None, None
+    around = float(_GRID[max(best - 1, 0)]), float(_GRID[min(best + 1, len(_GRID) - 1)])
+    big = 1e6 * (1.0 + costs[best])
+    found = minimize_scalar(
+        lambda v: min(cost(v), big), bounds=around, method="bounded", options={"xatol": 1e-7}
+    )
+    iota = math.exp(found.x if found.fun < costs[best] else _GRID[best])
+    return iota, solve(iota)
+
+
+def _cuts(
+    variables: _Variables, conditions: tuple[Condition, ...], iota: float
+) -> Callable[[Array], Iterator[Cut]]:
+    """Cuts of matrix conditions that are affine in the gains: u' left u - w' right w for eigenvectors."""
+    problem = variables.problem
+    directions = variables.directions()
+
+    def at(x: Array) -> Iterator[Cut]:
+        here = problem.changed(variables.values(x))
+        for condition in conditions:
+            for one in problem.distinct:
+                for inverse in problem.few_attitudes:
+                    yield from _matrix_cuts(here, condition, one, inverse, iota, directions, x)
+
+    return at
+
+
+def _matrix_cuts(
+    here: Problem,
+    condition: Condition,
+    one: SignSet,
+    inverse: Array,
+    iota: float,
+    directions: list[dict[str, Array]],
+    x: Array,
+) -> Iterator[Cut]:
+    def sides(values: dict[str, Array]) -> tuple[Array, Array]:
+        s = here.changed(values).signs(one, inverse, iota)
+        return condition.left(s), condition.right(s)
+
+    left, right = sides(here.values)
+    moved = [sides({n: here.values[n] + d[n] for n in d}) for d in directions]
+    slopes = [(a - left, b - right) for a, b in moved]
+    if condition.eigenvalues:
+        pairs = [(u, w) for u in np.linalg.eigh(left)[1].T for w in np.linalg.eigh(right)[1].T]
+    else:
+        pairs = [(u, u) for u in np.linalg.eigh(left - right)[1].T]
+    for u, w in pairs:
+        slope = np.array([u @ a @ u - w @ b @ w for a, b in slopes])
+        value = float(u @ left @ u - w @ right @ w)
+        yield Cut(slope, value - float(slope @ x))
+
+
+def _routh_cuts(variables: _Variables) -> Callable[[Array], Iterator[Cut]]:
+    """sqrt(K k_p) >= sqrt(M) sqrt(k_i): a concave function against one that is linear in sqrt(k_i).
+
+    The change of an integral gain is counted as twice that of its root, the same for small changes.
+    """
+    problem = variables.problem
+
+    def at(x: Array) -> Iterator[Cut]:
+        for one in problem.sets[:2]:
+            for i in range(problem.size):
+                p, v, s = (variables.place(n, i) for n in ("K_P", "K_V", "K_I"))
+                k_p, k_v, k_i = (float(problem.values[n][i]) for n in ("K_P", "K_V", "K_I"))
+                K, P = k_v * (1 + x[v]) + float(one.damping[i, i]), k_p * (1 + x[p])
+                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(one.inertia[i, i]) * k_i)
+                slope = np.zeros(variables.size)
+                slope[p], slope[v], slope[s] = K * k_p / (2 * mean), P * k_v / (2 * mean), -root / 2
+                value = mean - root * (1 + x[s] / 2)
+                yield Cut(slope, value - float(slope @ x))
+
+    return at
+
+
+def _told(
+    problem: Problem, kind: str, variables: _Variables, change: Array | None, iota: float | None
+) -> Repair:
+    if change is None:
+        return Repair(kind, KINDS[kind].method, {}, {}, None, False)
+    if kind == "routh":  # from the change of the root to that of the gain
+        change = change.copy()
+        for i in range(problem.size):
+            place = variables.place("K_I", i)
+            if i == next(m for m in variables.groups if i in m)[0]:
+                change[place] = (1 + change[place] / 2) ** 2 - 1
+    new = variables.values(change)
+    gains: dict[str, dict[str, float]] = {}
+    factors: dict[str, dict[str, float]] = {}
+    for name in variables.names:
+        for i, coordinate in enumerate(problem.coordinates):
+            old = float(problem.values[name][i])
+            if old and abs(new[name][i] / old - 1) > 1e-9:
+                gains.setdefault(name, {})[coordinate] = float(new[name][i])
+                factors.setdefault(name, {})[coordinate] = float(new[name][i]) / old
+    return Repair(kind, KINDS[kind].method, gains, factors, iota, True)

@@ -1,0 +1,1 @@
+"""Linear analysis with python-control: trims, linear systems, loops, families and designs."""

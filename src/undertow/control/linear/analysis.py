@@ -1,0 +1,254 @@
+"""What a linear system tells: modes, zeros, margins, and what commands can move and sensors can see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, inf, isfinite, log2
+
+import control as ct
+import numpy as np
+from scipy.linalg import expm
+
+from .numeric import Array
+
+_RANK = 1e-9
+_SEEN = 1e-6
+_SHARE = 0.1
+_AT_ZERO = 1e-10
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A pole, with how its motion looks.
+
+    Attributes
+    ----------
+    pole : complex
+        rad/s; of a pair the one with the positive imaginary part.
+    states : tuple of str
+        States that take part, the most first.
+    """
+
+    pole: complex
+    states: tuple[str, ...]
+
+    @property
+    def frequency(self) -> float:
+        """Natural frequency, rad/s."""
+        return abs(self.pole)
+
+    @property
+    def damping(self) -> float:
+        """Damping ratio: -1 to 1; 0 for a pole at zero."""
+        return -self.pole.real / abs(self.pole) if self.pole else 0.0
+
+    @property
+    def time_constant(self) -> float:
+        """Time in which the motion falls (or, if negative, rises) by e, s; endless at zero."""
+        return -1 / self.pole.real if self.pole.real else inf
+
+    @property
+    def stable(self) -> bool:
+        """Whether it does not grow; a pole at zero is a place or heading that nothing holds."""
+        return self.pole.real <= _AT_ZERO
+
+
+def modes(system: ct.StateSpace) -> list[Mode]:
+    """Poles with the states that take part, the fastest growing first; pairs once.
+
+    A state that nothing depends on (place, heading) gives a pole at zero exactly.
+    """
+    names, kept, found = system.state_labels, list(range(system.nstates)), []
+    while True:
+        idle = [i for i in kept if not np.any(system.A[kept, i])]
+        if not idle:
+            break
+        found += [Mode(0j, (names[i],)) for i in idle]
+        kept = [i for i in kept if i not in idle]
+    found += _modes(system.A[np.ix_(kept, kept)], [names[i] for i in kept])
+    return sorted(found, key=lambda m: (-m.pole.real, m.frequency))
+
+
+def _modes(a: Array, names: list[str]) -> list[Mode]:
+    if not names:
+        return []
+    poles, right = np.linalg.eig(a)
+    part = np.abs(right * np.linalg.pinv(right).T)
+    part = part / part.max(axis=0, initial=_RANK)
+    scale = float(np.max(np.abs(poles)))
+    result = []
+    for k, pole in enumerate(poles):
+        if pole.imag < -_RANK * scale:
+            continue
+        taking = sorted(range(len(names)), key=lambda i: -part[i, k])
+        own = tuple(names[i] for i in taking if part[i, k] > _SHARE)
+        result.append(Mode(_clean(complex(pole), scale), own))
+    return result
+
+
+def _clean(pole: complex, scale: float) -> complex:
+    """A pole without the noise of rounding."""
+    real, imaginary = (0.0 if abs(v) < _RANK * scale / 10 else v for v in (pole.real, pole.imag))
+    return complex(real, imaginary)
+
+
+# --- what can be moved and seen --------------------------------------------------------------
+@dataclass(frozen=True)
+class Reach:
+    """What inputs can move, or, of the transposed system, what outputs show.
+
+    Attributes
+    ----------
+    rank, of : int
+        Dimension of what can be reached, and number of states.
+    missing : tuple of str
+        States that are not reached at all.
+    mixed : tuple of str
+        States that are reached only together with others.
+    horizon : float
+        Time over which `singular` is taken, s.
+    singular : tuple of float
+        Singular values of the Gramian over that time, the largest first, SI.
+    """
+
+    rank: int
+    of: int
+    missing: tuple[str, ...]
+    mixed: tuple[str, ...]
+    horizon: float
+    singular: tuple[float, ...]
+
+
+def controllability(system: ct.StateSpace) -> Reach:
+    """Which states the inputs can move."""
+    return _reach(system.A, system.B, system.state_labels)
+
+
+def observability(system: ct.StateSpace) -> Reach:
+    """Which states the outputs show."""
+    return _reach(system.A.T, system.C.T, system.state_labels)
+
+
+def _reach(a: Array, b: Array, names: list[str]) -> Reach:
+    basis = reached(a, b)
+    others = np.eye(len(names)) - basis @ basis.T
+    missing = [n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < _SEEN]
+    lost = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > _SHARE]
+    horizon = _horizon(a)
+    singular = np.linalg.svd(gramian(a, b, horizon), compute_uv=False)
+    mixed = tuple(n for n in lost if n not in missing)
+    return Reach(basis.shape[1], len(names), tuple(missing), mixed, horizon, tuple(map(float, singular)))
+
+
+def reached(a: Array, b: Array) -> Array:
+    """An orthonormal basis of the states that inputs can reach, shape (n, rank)."""
+    scale = np.linalg.norm(a) or 1.0
+    new = basis = _independent(b / (np.linalg.norm(b) or 1.0))
+    while new.shape[1] and basis.shape[1] < len(a):
+        ahead = a @ new / scale
+        for _ in range(2):  # once is not enough for the last digits
+            ahead = ahead - basis @ (basis.T @ ahead)
+        new = _independent(ahead)
+        basis = np.hstack([basis, new])
+    return basis
+
+
+def _independent(columns: Array) -> Array:
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular > _RANK]
+
+
+def _horizon(a: Array) -> float:
+    """The slowest time constant that decays, s."""
+    decaying = [-1 / p.real for p in np.linalg.eigvals(a) if p.real < -1e-6]
+    return float(max(decaying, default=10.0))
+
+
+def gramian(a: Array, b: Array, horizon: float) -> Array:
+    """Integral of exp(A t) B B' exp(A' t) over the horizon, shape (n, n).
+
+    By Van Loan's exponential over a short time, which loses its digits over a long one, and doubling.
+    """
+    n = len(a)
+    doublings = max(0, ceil(log2(max(float(np.linalg.norm(a)) * horizon, 1e-300))))
+    short = horizon / 2**doublings
+    result = expm(np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * short)
+    ahead = result[n:, n:].T
+    total = ahead @ result[:n, n:]
+    for _ in range(doublings):
+        total, ahead = total + ahead @ total @ ahead.T, ahead @ ahead
+    return total
+
+
+def minimal(system: ct.StateSpace) -> ct.StateSpace:
+    """The part of a system that inputs move and outputs show, in other states."""
+    basis = reached(system.A, system.B)
+    a, b, c = basis.T @ system.A @ basis, basis.T @ system.B, system.C @ basis
+    shown = reached(a.T, c.T)
+    return ct.ss(shown.T @ a @ shown, shown.T @ b, c @ shown, system.D)
+
+
+# --- one channel ------------------------------------------------------------------------------
+def channel(system: ct.StateSpace, output: str, source: str) -> ct.StateSpace:
+    """The minimal system from one input to one output."""
+    i, j = system.output_labels.index(output), system.input_labels.index(source)
+    return minimal(ct.ss(system.A, system.B[:, [j]], system.C[[i]], system.D[[i]][:, [j]]))
+
+
+def zeros_of(system: ct.StateSpace) -> list[complex]:
+    """Zeros of a minimal system with one input and one output, rad/s, by real part."""
+    if not system.nstates:
+        return []
+    found = [complex(z) for z in system.zeros() if isfinite(abs(z)) and abs(z) < 1e8]
+    return sorted((_clean(z, max(abs(z), 1.0)) for z in found), key=lambda z: (z.real, z.imag))
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far a loop that is closed by negative feedback is from the border of stability.
+
+    Attributes
+    ----------
+    stable : bool
+        Whether the closed loop is stable now; if not, the margins say what would have to change.
+    gain : float
+        Factor on the loop gain, the nearest to one, that leads to the border; endless where none does.
+    phase : float
+        Phase that leads to the border, degrees: the least by magnitude.
+    delay : float
+        Dead time that may be added, s; zero where the loop is unstable.
+    distance : float
+        Least distance of the Nyquist curve from -1.
+    crossover : float
+        Highest frequency at which the loop gain is one, rad/s; nan where it never is.
+    """
+
+    stable: bool
+    gain: float
+    phase: float
+    delay: float
+    distance: float
+    crossover: float
+
+
+_NO_LOOP = Margins(True, inf, inf, inf, 1.0, float("nan"))
+# Crossings at the ends of the frequency axis are rounding.
+_FACTORS = (1e-6, 1e6)
+
+
+def margins(loop: ct.StateSpace) -> Margins:
+    """Margins of a loop L(s) that is closed by negative feedback."""
+    if not loop.nstates or not np.any(loop.B):
+        return _NO_LOOP
+    gains, phases, distances, _, crossings, _ = ct.stability_margins(loop, returnall=True)
+    stable = bool(np.all(ct.feedback(loop, 1).poles().real <= _AT_ZERO))
+    factors = [float(g) for g in gains if _FACTORS[0] < abs(g) < _FACTORS[1]]
+    delays = [np.radians(p % 360.0) / w for p, w in zip(phases, crossings, strict=True) if w > 0]
+    return Margins(
+        stable,
+        min(factors, key=lambda g: abs(np.log(abs(g))), default=inf),
+        min(map(float, phases), key=abs, default=inf),
+        float(min(delays, default=inf)) if stable else 0.0,
+        float(min(1.0, *distances)) if len(distances) else 1.0,
+        float(max(crossings, default=float("nan"))),
+    )

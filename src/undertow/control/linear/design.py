@@ -1,0 +1,283 @@
+"""Gains by quadratic design: LQR for the laws of gain files, and LQG with an observer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import control as ct
+import numpy as np
+
+from undertow.control.gain_schema import GainTable
+from undertow.control.gains import GainSet, gains_from_table
+from undertow.control.laws import LAWS
+from undertow.errors import UndertowError
+from undertow.model.vehicle import Vehicle
+
+from .analysis import Mode, controllability, modes, observability
+from .loop import LinearLoop, close_loop, with_forces
+from .numeric import Array
+from .systems import linearize, named
+from .trim import Trim, find_trim
+
+# Time over which an integral is to remove an error, beside the time constant of the loop without it.
+_PATIENCE = 5.0
+_FASTER = 2.0
+_ROUNDS = 12
+_HORIZONTAL = ("x", "y")
+_SETTLED = -1e-9
+DESIGNED = ("pd", "pid")
+
+Verdict = Callable[[GainSet], bool]
+
+
+@dataclass(frozen=True)
+class Design:
+    """Gains that come out of a quadratic design.
+
+    Attributes
+    ----------
+    gains : GainSet
+        The law with its numbers.
+    loop : LinearLoop
+        The loop that it closes.
+    coupling : float
+        Largest part of the full optimal gain that the diagonal law leaves out, as a share.
+    slowed : int
+        How often the integral was given more time until the conditions held.
+    certified : bool or None
+        What the conditions say; None where none were asked.
+    """
+
+    gains: GainSet
+    loop: LinearLoop
+    coupling: float
+    slowed: int
+    certified: bool | None
+
+    @property
+    def modes(self) -> list[Mode]:
+        """Poles of the closed loop."""
+        return modes(self.loop.closed)
+
+
+def lqr(
+    vehicle: Vehicle,
+    error: Mapping[str, float],
+    force: Mapping[str, float],
+    *,
+    law: str = "pd",
+    trim: Trim | None = None,
+    conditions: Verdict | None = None,
+    name: str = "lqr",
+) -> Design:
+    """A gain set by linear-quadratic design at hover.
+
+    The weights are Bryson's: an error as large as `error` counts as much as a force as large as `force`. The
+    law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, in x and y the larger
+    one for both, and the loop that it closes is checked. Where conditions are given and fail, the integral is
+    given more time until they hold.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    error : mapping
+        Acceptable error by pose coordinate (x, y, z, phi, theta, psi), m and rad: of each that is actuated.
+    force : mapping
+        Available force by degree of freedom (surge ...), N and N m: of each that is actuated.
+    law : str
+        "pd" or "pid".
+    trim : Trim, optional
+        Where the loop is linear; hover in still water unless stated.
+    conditions : callable, optional
+        Says whether a gain set satisfies the conditions that certify it.
+    name : str
+        Of the gain set.
+
+    Raises
+    ------
+    UndertowError
+        If a weight is missing or not positive, the law is no such law, or the diagonal law does not hold the
+        vehicle, or no integral is slow enough for the conditions.
+    """
+    if law not in DESIGNED:
+        raise UndertowError(f"law '{law}' has no quadratic design: {' and '.join(DESIGNED)} do")
+    found = trim or find_trim(vehicle)
+    channels = _Channels(vehicle, found, error, force)
+    for slowed in range(_ROUNDS):
+        patience = _PATIENCE * _FASTER**slowed
+        gains, coupling = channels.gains(law, patience, name)
+        certified = None if conditions is None else conditions(gains)
+        if certified is not False or law == "pd":
+            break
+    else:
+        raise UndertowError(
+            f"no '{law}' design with these errors and forces meets the conditions: allow more force or "
+            "more error"
+        )
+    loop = close_loop(vehicle, gains, found)
+    _check_held(loop)
+    return Design(gains, loop, coupling, slowed, certified)
+
+
+def _check_held(loop: LinearLoop) -> None:
+    growing = [m for m in modes(loop.closed) if not m.stable]
+    if growing:
+        raise UndertowError(
+            f"the diagonal law does not hold the vehicle: a mode in {', '.join(growing[0].states)} grows "
+            f"with {growing[0].pole.real:.3g} 1/s; its motions are too coupled for one gain each"
+        )
+
+
+class _Channels:
+    """The actuated coordinates of a vehicle at a trim, for design."""
+
+    def __init__(
+        self, vehicle: Vehicle, trim: Trim, error: Mapping[str, float], force: Mapping[str, float]
+    ) -> None:
+        self.vehicle, self.trim = vehicle, trim
+        plant = with_forces(vehicle, linearize(vehicle, trim))
+        pushed = [name.removeprefix("force_") for name in plant.input_labels]
+        if not pushed:
+            raise UndertowError(f"'{vehicle.name}' has no thruster: state one, there is nothing to design")
+        self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in pushed]
+        self.coordinates = [vehicle.pose_names[i] for i in self.rows]
+        dofs = [vehicle.degrees_of_freedom[i] for i in self.rows]
+        self._error = _positive("error", error, self.coordinates)
+        self._force = _positive("force", force, dofs)
+        kept = [plant.state_labels.index(n) for n in (*self.coordinates, *self._velocities)]
+        self._a, self._b = plant.A[np.ix_(kept, kept)], plant.B[kept]
+
+    @property
+    def _velocities(self) -> list[str]:
+        return [self.vehicle.velocity_names[i] for i in self.rows]
+
+    def gains(self, law: str, patience: float, name: str) -> tuple[GainSet, float]:
+        """The diagonal of the optimal gain as a gain set, and the share of what is left out."""
+        optimal = self._optimal(1 / patience if law == "pid" else None)
+        n = len(self.rows)
+        parts = [optimal[:, i * n : (i + 1) * n] for i in range(optimal.shape[1] // n)]
+        largest = max(_coupling(part) for part in parts)
+        names = [g.name for g in LAWS[law].gains]
+        values = {gain: self._everywhere(np.diag(part)) for gain, part in zip(names, parts, strict=True)}
+        return self._as_gains(law, values, name), largest
+
+    def _everywhere(self, diagonal: Array) -> dict[str, float]:
+        """A gain by coordinate, the same in x and y: they are axes of the earth, and the vehicle turns."""
+        values = dict(zip(self.coordinates, map(float, diagonal), strict=True))
+        pushed = [values[c] for c in _HORIZONTAL if c in values]
+        level = [c for c in self.vehicle.pose_names if c in _HORIZONTAL and pushed]
+        return values | dict.fromkeys(level, max(pushed, default=0.0))
+
+    def _optimal(self, rate: float | None) -> Array:
+        """The full optimal gain in errors, velocities and, with a rate in 1/s, integrals of the errors."""
+        n = len(self.rows)
+        a, b, cost = self._a, self._b, np.r_[1 / self._error**2, np.zeros(n)]
+        if rate is not None:
+            a = np.block([[a, np.zeros((2 * n, n))], [np.eye(n), np.zeros((n, 2 * n))]])
+            b = np.vstack([b, np.zeros((n, n))])
+            cost = np.r_[cost, (rate / self._error) ** 2]
+        gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
+        return np.asarray(gain, dtype=float)
+
+    def _as_gains(self, law: str, values: Mapping[str, Mapping[str, float]], name: str) -> GainSet:
+        gains = {
+            gain.name: {c: f"{value:.6g} {gain.unit(c)}" for c, value in values[gain.name].items()}
+            for gain in LAWS[law].gains
+        }
+        silent = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]
+        content = {"schema": "undertow/gains/1", "name": name, "law": law, "gains": gains}
+        return gains_from_table(GainTable.model_validate(content | {"unactuated": silent}), self.vehicle)
+
+
+def _coupling(part: Array) -> float:
+    scale = np.sqrt(np.abs(np.outer(np.diag(part), np.diag(part))))
+    return float(np.max(np.abs(part - np.diag(np.diag(part))) / scale, initial=0.0))
+
+
+def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
+    odd = [n for n in given if n not in names]
+    if odd:
+        raise UndertowError(f"{what} of {odd[0]} is of no use: commands push in {', '.join(names)}")
+    for name in names:
+        value = given.get(name)
+        if value is None or not 0 < value < np.inf:
+            shown = "missing" if value is None else f"{value:g}"
+            raise UndertowError(f"{what} of {name} is {shown}: give a positive one for {', '.join(names)}")
+    return np.array([float(given[n]) for n in names])
+
+
+# --- LQG ----------------------------------------------------------------------------------------
+def lqg(
+    vehicle: Vehicle,
+    trim: Trim | Mapping[str, float],
+    weights: Mapping[str, float],
+    force: Mapping[str, float],
+    disturbance: Mapping[str, float],
+    noise: Mapping[str, float],
+) -> ct.StateSpace:
+    """An observer and an optimal feedback in one: what the sensors of `noise` report to commands.
+
+    States that no command moves are left to themselves, and what no sensor shows is left out.
+
+    Parameters
+    ----------
+    vehicle, trim
+        As for `linearize`.
+    weights : mapping
+        Acceptable deviation by state, SI; states that are not named may be as large as they like.
+    force : mapping
+        Available command by name, in units of the command.
+    disturbance : mapping
+        Strength of white noise by state, in units of the state per square root of a second.
+    noise : mapping
+        Strength of the noise of a sensor by output, in its unit times square root of a second. These are the
+        inputs of the result.
+
+    Raises
+    ------
+    UndertowError
+        If a name is unknown, a value is not positive, or a state that grows or stays cannot be moved or seen.
+    """
+    plant = linearize(vehicle, trim)
+    shown = ct.ss(plant.A, plant.B, plant.C[[_place(plant.output_labels, n) for n in noise]], 0)
+    kept = _kept(plant, shown)
+    a, b, c = plant.A[np.ix_(kept, kept)], plant.B[kept], shown.C[:, kept]
+    names = [plant.state_labels[i] for i in kept]
+    q = np.diag([1 / weights[n] ** 2 if n in weights else 0.0 for n in names])
+    r = np.diag(1 / _positive("command", force, plant.input_labels) ** 2)
+    v = np.diag([disturbance.get(n, 0.0) ** 2 for n in names])
+    w = np.diag(_positive("noise", noise, list(noise)) ** 2)
+    try:
+        gain = np.asarray(ct.lqr(a, b, q, r)[0])
+        observer = np.asarray(ct.lqe(a, np.eye(len(kept)), c, v, w)[0])
+    except (np.linalg.LinAlgError, ValueError, ct.ControlArgument) as error:
+        raise UndertowError(
+            f"no LQG design: {error}; give weights and disturbances to more states"
+        ) from error
+    system = ct.ss(a - b @ gain - observer @ c, observer, -gain, np.zeros((len(r), len(w))))
+    return named(system, [f"{n}_hat" for n in names], list(noise), plant.input_labels, "lqg")
+
+
+def _place(labels: list[str], name: str) -> int:
+    if name not in labels:
+        raise UndertowError(f"'{name}' is no output of the linear system: it has {', '.join(labels)}")
+    return labels.index(name)
+
+
+def _kept(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
+    """States that commands move and sensors show; others must settle by themselves."""
+    named_shown = named(
+        shown, plant.state_labels, plant.input_labels, [str(i) for i in range(shown.noutputs)], ""
+    )
+    lost = {*controllability(plant).missing, *observability(named_shown).missing}
+    left = [i for i, n in enumerate(plant.state_labels) if n in lost]
+    poles = np.linalg.eigvals(plant.A[np.ix_(left, left)]) if left else np.empty(0)
+    if np.any(poles.real > _SETTLED):
+        names = ", ".join(plant.state_labels[i] for i in left)
+        raise UndertowError(
+            f"no LQG design: {names} cannot be moved by commands or seen by sensors, and do not settle by "
+            "themselves: take another trim or more sensors"
+        )
+    return [i for i in range(plant.nstates) if i not in left]

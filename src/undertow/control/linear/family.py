@@ -1,0 +1,307 @@
+"""A vehicle whose parameters are known only so far: a family of linear systems."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import casadi as ca
+import control as ct
+import numpy as np
+
+from undertow.control.gains import GainSet
+from undertow.errors import UndertowError
+from undertow.model.history import last_covariance
+from undertow.model.loading import resolve_vehicle
+from undertow.model.parameter import bare_name
+from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle_toml import read_vehicle_table
+
+from .analysis import Mode, modes
+from .balance import Balance, at_parameters
+from .loop import LinearLoop, law_for
+from .numeric import Array, Numeric, in_direction, motion_of
+from .systems import linear_at
+from .trim import Trim, find_trim
+
+CORNER = 2.0
+"""Standard deviations that a corner is away from the stated values."""
+_MOST_REFUSED = 50
+_SMALL = 1e-3
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far parameters are known.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters, in the order of the covariance.
+    covariance : ndarray, shape (k, k)
+        SI and SNAME signs.
+    source : str
+        Where the covariance comes from.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+    source: str
+
+
+@dataclass(frozen=True)
+class Member:
+    """One system of a family.
+
+    Attributes
+    ----------
+    name : str
+        "stated", "draw 7" or "X_u + 2 sigma".
+    values : mapping
+        Parameters that differ from the stated ones, SI and SNAME signs.
+    modes : tuple of Mode
+        Its poles.
+    system : StateSpace
+        The linear system.
+    loop : LinearLoop or None
+        Where a law closes the loop.
+    """
+
+    name: str
+    values: Mapping[str, float]
+    modes: tuple[Mode, ...]
+    system: ct.StateSpace
+    loop: LinearLoop | None = None
+
+    @property
+    def stable(self) -> bool:
+        """Whether no mode grows."""
+        return all(m.stable for m in self.modes)
+
+
+@dataclass(frozen=True)
+class Family:
+    """The systems that an identification leaves open.
+
+    Attributes
+    ----------
+    spread : Spread
+        What they are drawn from.
+    members : tuple of Member
+        The stated one, then corners, then draws.
+    refused : int
+        Draws that no vehicle can have (such as a negative mass) or that have no such trim; they were redrawn.
+    """
+
+    spread: Spread
+    members: tuple[Member, ...]
+    refused: int
+
+    @property
+    def unstable(self) -> list[Member]:
+        """Members with a mode that grows."""
+        return [m for m in self.members if not m.stable]
+
+
+def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
+    """How far the parameters of a vehicle are known.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its stated standard deviations (sigma) count as independent.
+    source : str or Path, optional
+        Its file: the covariance of the last fit in its history replaces them for what was fitted.
+
+    Raises
+    ------
+    UndertowError
+        If nothing has a standard deviation.
+    """
+    names, matrix = ((), np.zeros((0, 0))) if source is None else _last_covariance(vehicle, source)
+    stated = {n: v.sigma for n, v in vehicle.values.items() if v.sigma and n not in names}
+    used = {n: s for n, s in stated.items() if n in vehicle.parameter_names and np.isfinite(s)}
+    if not names and not used:
+        raise UndertowError(
+            f"no parameter of '{vehicle.name}' has a standard deviation: write, for instance, "
+            'X_u = { value = ..., sigma = "..." }, or fit it to logs'
+        )
+    whole = np.zeros((len(names) + len(used),) * 2)
+    whole[: len(names), : len(names)] = matrix
+    whole[len(names) :, len(names) :] = np.diag(np.square(list(used.values())))
+    words = [f"covariance of the last fit for {len(names)}"] if names else []
+    words += [f"stated standard deviations of {len(used)}"] if used else []
+    return Spread((*names, *used), whole, " and ".join(words) + " parameters")
+
+
+def _last_covariance(vehicle: Vehicle, source: str | Path) -> tuple[tuple[str, ...], Array]:
+    """Parameters and covariance of the last fit that the history of a file tells of; none if it has none."""
+    names, matrix = last_covariance(read_vehicle_table(resolve_vehicle(source)).history, vehicle)
+    kept = [i for i, n in enumerate(names) if n in vehicle.parameter_names]
+    whole = np.array(matrix, dtype=float).reshape(len(names), len(names))
+    return tuple(names[i] for i in kept), whole[np.ix_(kept, kept)]
+
+
+def family(
+    vehicle: Vehicle,
+    trim: Trim | Mapping[str, float],
+    size: int,
+    *,
+    gains: GainSet | None = None,
+    source: str | Path | None = None,
+    seed: int = 0,
+) -> Family:
+    """Linear systems for parameters as uncertain as they are.
+
+    First the stated vehicle, then corners (each parameter by itself, and all together in the way that slows
+    the slowest mode down most, `CORNER` standard deviations away but within physical bounds), then seeded
+    draws. Each member has its own trim. With gains each is a closed loop whose law knows the stated vehicle.
+
+    Parameters
+    ----------
+    vehicle, trim
+        As for `linearize`.
+    size : int
+        Number of draws.
+    gains : GainSet, optional
+        A law that closes the loop.
+    source : str or Path, optional
+        The vehicle's file, for the covariance of its last fit.
+    seed : int
+        Of the draws.
+    """
+    found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
+    maker, spread = _Maker(vehicle, found, gains), spread_of(vehicle, source)
+    stated = maker.member("stated", np.array([]), ())
+    if stated is None:  # no parameter differs, so the trim holds
+        raise UndertowError(f"'{vehicle.name}' has no such trim as stated: find it again for this vehicle")
+    corners = [maker.member(name, shift, spread.names) for name, shift in _corners(spread, maker, stated)]
+    made = [m for m in corners if m is not None and not _same(m, stated)]
+    draws, refused = _draws(spread, maker, size, np.random.default_rng(seed))
+    return Family(spread, (stated, *made, *draws), refused)
+
+
+def _draws(spread: Spread, maker: _Maker, size: int, random: np.random.Generator) -> tuple[list[Member], int]:
+    draws: list[Member] = []
+    refused = 0
+    while len(draws) < size:
+        shift = random.multivariate_normal(np.zeros(len(spread.names)), spread.covariance, method="eigh")
+        member = maker.member(f"draw {len(draws) + 1}", shift, spread.names, clip=False)
+        if member is not None:
+            draws.append(member)
+            continue
+        refused += 1
+        if refused > _MOST_REFUSED * size:
+            raise UndertowError(
+                f"hardly any draw of the parameters of '{maker.vehicle.name}' is a vehicle: the standard "
+                "deviations are too large beside the values; fit them to logs, or state smaller ones"
+            )
+    return draws, refused
+
+
+def _same(member: Member, stated: Member) -> bool:
+    """Whether a corner changes nothing: a parameter of the other direction of motion."""
+    pairs = ((member.system.A, stated.system.A), (member.system.B, stated.system.B))
+    return all(np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
+
+
+def _corners(spread: Spread, maker: _Maker, stated: Member) -> Iterator[tuple[str, Array]]:
+    sigmas = np.sqrt(np.diag(spread.covariance))
+    for i, name in enumerate(spread.names):
+        for sign, word in ((1, "+"), (-1, "-")):
+            shift = np.zeros(len(sigmas))
+            shift[i] = sign * CORNER * sigmas[i]
+            yield f"{name} {word} {CORNER:g} sigma", shift
+    slope = _slope_of_slowest(spread, maker, stated, sigmas)
+    for sign, word in ((1, "slowest"), (-1, "quickest")):
+        if np.any(slope):
+            yield f"all together, {word}", sign * CORNER * sigmas * np.sign(slope)
+
+
+def _slope_of_slowest(spread: Spread, maker: _Maker, stated: Member, sigmas: Array) -> Array:
+    """Change of the real part of the slowest mode that is not at zero, per standard deviation."""
+    slope = np.zeros(len(sigmas))
+    for i in range(len(sigmas)):
+        small = np.zeros(len(sigmas))
+        small[i] = _SMALL * sigmas[i]
+        member = maker.member("", small, spread.names)
+        slope[i] = 0.0 if member is None else (_slowest(member) - _slowest(stated)) / _SMALL
+    return slope
+
+
+def _slowest(member: Member) -> float:
+    return max((m.pole.real for m in member.modes if m.pole), default=0.0)
+
+
+class _Maker:
+    """Makes members of a family around a trim.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The stated one.
+    trim : Trim
+        Its steady motion; what it holds by name is held for every member.
+    gains : GainSet, optional
+        A law, which knows the stated vehicle.
+    """
+
+    def __init__(self, vehicle: Vehicle, trim: Trim, gains: GainSet | None) -> None:
+        self.vehicle, self._trim = vehicle, trim
+        self._numeric = Numeric(in_direction(vehicle, trim.direction))
+        self._balance = Balance(self._numeric, trim.wanted)
+        self._law = None if gains is None else law_for(gains, vehicle, trim)
+        f = self._numeric.functions
+        self._mass = ca.Function("mass", [f.x, f.p, f.t], [ca.densify(f.mass_matrix)])
+
+    def member(self, name: str, shift: Array, names: tuple[str, ...], *, clip: bool = True) -> Member | None:
+        """A member with shifted parameters, or None where they are no vehicle or it has no such trim.
+
+        What is beyond its physical bounds is no vehicle, unless it is clipped to them.
+        """
+        values = {n: self.vehicle.value_of(n).value + float(d) for n, d in zip(names, shift, strict=True)}
+        inside = {n: self._inside(n, v) for n, v in values.items()}
+        if inside != values and not clip:
+            return None
+        p = self._parameters(inside)
+        if np.min(np.linalg.eigvalsh(self._mass(self._trim.x, p, 0.0).full())) <= 0:
+            return None
+        found = at_parameters(self._balance, p, self._trim.x, self._trim.u)
+        if found is None:
+            return None
+        states, commands = self._trim.states, self._trim.commands
+        trim = replace(
+            self._trim,
+            states=dict(zip(states, found[0], strict=True)),
+            commands=dict(zip(commands, found[1], strict=True)),
+        )
+        plant = linear_at(self._numeric, trim, p)
+        loop = None if self._law is None else LinearLoop(plant, self._law, trim)
+        system = loop.closed if loop else plant
+        return Member(name, inside, tuple(modes(system)), system, loop)
+
+    def _inside(self, name: str, value: float) -> float:
+        declared = self.vehicle.declared_parameters
+        low, high = (declared.get(name) or declared[bare_name(name)]).bounds
+        return min(max(value, low), high)
+
+    def _parameters(self, values: Mapping[str, float]) -> Array:
+        """The vector p; a value of one direction stands for both where the trim has chosen it."""
+        names, p = self._numeric.functions.parameter_names, self._numeric.p.copy()
+        for name, value in values.items():
+            way = self._trim.direction.get(motion_of(self.vehicle, name) or "") if _split(name) else None
+            for other in [name] if way is None else _both_ways(name, way):
+                p[names.index(other)] = value
+        return p
+
+
+def _split(name: str) -> bool:
+    """Whether a parameter is for one direction of motion."""
+    return name != bare_name(name)
+
+
+def _both_ways(name: str, way: int) -> list[str]:
+    """What a parameter of one direction stands for when `way` is the direction taken for both."""
+    chosen = name.endswith("_forward" if way > 0 else "_backward")
+    return [f"{bare_name(name)}_forward", f"{bare_name(name)}_backward"] if chosen else []

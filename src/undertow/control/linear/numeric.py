@@ -1,0 +1,157 @@
+"""A vehicle's equations as functions of NumPy arrays, and vehicles made ready for linear analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen import Compiled, Functions
+from undertow.codegen.buffers import Evaluator
+from undertow.codegen.manifest import dead_time, describe
+from undertow.errors import UndertowError
+from undertow.model.effects.ocean_current import OceanCurrent
+from undertow.model.parameter import bare_name
+from undertow.model.symbols import VELOCITY
+from undertow.model.vehicle import Value, Vehicle
+
+Array = NDArray[np.float64]
+_WAYS = {1: "forward", -1: "backward"}
+
+
+class Numeric:
+    """The functions of a vehicle and their slopes at a point, from compiled code.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+
+    Attributes
+    ----------
+    states, commands, outputs : tuple of str
+        Names of the entries of x, u and y.
+    p : ndarray, shape (np,)
+        Values of the parameters, SI and SNAME signs.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle, self.functions = vehicle, Functions(vehicle)
+        self.states = self.functions.state_names
+        self.commands = vehicle.command_names
+        self.outputs = (*vehicle.pose_names, *vehicle.velocity_names)
+        self.p = np.array(self.functions.values())
+        self._compiled = Compiled(self.functions)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Unit of every state and command by name."""
+        manifest = describe(self.functions)
+        return {e.name: e.unit for e in (*manifest.states, *manifest.inputs)} | self._command_units
+
+    @property
+    def _command_units(self) -> dict[str, str]:
+        """A thruster whose command is its thrust is told in newtons."""
+        plain = [t.name for t in self.vehicle.thrusters if t.thrust_per_command.value == 1.0]
+        return dict.fromkeys(plain, "N")
+
+    @property
+    def dead_time(self) -> float:
+        """Delay between command and thrust, s."""
+        return dead_time(self.functions)
+
+    @cached_property
+    def varies(self) -> bool:
+        """Whether the forces change with time by themselves."""
+        f = self.functions
+        return bool(ca.jacobian(ca.vertcat(f.x_dot, f.reported), f.t).nnz())
+
+    # --- values and slopes --------------------------------------------------------------------
+    @cached_property
+    def _rate(self) -> Evaluator:
+        return self._compiled.evaluator("dynamics")
+
+    @cached_property
+    def _slopes(self) -> Evaluator:
+        return self._compiled.evaluator("jacobians")
+
+    @cached_property
+    def _report(self) -> Evaluator:
+        return self._compiled.evaluator("outputs")
+
+    @cached_property
+    def _report_slopes(self) -> Evaluator:
+        f = self.functions
+        slopes = [ca.densify(ca.jacobian(f.reported, v)) for v in (f.x, f.u)]
+        return Evaluator(ca.Function("report_slopes", [f.x, f.u, f.p, f.t], slopes))
+
+    def rate(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
+        """Time derivative of the state, shape (nx,)."""
+        return self._rate(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+
+    def report(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
+        """Reported pose and velocity, shape (2n,)."""
+        return self._report(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+
+    def slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array, Array, Array]:
+        """Time derivative of the state, and its slopes A, B, P in state, command and parameters."""
+        rate, a, b, by_p = self._slopes(x, u, self._or_stated(p), np.zeros(1))
+        return rate[0, :, 0], a[0], b[0], by_p[0]
+
+    def report_slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array]:
+        """Slopes C, D of the reported pose and velocity in state and command."""
+        c, d = self._report_slopes(x, u, self._or_stated(p), np.zeros(1))
+        return c[0], d[0]
+
+    def _or_stated(self, p: Array | None) -> Array:
+        return self.p if p is None else p
+
+
+# --- vehicles made ready ------------------------------------------------------------------------
+def in_direction(vehicle: Vehicle, direction: Mapping[str, int]) -> Vehicle:
+    """The vehicle with the parameters of one direction of motion for both.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    direction : mapping
+        1 (forward, or the positive way of the axis) or -1 (backward) by velocity u, v, w, p, q or r.
+
+    Raises
+    ------
+    UndertowError
+        If a velocity is none of the vehicle's, or a direction is neither 1 nor -1.
+    """
+    for name, way in direction.items():
+        if name not in vehicle.velocity_names or way not in _WAYS:
+            raise UndertowError(
+                f"direction {name}={way} cannot be: give 1 or -1 for one of "
+                f"{', '.join(vehicle.velocity_names)}"
+            )
+    chosen = {}
+    for name in vehicle.values:
+        motion = motion_of(vehicle, name) or ""
+        if motion in direction and name != bare_name(name):
+            chosen[name] = vehicle.values[f"{bare_name(name)}_{_WAYS[direction[motion]]}"]
+    return vehicle.with_values(chosen)
+
+
+def reversing(vehicle: Vehicle) -> tuple[str, ...]:
+    """Velocities whose sign chooses among the parameters of the vehicle."""
+    found = {motion_of(vehicle, name) for name in vehicle.values if name != bare_name(name)}
+    return tuple(v for v in vehicle.velocity_names if v in found)
+
+
+def motion_of(vehicle: Vehicle, name: str) -> str | None:
+    """The velocity whose sign chooses between this parameter and its other direction."""
+    declared = vehicle.declared_parameters.get(bare_name(name))
+    return None if declared is None or declared.motion is None else VELOCITY[declared.motion]
+
+
+def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
+    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced."""
+    return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})

@@ -1,0 +1,233 @@
+"""`undertow gains` and `undertow audit` on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.bad import refusal
+from tests.control.test_gain_files import FAULTS, GOOD
+from undertow.cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+
+SURGE = """
+schema = "undertow/vehicle/1"
+name = "sled"
+degrees_of_freedom = ["surge"]
+signs = "magnitudes"
+generalised_forces = ["tau_X"]
+[effects.rigid_body]
+m = "7.5 kg"
+[effects.added_mass]
+X_udot = { value = "1.630825 kg", sigma = "0.1 kg" }
+[effects.linear_damping]
+X_u = { value = "0.142306 kg/s", sigma = "0.02 kg/s" }
+"""
+GAINS = """
+schema = "undertow/gains/1"
+name = "sled-pid"
+law = "pid"
+[gains]
+K_P = 5
+K_V = 4
+K_I = 0.05
+"""
+
+
+@pytest.fixture
+def sled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder, the current one, with a vehicle in surge alone and gains that are good for it."""
+    (tmp_path / "sled.toml").write_text(SURGE)
+    (tmp_path / "gains.toml").write_text(GAINS)
+    (tmp_path / "mine.toml").write_text(GOOD)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    return tmp_path
+
+
+def content(capsys: Capture, *words: str) -> tuple[int, Any]:
+    capsys.readouterr()
+    code = main(["gains", *words, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+# --- verdicts ---------------------------------------------------------------------------------------
+def test_the_published_pid_gains(sled: Path, capsys: Capture) -> None:
+    assert main(["gains", "mini-auv", "paper-pid", "--repair", "routh"]) == 1
+    out = capsys.readouterr().out
+    lines = [
+        "the loop in x (forward) is linearly unstable: +0.003198 +- 0.038054i",
+        "the loop in x (backward) is linearly unstable: +0.005482 +- 0.038392i",
+        "all headings: J J' = I, so M_q = J M J' has the eigenvalues of M",
+        "iota > 0.0857143",
+        "iota 0.00537171 to 0.0695662",
+        "equal to V_dot worked out from the model",
+        "no region: no iota satisfies the derived conditions together",
+        "K_V alone never suffices",
+        "K_I < 0.000193594",
+        "Smallest change of all gains together (routh)",
+    ]
+    for line in lines:
+        assert line in out
+    assert out.count("there is none") == 3
+
+
+@pytest.mark.parametrize(("gains", "law"), [("paper-pd", "pd"), ("paper-smc", "sliding-mode")])
+def test_other_published_gains(gains: str, law: str, sled: Path, capsys: Capture) -> None:
+    """Every condition holds; the claim fails because nothing pushes sideways."""
+    code, found = content(capsys, "mini-auv", gains)
+    assert (code, found["ok"], found["law"]) == (1, False, law)
+    assert {r["verdict"] for r in found["rows"]} == {"holds"}
+    assert "sway" in found["actuation"]
+
+
+def test_good_gains_end_with_zero(sled: Path, capsys: Capture) -> None:
+    code, found = content(capsys, "sled.toml", "gains.toml", "--form", "derived")
+    assert (code, found["ok"]) == (0, True)
+    assert {r["form"] for r in found["rows"]} == {"derived"}
+    routh = next(r for r in found["rows"] if r["condition"] == "Routh")
+    assert routh["left"] == pytest.approx(5 * 4.142306)
+    assert routh["right"] == pytest.approx(9.130825 * 0.05)
+    assert routh["box"]["verdict"] == routh["ellipsoid"]["verdict"] == "holds for all"
+    assert found["region"]["angle"] is None
+    assert "everywhere" in found["region"]["text"]
+    assert main(["gains", "sled.toml", "gains.toml"]) == 1  # as printed they fail: K_V > M
+
+
+LAWS = {
+    "sliding-mode-boundary-layer": "K_Z = 0.5\nLambda = 0.5\nwidth = 0.05",
+    "super-twisting": "K_1 = 0.5\nK_2 = 0.1\nLambda = 0.5",
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_other_sliding_laws(law: str, sled: Path, capsys: Capture) -> None:
+    head = GAINS.partition("[gains]")[0].replace('"pid"', f'"{law}"')
+    (sled / "other.toml").write_text(f"{head}[gains]\n{LAWS[law]}\n")
+    code, found = content(capsys, "sled.toml", "other.toml")
+    assert code == 0
+    assert found["lyapunov"]["identity"].startswith("equal to V_dot")
+    certified = "not certified" if law == "super-twisting" else "on the exact model"
+    assert any(certified in r["about"] for r in found["rows"])
+
+
+def test_an_iota_of_ones_own(sled: Path, capsys: Capture) -> None:
+    code, found = content(capsys, "sled.toml", "gains.toml", "--form", "derived", "--iota", "0.1")
+    assert code == 0
+    assert {r["at_iota"] for r in found["rows"] if r["uses_iota"]} == {0.1}
+    code, found = content(capsys, "sled.toml", "gains.toml", "--form", "derived", "--iota", "0.001")
+    assert code == 1
+    assert [a["verdict"] for a in found["agreements"]] == ["fails"]
+
+
+def test_more_confidence_finds_a_counterexample(sled: Path, capsys: Capture) -> None:
+    weak = (
+        GAINS.replace("K_V = 4", "K_V = 0.01").replace("K_P = 5", "K_P = 0.05").replace("0.05\n", "0.0005\n")
+    )
+    (sled / "weak.toml").write_text(weak.replace("K_P = 0.0005", "K_P = 0.05"))
+    _, found = content(capsys, "sled.toml", "weak.toml", "--confidence", "0.9")
+    rows = {c: next(r for r in f["rows"] if r["condition"] == "Routh") for c, f in (("0.9", found),)}
+    _, found = content(capsys, "sled.toml", "weak.toml", "--confidence", "0.9999")
+    rows["0.9999"] = next(r for r in found["rows"] if r["condition"] == "Routh")
+    assert rows["0.9"]["box"]["verdict"] == "holds for all"
+    assert rows["0.9999"]["box"]["verdict"] == "fails for some"
+    example = rows["0.9999"]["box"]["counterexample"]
+    mass, drag = 7.5 + example["X_udot"], example["X_u"]
+    assert 0.05 * (0.01 + drag) < mass * 0.0005
+
+
+def test_a_covariance_in_the_history_is_used(sled: Path, capsys: Capture) -> None:
+    history = """
+[[history]]
+covariance = { parameters = ["X_udot", "X_u"], matrix = [[0.01, 0.0], [0.0, 0.0004]] }
+"""
+    (sled / "sled.toml").write_text(SURGE + history)
+    _, found = content(capsys, "sled.toml", "gains.toml")
+    assert found["uncertainty"] == "95%, from the covariance of the last fit"
+
+
+# --- mistakes ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_gain_file_with_a_fault_is_refused(fault: str, sled: Path, capsys: Capture) -> None:
+    old, new, words = FAULTS[fault]
+    (sled / "bad.toml").write_text(GOOD.replace(old, new, 1))
+    line = refusal(["gains", "mini-auv", "bad.toml"], capsys, sled)
+    assert all(word in line for word in ["bad.toml", *words]), line
+
+
+BAD_VEHICLES = {
+    "no inertia": ('[effects.rigid_body]\nm = "7.5 kg"', "", ["inertia"]),
+    "no mass": ('m = "7.5 kg"', "", ["rigid_body", "m"]),
+    "no damping": (
+        '[effects.linear_damping]\nX_u = { value = "0.142306 kg/s", sigma = "0.02 kg/s" }',
+        "",
+        ["damp"],
+    ),
+    "no force": ('generalised_forces = ["tau_X"]', "", ["surge", "no thruster", "unactuated"]),
+    "a broken covariance": (
+        "[effects.rigid_body]",
+        "[[history]]\ncovariance = { parameters = ['X_u'], matrix = [[1.0, 2.0]] }\n[effects.rigid_body]",
+        ["covariance", "square"],
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", BAD_VEHICLES)
+def test_a_vehicle_without_what_conditions_need_is_refused(fault: str, sled: Path, capsys: Capture) -> None:
+    old, new, words = BAD_VEHICLES[fault]
+    assert old in SURGE
+    text = SURGE.replace(old, new, 1)
+    if fault == "no inertia":
+        text = text[: text.index("[effects.added_mass]")] + text[text.index("[effects.linear_damping]") :]
+    (sled / "bad.toml").write_text(text)
+    line = refusal(["gains", "bad.toml", "gains.toml"], capsys, sled)
+    assert all(word in line for word in words), line
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["mini-avu", "paper-pid"], "bundled are bluerov2"),
+        (["mini-auv", "paper-pdi"], "bundled are paper-pd"),
+        (["mini-auv"], "GAINS"),
+        (["mini-auv", "paper-pid", "--iota", "-1"], "--iota -1"),
+        (["mini-auv", "paper-pid", "--iota", "nan"], "--iota nan"),
+        (["mini-auv", "paper-pid", "--confidence", "2"], "--confidence"),
+        (["mini-auv", "paper-pid", "--tilt", "90"], "--tilt"),
+        (["mini-auv", "paper-pid", "--repair", "all"], "--repair"),
+        (["mini-auv", "paper-pid", "--form", "new"], "--form"),
+        (["mini-auv", "paper-pd", "--repair", "routh"], "PID"),
+        (["mini-auv", "paper-pd", "--form", "units"], "no conditions of the form units"),
+        (["bluerov2", "paper-pid"], "unactuated names sway"),
+    ],
+)
+def test_a_mistake_on_the_line_is_named(words: list[str], named: str, sled: Path, capsys: Capture) -> None:
+    assert named in refusal(["gains", *words], capsys, sled)
+
+
+# --- audit ------------------------------------------------------------------------------------------
+def test_audit_of_the_paper(capsys: Capture) -> None:
+    assert main(["audit"]) == 1
+    out = capsys.readouterr().out
+    for line in (
+        "C_q has the wrong sign",
+        "-1.914966",
+        "Munk moment",
+        "units of K_V > M",
+        "undertow audit-tables",
+    ):
+        assert line in out
+    assert main(["audit", "--json"]) == 1
+    assert {f["kind"] for f in json.loads(capsys.readouterr().out)} == {"wrong", "open"}
+
+
+def test_audit_of_vehicles(sled: Path, capsys: Capture) -> None:
+    assert main(["audit", "mini-auv"]) == 0
+    assert "assumed, without a source of their own: Y_vdot, Y_v" in capsys.readouterr().out
+    assert main(["audit", "cybership2"]) == 1
+    assert "feeds energy into a motion" in capsys.readouterr().out
+    assert "bundled are" in refusal(["audit", "nothing.toml"], capsys, sled)

@@ -1,0 +1,118 @@
+"""undertow simulate and undertow codegen --controller: what is written, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import matplotlib.image as mpimg
+import numpy as np
+import pytest
+
+from undertow.cli.main import main
+from undertow.identification.logs import read_log
+from undertow.model.loading import bundled_vehicles
+
+Capture = pytest.CaptureFixture[str]
+RUN = ["simulate", "mini-auv", "paper-pd", "--to", "-1,1,1"]
+SHORT = [*RUN, "--for", "2", "--dt", "0.01"]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, the current one, on a wide terminal."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    return tmp_path
+
+
+def test_the_tables_tell_what_the_json_holds(here: Path, capsys: Capture) -> None:
+    words = [*RUN, "--without", "rigid_body_coriolis", "--without", "added_mass_coriolis", "--json", "r.json"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    (result,) = json.loads((here / "r.json").read_text())
+    by_name = {c["name"]: c for c in result["coordinates"]}
+    assert result["gate_passed"] == pytest.approx(22.877)
+    assert by_name["psi"]["settling"] == pytest.approx(18.376, abs=1e-3)
+    assert re.search(r"psi +2\.356 rad +18\.38 +0\.00 %", said)
+    assert "heading within the gate after 22.877 s" in said
+    assert [c["name"] for c in result["commands"]] == ["f1", "f2", "f3", "f4"]
+    assert result["commands"][0]["rms"] == pytest.approx(7.15, abs=0.02)  # half the weight in water each
+
+
+def test_the_log_is_one_that_undertow_reads(here: Path) -> None:
+    assert (
+        main([*SHORT, "--noise", "x=0.01", "--noise", "psi=1deg", "--log", "0.05", "--out", "log.csv"]) == 0
+    )
+    run = read_log(here / "log.csv", channels=("f1", "f2", "f3", "f4"))
+    assert set(run.channels) >= {"x", "y", "z", "psi", "u", "v", "w", "r"}
+    assert len(run.t) == 41
+    assert np.ptp(np.diff(run.t)) < 1e-12
+    assert 0.005 < run.channels["x"].std() < 0.02
+    assert main(["compare", "mini-auv", "log.csv", "--horizon", "0.5"]) == 0
+
+
+def test_a_log_of_an_exact_run_is_explained_by_its_own_model(here: Path) -> None:
+    """Every sample in the log: simulating the model with its commands gives the same motion."""
+    assert main([*SHORT, "--for", "6", "--out", "log.csv", "--log", "0.01"]) == 0
+    assert main(["compare", "mini-auv", "log.csv", "--horizon", "1", "--json", "c.json"]) == 0
+    for channel in json.loads((here / "c.json").read_text())["channels"]:
+        assert channel["ahead_rms"] < 1e-9
+
+
+def test_pictures_of_three_controllers(here: Path, capsys: Capture) -> None:
+    words = ["simulate", "mini-auv", "paper-pd", "paper-pid", "paper-smc", "--to", "-1,1,1", "--dt", "0.01"]
+    assert main([*words, "--gate", "170deg", "--for", "30", "--figures", "pictures"]) == 0
+    names = {p.name for p in (here / "pictures").iterdir()}
+    assert names == {f"{n}.png" for n in ("x", "y", "z", "psi", "commands", "strategy")}
+    for name in names:
+        image = mpimg.imread(here / "pictures" / name)[..., :3]
+        assert image.shape[1] > 1000
+        assert 0.005 < (image.min(axis=2) < 0.6).mean() < 0.7  # something is drawn, on white
+    assert "6 pictures in pictures" in capsys.readouterr().out
+
+
+def test_choices_are_those_of_the_line(here: Path) -> None:
+    words = [*SHORT, "--heading", "atan", "--order", "together", "--sway", "actuated", "--json", "r.json"]
+    assert main([*words, "--from", "0.5,0,0,10deg", "--current", "0.1,0", "--push", "X=1:0:1"]) == 0
+    (result,) = json.loads((here / "r.json").read_text())
+    assert result["to"]["psi"] == pytest.approx(np.arctan(1 / -1.5))
+    assert result["start"]["psi"] == pytest.approx(np.deg2rad(10))
+    assert result["gate_passed"] is None
+    assert result["commands"][-1]["name"] == "tau_Y"
+    assert result["commands"][-1]["peak"] > 0.1
+
+
+def test_another_plant_moves(here: Path) -> None:
+    text = bundled_vehicles()["mini-auv"].read_text()
+    (here / "heavy.toml").write_text(text.replace('"-14.309872 N"', '"-15.309872 N"'))
+    words = ["simulate", "mini-auv", "paper-pd", "--to", "0,0,1,0", "--for", "150", "--dt", "0.01"]
+    assert main([*words, "--plant", "heavy.toml", "--json", "r.json"]) == 0
+    (result,) = json.loads((here / "r.json").read_text())
+    assert result["coordinates"][2]["final_error"] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_without_a_compiler_it_runs_too(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert main([*SHORT, "--json", "a.json"]) == 0
+    monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
+    assert main([*SHORT, "--json", "b.json"]) == 0
+    a, b = (json.loads((here / f"{n}.json").read_text())[0]["coordinates"] for n in "ab")
+    for one, other in zip(a, b, strict=True):
+        assert one["final_error"] == pytest.approx(other["final_error"], abs=1e-12)
+
+
+def test_codegen_writes_the_controller_and_checks_it(here: Path, capsys: Capture) -> None:
+    words = ["codegen", "mini-auv", "--controller", "paper-pid"]
+    assert main([*words, "--check"]) == 1
+    assert main(words) == 0
+    assert (here / "build" / "mini-auv" / "paper-pid" / "controller.c").is_file()
+    assert (here / "build" / "mini-auv" / "model.c").is_file()
+    assert main([*words, "--check"]) == 0
+    header = here / "build" / "mini-auv" / "paper-pid" / "controller.h"
+    header.write_text("")
+    capsys.readouterr()
+    assert main([*words, "--check"]) == 1
+    said = capsys.readouterr().out
+    assert "controller.h is not as it would be generated" in said
+    assert "run undertow codegen mini-auv --controller paper-pid" in said

@@ -1,0 +1,85 @@
+"""`undertow update`: what it writes, and what it says has changed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.cli.bad import refusal
+from undertow.cli.main import main
+from undertow.model.loading import bundled_vehicles
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder, the current one, with auv.toml, a copy of the mini-AUV."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "auv.toml").write_text(bundled_vehicles()["mini-auv"].read_text())
+    return tmp_path
+
+
+def _edit(old: str, new: str) -> None:
+    text = Path("auv.toml").read_text()
+    assert old in text
+    Path("auv.toml").write_text(text.replace(old, new))
+
+
+def test_an_update_tells_what_an_edit_changes(folder: Path, capsys: Capture) -> None:
+    assert main(["update", "auv.toml", "--gains", "paper-pid", "--at", "u=0.5"]) == 0
+    assert "first time" in capsys.readouterr().out
+    made = {p.name for p in Path("build/mini-auv").rglob("*") if p.is_file()}
+    assert {"model.c", "controller.c", "vehicle-bode.png", "paper-pid-step.png", "update.json"} <= made
+    _edit('X_u = { forward = "0.142306 kg/s"', 'X_u = { forward = "0.4 kg/s"')
+    assert main(["update", "auv.toml"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"X_u_forward +0\.142306 N/\(m/s\) +0\.4 N/\(m/s\)", out)
+    assert re.search(r"vehicle, u=0\.5: u +-0\.580022 +-0\.608245", out)
+    assert re.search(r"0\.00319834 ± 0\.0380541i +-0\.00513736 ± 0\.0306214i", out)
+    assert re.search(r"paper-pid, hovering forward, force_surge: delay +0 s +9\.127 s", out)
+    assert re.search(r"paper-pid, hovering forward +unstable +stable", out)
+    assert "0.4" in Path("build/mini-auv/model.c").read_text()
+
+
+def test_a_second_update_finds_nothing_new(folder: Path, capsys: Capture) -> None:
+    assert main(["update", "auv.toml", "--at", "u=0.3"]) == 0
+    before = {p: p.read_bytes() for p in Path("build").rglob("*") if p.is_file()}
+    capsys.readouterr()
+    assert main(["update", "auv.toml"]) == 0
+    assert capsys.readouterr().out.count("none has changed") == 4
+    assert {p: p.read_bytes() for p in before} == before
+    assert '"at": [\n  "u=0.3"\n ]' in Path("build/mini-auv/update.json").read_text()
+
+
+def test_an_effect_that_is_added_is_told(folder: Path, capsys: Capture) -> None:
+    assert main(["update", "auv.toml"]) == 0
+    _edit(
+        "[effects.quadratic_damping]",
+        '[effects.constant_force]\nX_0 = "0.1 N"\n\n[effects.quadratic_damping]',
+    )
+    capsys.readouterr()
+    assert main(["update", "auv.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "effects added: constant_force" in out
+    assert re.search(r"X_0 +\(none\) +0\.1 N", out)
+
+
+def test_a_bad_edit_changes_nothing(folder: Path, capsys: Capture) -> None:
+    assert main(["update", "auv.toml"]) == 0
+    _edit('m = { value = "7.5 kg"', 'm = { value = "-7.5 kg"')
+    assert "m" in refusal(["update", "auv.toml"], capsys, folder)
+
+
+def test_a_spoilt_state_file_counts_as_none(folder: Path, capsys: Capture) -> None:
+    assert main(["update", "auv.toml"]) == 0
+    Path("build/mini-auv/update.json").write_text(
+        '{"schema": "undertow/update/1", "vehicle": 3, "poles": []}'
+    )
+    assert main(["update", "auv.toml"]) == 0
+    captured = capsys.readouterr()
+    assert "counts as not there" in captured.err
+    assert "first time: from now on" in captured.out

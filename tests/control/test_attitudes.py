@@ -1,0 +1,137 @@
+"""Interval arithmetic, and verdicts over all attitudes."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sm
+
+from undertow.control.conditions import interval
+from undertow.control.conditions.attitude import Attitudes, least
+from undertow.control.conditions.check import check
+from undertow.control.conditions.interval import Interval, least_eigenvalue
+from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.uncertain import Uncertainty
+from undertow.control.gains import GainSet, load_gains
+from undertow.control.plant import Plant
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Vehicle
+
+ROV = """
+schema = "undertow/gains/1"
+name = "rov"
+law = "LAW"
+[gains]
+K_P = { x = 60, y = YY, z = 60, phi = 3, theta = 3, psi = 3 }
+K_V = { x = 60, y = YY, z = 60, phi = 2, theta = 2, psi = 2 }
+"""
+RNG = np.random.default_rng(3)
+
+
+@cache
+def rov() -> Vehicle:
+    return load_vehicle("bluerov2")
+
+
+def rov_gains(folder: Path, law: str = "pd", sideways: float = 60.0) -> GainSet:
+    path = folder / "gains.toml"
+    path.write_text(ROV.replace("LAW", law).replace("YY", str(sideways)))
+    return load_gains(path, rov())
+
+
+# --- intervals --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["sin", "cos", "tan"])
+def test_intervals_contain_their_functions(name: str) -> None:
+    lo = RNG.uniform(-7, 7, 400)
+    hi = lo + RNG.choice([1e-9, 0.01, 1.0, 8.0], 400)
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = interval.FUNCTIONS[name](Interval(lo, hi))
+    for share in np.linspace(0, 1, 21):
+        values = getattr(np, name)(lo + share * (hi - lo))
+        assert np.all((found.lo <= values) & (values <= found.hi))
+    narrow = hi - lo < 1e-8
+    if name != "tan":
+        assert np.all((found.hi - found.lo)[narrow] < 2e-8)
+
+
+def test_products_of_interval_matrices_contain_the_products() -> None:
+    a, b = RNG.normal(size=(2, 5, 4, 4))
+    ra, rb = RNG.uniform(0, 0.3, (2, 5, 4, 4))
+    found = Interval(a - ra, a + ra) @ Interval(b - rb, b + rb)
+    for _ in range(50):
+        u, v = RNG.uniform(-1, 1, (2, 5, 4, 4))
+        product = (a + u * ra) @ (b + v * rb)
+        assert np.all((found.lo <= product) & (product <= found.hi))
+
+
+def test_least_eigenvalue_of_intervals_is_below_that_of_every_matrix_within() -> None:
+    middle = RNG.normal(size=(30, 5, 5))
+    middle = middle + np.swapaxes(middle, 1, 2)
+    radius = RNG.uniform(0, 0.2, (30, 5, 5))
+    bound = least_eigenvalue(Interval(middle - radius, middle + radius))
+    for _ in range(50):
+        inside = middle + RNG.uniform(-1, 1, middle.shape) * radius
+        assert np.all(least_eigenvalue(inside) >= bound)
+    exact = least_eigenvalue(Interval(middle, middle))
+    np.testing.assert_allclose(exact, least_eigenvalue(middle), atol=1e-12)
+
+
+# --- attitudes --------------------------------------------------------------------------------------
+def test_a_level_vehicle_needs_no_sampling_of_headings() -> None:
+    problem = Problem(load_gains("paper-pid", load_vehicle("mini-auv")))
+    assert problem.attitudes.orthogonal
+    assert problem.attitudes.heading_turns_out
+    psi = sm.Symbol("psi", real=True)
+    M_q = problem.plant.one_way(problem.plant.M_q, dict.fromkeys(problem.plant.reversing, 1))
+    filled = M_q.xreplace(problem.plant.numbers)
+    of_M = np.linalg.eigvalsh(problem.sets[0].inertia)
+    for heading in np.linspace(-3, 3, 7):
+        turned = np.array(filled.xreplace({psi: sm.Float(heading)}).tolist(), dtype=float)
+        np.testing.assert_allclose(np.linalg.eigvalsh(turned), of_M, rtol=1e-12)
+
+
+def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
+    """The bound is below 2000 random attitudes and the attitude shown is the worst of them."""
+    attitudes = Attitudes(Plant(rov()), np.radians(60))
+    assert not attitudes.orthogonal
+    assert attitudes.heading_turns_out
+    weight = np.diag([20.0, 25, 30, 0.3, 0.4, 0.5])
+
+    def margin(inverse: np.ndarray | Interval) -> np.ndarray:
+        turn = inverse.T if isinstance(inverse, Interval) else np.swapaxes(inverse, 1, 2)
+        return least_eigenvalue(turn @ weight @ inverse)
+
+    found = least(margin, attitudes, turned=True)
+    assert 0 < found.bound <= found.found
+    assert found.bound > 0.45 * found.found
+    drawn = RNG.uniform(-1, 1, (2000, 3)) * [np.pi / 3, np.pi / 3, np.pi]
+    angles = dict(zip(("phi", "theta", "psi"), drawn.T, strict=True))
+    values = margin(attitudes.inverse({a: Interval(v, v) for a, v in angles.items()}).middle)
+    assert min(values) >= found.found * (1 - 1e-9)
+    assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
+
+
+@pytest.mark.parametrize("sideways", [60.0, 50.0])
+def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
+    """With other gains to the side the heading matters, and is searched as well."""
+    found = check(rov_gains(tmp_path, "pd", sideways), Uncertainty(rov()), forms=["derived"])
+    assert found.ok
+    (row,) = [r for r in found.rows if r.condition == "K_V + D" and r.scope == "matrices"]
+    assert "interval arithmetic" in row.where
+    assert row.where.startswith("least near phi")
+    assert ("psi" in row.where) == (sideways != 60.0)
+
+
+def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None:
+    """A gain that the damping of roll just outweighs on an even keel is too much when pitched."""
+    problem = Problem(rov_gains(tmp_path))
+    condition = next(c for c in problem.conditions if c.id == "K_V + D")
+    assert problem.certificate(condition, problem.sets[0], None).bound > 0
+    weak = {**problem.values, "K_V": np.array([60.0, 60, 60, -0.0685, 2, 2])}
+    found = problem.changed(weak).certificate(condition, problem.sets[0], None)
+    assert problem.changed(weak).channel_margin(condition, problem.sets[0], 3, None) > 0
+    assert found.bound < 0
+    assert abs(found.worst["theta"]) > np.arcsin(np.sqrt(0.0015 * 2.07) / 0.07) - 0.05

@@ -1,0 +1,263 @@
+"""Closed loops against exact solutions, against each other, and against physics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
+from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
+from undertow.control.gain_schema import GainTable, ScheduleTable
+from undertow.control.gains import gains_from_table, load_gains
+from undertow.errors import UndertowError
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value, Vehicle
+
+# --- 240 s at 1 ms: the rows of the paper's three controllers -----------------------------------
+ROWS = {
+    # gate, then of x, y, z and psi: t2%, of x and y: overshoot in %, error at the end
+    "paper-pd": (
+        22.877,
+        {"x": 54.16, "y": 53.17, "z": 44.99, "psi": 18.38},
+        (0.32, 0.91),
+        (-2.9e-3, -2.9e-3),
+    ),
+    "paper-pid": (99.256, {"x": None, "y": None, "z": 34.74}, (109, 32), (0.016, 0.22)),
+    "paper-smc": (32.702, {"x": 50.15, "y": 48.96, "z": 51.68, "psi": 26.20}, (0, 0.59), (-5.5e-3, -5.9e-3)),
+}
+
+
+@pytest.mark.parametrize("gains", ROWS)
+def test_the_paper_s_run(gains: str) -> None:
+    gate, settling, overshoot, final = ROWS[gains]
+    result = run(gains, moving=CREEPING).result
+    assert result.gate_passed == pytest.approx(gate, abs=1e-9)
+    for name, expected in settling.items():
+        found = result.of(name).settling
+        # The values to compare with are times of rows 10 ms apart, the first after the crossing.
+        assert found == expected if expected is None else expected - 0.011 < found <= expected + 0.0005, name
+    for name, percent, error in zip("xy", overshoot, final, strict=True):
+        digits = 0.5 if percent > 1 else 0.005
+        assert result.of(name).overshoot == pytest.approx(percent, abs=digits)
+        assert result.of(name).final_error == pytest.approx(error, rel=0.04)
+    assert result.diverged is None
+
+
+def test_nothing_moves_sideways() -> None:
+    assert np.abs(run("paper-pd", moving=CREEPING).state["v"]).max() == 0
+
+
+def test_pd_by_its_linear_channels() -> None:
+    result = run("paper-pd", continuous=True, moving=CREEPING, log_interval=0.5)
+    assert result.result.of("psi").settling == pytest.approx(18.376616, abs=2e-6)
+    assert result.result.of("z").settling == pytest.approx(44.988777, abs=2e-6)
+    at_60 = float(result.errors["z"][result.t == 60.0][0])
+    assert at_60 == pytest.approx(0.005273879, abs=2e-9)
+
+
+def test_the_paper_s_other_arctangent() -> None:
+    """(42) as printed: -45 degrees, backwards to the goal."""
+    result = run("paper-pd", Choices(heading="atan"), duration=60.0, continuous=True).result
+    assert result.to["psi"] == pytest.approx(-math.pi / 4)
+    # The gate is seen at the first sample behind it.
+    assert 0 <= result.gate_passed - 17.899241 < 1e-3
+    assert run("paper-pd", duration=60.0).result.gate_passed == pytest.approx(22.877, abs=1e-9)
+    sliding = run("paper-smc", Choices(heading="atan"), dt=2e-5, duration=27.0).result
+    assert sliding.gate_passed == pytest.approx(25.437, abs=0.05)
+
+
+def test_pid_by_its_linear_channels() -> None:
+    result = run("paper-pid", continuous=True, duration=700.0, moving=CREEPING, log_interval=0.5)
+    psi = result.result.of("psi")
+    assert psi.settling == pytest.approx(543.413228, abs=2e-6)
+    assert psi.overshoot == pytest.approx(13.879414, abs=1e-6)
+    assert float(result.errors["psi"][result.t == 240.0][0]) == pytest.approx(-0.309198, abs=5e-7)
+    assert result.result.of("z").settling == pytest.approx(34.740184, abs=2e-6)
+
+
+def test_the_paper_s_pid_ends_in_a_limit_cycle() -> None:
+    result = run("paper-pid", duration=3000.0, dt=0.002).result
+    cycle = result.of("along track").cycle
+    assert cycle is not None
+    assert cycle.kind == "limit cycle"
+    assert cycle.amplitude == pytest.approx(0.67, abs=0.005)
+    assert cycle.period == pytest.approx(175.2, abs=0.5)
+    assert cycle.spread < 0.1
+    # Describing function of |u| u, 8 / (3 pi) of the amplitude, with the mean of both sets of parameters.
+    m, linear, quadratic = 9.2818315, 0.005 + 0.116671, 5.510979
+    omega = math.sqrt(0.012 / m)
+    amplitude = (m * 0.0003 / 0.012 - linear) * 3 * math.pi / (8 * quadratic * omega)
+    assert cycle.period == pytest.approx(2 * math.pi / omega, rel=0.005)
+    assert cycle.amplitude == pytest.approx(amplitude, rel=0.03)
+
+
+def test_integrals_that_start_at_once_overshoot_more() -> None:
+    result = run("paper-pid", Choices(integrators="start"), duration=240.0).result
+    assert max(result.of(n).overshoot for n in ("x", "along track")) == pytest.approx(266, abs=5)
+
+
+# --- the sign, sampled ---------------------------------------------------------------------------
+def test_sliding_mode_nears_its_exact_solution_as_it_is_sampled_faster() -> None:
+    """Reaching in |S| / K_Z = 14 s, then exponential; what the sampled sign leaves is within its bound."""
+    choices = Choices(order="together", sway="actuated")
+    for dt in (1e-3, 1e-4, 4e-5):
+        found = run("paper-smc", choices, duration=70.0 if dt > 1e-4 else 28.0, dt=dt, moving=CREEPING)
+        assert found.result.of("x").settling == pytest.approx(16.327979, abs=0.011 * dt / 1e-3 + 5e-4)
+        if dt == 1e-3:
+            x = found.result.of("x")
+            assert abs(x.final_error) <= x.sampling_offset == pytest.approx(0.05e-3 / 0.7)
+    exact = {"z": (55.921057, 0.07), "psi": (26.257649, 0.15)}
+    for dt in (1e-3, 1e-4, 4e-5):
+        result = run("paper-smc", duration=70.0, dt=dt).result
+        for name, (time, slope) in exact.items():
+            c = result.of(name)
+            band = 0.02 * abs(c.move)
+            late = [math.log((band + side * c.sampling_offset) / band) / slope for side in (-1, 1)]
+            assert late[0] - 0.1 <= c.settling - time <= late[1] + 0.1
+    late = math.log(1 + result.of("psi").sampling_offset / math.radians(1)) / 0.15
+    assert abs(result.gate_passed - 32.879) <= late
+
+
+def test_reaching_time() -> None:
+    choices = Choices(order="together", sway="actuated")
+    record = run("paper-smc", choices, duration=16.0, dt=1e-4, log_interval=0.01, moving=CREEPING)
+    surface = 0.7 * record.errors["x"] - np.gradient(record.state["x"], record.t)
+    assert float(record.t[np.flatnonzero(np.abs(surface) > 2e-3)[-1]]) == pytest.approx(14.0, abs=0.06)
+
+
+# --- model, controller and integrator together -----------------------------------------------------
+@pytest.mark.parametrize("continuous", [False, True])
+@pytest.mark.parametrize("gains", ["paper-pid", "paper-smc"])
+def test_the_virtual_machine_gives_the_same_numbers(gains: str, continuous: bool) -> None:
+    disturbed = Scenario(
+        GOAL, 3.0, 0.01, continuous=continuous, noise={} if continuous else {"x": 0.01, "r": 0.02}
+    )
+    law = load_gains(gains, WITH_CORIOLIS, lambda t: t.model_copy(update={"schedule": ScheduleTable()}))
+    scenario = replace(disturbed, pushes=(Push("Z", 1.0, 1.0, 2.0),), log_interval=0.01, moving=CREEPING)
+    vehicle = Choices(current=(0.1, -0.05)).in_current(WITH_CORIOLIS)
+    vehicle = vehicle.with_effect(catalogue()["thruster_lag"], {"T_lag": Value(0.2)})
+    late = {"delay": Value(0.05)}
+    vehicle = vehicle.with_effect(catalogue()["actuation_delay"], late) if not continuous else vehicle
+    records = [ClosedLoop(law, vehicle, compiled=c).run(scenario) for c in (True, False)]
+    for one, other in zip(*(r.state.values() for r in records), strict=True):
+        assert other == pytest.approx(one, abs=1e-11)
+    assert records[0].state["x"].any()
+
+
+def test_a_long_run_in_parts_is_the_same_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = Scenario(GOAL, 2.0, 0.001, noise={"psi": 0.01}, seed=3)
+    at_once = loop("paper-pd").run(scenario)
+    monkeypatch.setattr("undertow.control.closed_loop.simulate._SAMPLES_PER_CALL", 77)
+    in_parts = loop("paper-pd").run(scenario)
+    for one, other in zip(in_parts.result.coordinates, at_once.result.coordinates, strict=True):
+        assert replace(one, steady_error=0.0) == replace(other, steady_error=0.0)
+        assert one.steady_error == pytest.approx(other.steady_error, abs=1e-14)
+    for a, b in zip(in_parts.result.commands, at_once.result.commands, strict=True):
+        assert astuple(a)[1:] == pytest.approx(astuple(b)[1:], rel=1e-12)
+    assert all((in_parts.told[n] == at_once.told[n]).all() for n in at_once.told)
+
+
+def test_noise_is_as_stated_and_the_same_for_a_seed() -> None:
+    quiet, noisy, again, other = (
+        run("paper-pd", duration=20.0, dt=0.01, noise=n, seed=s, log_interval=0.01)
+        for n, s in (({}, 0), ({"z": 0.02}, 1), ({"z": 0.02}, 1), ({"z": 0.02}, 2))
+    )
+    error = noisy.told["z"] - noisy.state["z"]
+    assert error.std() == pytest.approx(0.02, rel=0.05)
+    assert (quiet.told["z"] == quiet.state["z"]).all()
+    assert (noisy.told["z"] == again.told["z"]).all()
+    assert (noisy.told["z"] != other.told["z"]).any()
+
+
+def test_a_push_displaces_by_force_over_stiffness() -> None:
+    """PD on depth: 0.1 N against 1 N/m."""
+    result = run("paper-pd", duration=120.0, dt=0.01, pushes=(Push("Z", 0.1),)).result
+    assert result.of("z").final_error == pytest.approx(-0.1, abs=1e-4)
+    gone = run("paper-pd", duration=120.0, dt=0.01, pushes=(Push("Z", 0.1, 10.0, 20.0),)).result
+    assert abs(gone.of("z").final_error) < 1e-4
+
+
+def test_a_current_pushes_pd_off_and_pid_brings_it_back() -> None:
+    """Along the heading: drag in still water at the speed of the current, against the stiffness."""
+    current = Choices(current=(0.1, 0.0), order="together")
+    pd = run("paper-pd", current, to=(0.0, 0.0, 0.0, 0.0), duration=200.0, dt=0.01).result
+    drag = 0.142306 * 0.1 + 5.153776 * 0.01
+    back = 0.091036 * 0.1 + 5.868182 * 0.01  # the hull moves backwards through the water
+    assert -pd.of("x").final_error == pytest.approx(back / 0.2, rel=1e-3)
+    assert back != drag
+
+
+def test_the_controller_may_know_another_vehicle() -> None:
+    """A controller that takes the vehicle for 1 N lighter stands 1 m too deep under a spring of 1 N/m."""
+    heavier = AUV.with_values({"B_net": Value(-15.309872)})
+    result = ClosedLoop(load_gains("paper-pd", AUV), heavier).run(Scenario(GOAL, 150.0, 0.01)).result
+    assert result.of("z").final_error == pytest.approx(-1.0, abs=1e-4)
+
+
+def test_thruster_limits_and_anti_windup() -> None:
+    """Held integrals overshoot less after a long time at the limit."""
+    found = {}
+    for kind in ("hold", "none"):
+        table = GainTable.model_validate(
+            {
+                "schema": "undertow/gains/1",
+                "name": "limited",
+                "law": "pid",
+                "unactuated": ["sway"],
+                "gains": {"K_P": 1.0, "K_V": 4.0, "K_I": 0.1},
+                "allocation": {"limits": {"f1": 7.3, "f3": 7.3}, "anti_windup": kind},
+            }
+        )
+        gains = gains_from_table(table, AUV)
+        found[kind] = ClosedLoop(gains).run(Scenario((0.0, 0.0, -4.0, 0.0), 300.0, 0.01)).result
+        assert max(c.peak for c in found[kind].commands) == pytest.approx(7.3)
+        assert found[kind].commands[0].at_limit > 0.05
+    assert found["hold"].of("z").overshoot < 0.7 * found["none"].of("z").overshoot
+
+
+def test_a_dead_time_acts() -> None:
+    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.5)})
+    scenario = Scenario(GOAL, 2.0, 0.01, log_interval=0.01)
+    record = ClosedLoop(load_gains("paper-pd", AUV), late).run(scenario)
+    moved = np.flatnonzero(record.state["r"])
+    # Only the weight acts before; a command of t = 0 is felt after 0.5 s.
+    assert record.t[moved[0]] == pytest.approx(0.51)
+    with pytest.raises(UndertowError, match="dead times"):
+        ClosedLoop(load_gains("paper-pd", AUV), late).run(replace(scenario, continuous=True))
+
+
+def test_a_loop_that_diverges_says_when() -> None:
+    """Depth under a stiff spring, felt a second late, and water that drags linearly only."""
+    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(1.0)})
+    table = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd", "unactuated": ["sway"]}
+    content = table | {"gains": {"K_P": 30.0, "K_V": 1.0}}
+    stiff = gains_from_table(GainTable.model_validate(content), AUV)
+    record = ClosedLoop(stiff, late).run(Scenario((0.0, 0.0, 1.0, 0.0), 3000.0, 0.05))
+    assert record.result.diverged is not None
+    assert 100 < record.result.diverged < 3000
+    assert record.result.of("z").settling is None
+    assert np.isfinite(record.state["z"]).all()
+    assert f'"diverged": {record.result.diverged}' in record.to_json()
+
+
+def test_progress_is_told() -> None:
+    told: list[float] = []
+    loop("paper-pd").run(Scenario(GOAL, 60.0, 0.001), lambda done, words: told.append(done))
+    assert told == pytest.approx([20.0, 40.0, 60.0, 60.001])
+
+
+def test_headings_turn_the_short_way() -> None:
+    result = run("paper-pd", to=(0.0, 0.0, 0.0, 2 * math.pi - 0.5), duration=60.0, dt=0.01).result
+    assert result.to["psi"] == pytest.approx(-0.5)
+    assert result.of("psi").settling is not None
+
+
+# --- what does not fit -------------------------------------------------------------------------------------
+def test_a_vehicle_without_what_the_controller_needs_is_refused() -> None:
+    surge: Vehicle = load_vehicle("cybership2")
+    with pytest.raises(UndertowError, match="lacks degree of freedom 'heave'"):
+        ClosedLoop(load_gains("paper-pd", AUV), surge)

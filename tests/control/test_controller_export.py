@@ -1,0 +1,139 @@
+"""Controllers in C: compiled as a user would, and compared with Python sample for sample."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undertow.codegen.compiler import Compiler, find_compiler
+from undertow.control.controller import Controller
+from undertow.control.export import ControllerExport
+from undertow.control.gain_schema import GainTable
+from undertow.control.gains import gains_from_table, load_gains
+from undertow.control.laws import LAWS
+from undertow.model.loading import load_vehicle
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
+GAIN = {
+    "K_1": 0.3,
+    "K_2": 0.05,
+    "K_Z": 0.2,
+    "Lambda": 0.4,
+    "width": 0.02,
+    "K_P": 0.8,
+    "K_V": 1.7,
+    "K_I": 0.06,
+}
+
+
+@pytest.fixture(scope="module")
+def compiler() -> Compiler:
+    found = find_compiler()
+    if found is None:
+        pytest.skip("no C compiler on this machine")
+    return found
+
+
+def table(law: str, **more: object) -> GainTable:
+    gains = {g.name: GAIN[g.name] for g in LAWS[law].gains}
+    content = {"schema": "undertow/gains/1", "name": f"all of {law}", "law": law, "gains": gains}
+    return GainTable.model_validate(content | more)
+
+
+def auv(law: str) -> Controller:
+    """Scheduled, with limits that are reached and integrals that are held."""
+    limits = {"f1": 7.2, "f3": "7.2 N", "f2": 0.3}
+    more = {"schedule": {"order": "yaw-first", "gate": "20 deg"}, "allocation": {"limits": limits}}
+    return Controller(gains_from_table(table(law, unactuated=["sway"], **more), load_vehicle("mini-auv")))
+
+
+def compiled(controller: Controller, compiler: Compiler, folder: Path) -> tuple[ctypes.CDLL, str]:
+    """The exported files as a library, and the prefix of its functions."""
+    made = ControllerExport(controller).write(folder).folder
+    command = [*compiler.command, *STRICT, "-fPIC", "-shared", "controller.c", "-lm", "-o", "controller.so"]
+    done = subprocess.run(command, cwd=made, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(made / "controller.so")), "_".join(made.parts[-2:]).replace("-", "_")
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_step_in_c_is_that_of_python(law: str, compiler: Compiler, tmp_path: Path) -> None:
+    assert_same(auv(law), compiler, tmp_path)
+
+
+def test_six_degrees_of_freedom_and_eight_thrusters(compiler: Compiler, tmp_path: Path) -> None:
+    limits = {f"f{i}": 5.0 for i in range(1, 9)}
+    gains = gains_from_table(table("pid", allocation={"limits": limits}), load_vehicle("bluerov2"))
+    assert_same(Controller(gains), compiler, tmp_path)
+
+
+def assert_same(controller: Controller, compiler: Compiler, folder: Path) -> None:
+    """A walk of the reports towards the set-point; the states are carried on by each side on its own."""
+    library, name = compiled(controller, compiler, folder)
+    k = np.array(controller.gain_values())
+    assert (np.array((ctypes.c_double * len(k)).in_dll(library, f"{name}_gains")) == k).all()
+    function = controller.sampled
+    n, n_u = function.size1_in("r"), function.size1_out("u")
+    s, expected = np.full(function.size1_in("s"), 7.0), np.array(controller.initial_states())
+    getattr(library, f"{name}_start")(pointer(s))
+    assert (s == expected).all()
+    random = np.random.default_rng(5)
+    r, y, u, tau = random.normal(size=n), np.zeros(2 * n), np.zeros(n_u), np.zeros(function.size1_out("tau"))
+    limited = 0
+    for i in range(400):
+        y[:n] += 0.02 * (r - y[:n]) + 0.01 * random.normal(size=n)
+        y[n:] = 0.1 * random.normal(size=n)
+        dt = 0.05 + 0.01 * (i % 3)
+        arguments = map(pointer, (y, r, k))
+        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(dt), *map(pointer, (s, u, tau)))
+        found = [np.asarray(v).ravel() for v in function(y, r, expected, k, dt)]
+        expected = found[1]
+        for mine, python in zip((u, s, tau), found, strict=True):
+            assert mine == pytest.approx(python, abs=1e-12, rel=1e-12)
+        limited += bool((np.abs(u) >= controller.allocation.limits).any())
+    assert limited > 5
+    assert s[-1] == 1.0
+
+
+def test_the_heading_rule_goes_along(compiler: Compiler, tmp_path: Path) -> None:
+    for rule, expected in (("atan2", 2.356194490192345), ("atan", -0.7853981633974483)):
+        change = lambda t, rule=rule: t.model_copy(  # noqa: E731
+            update={"name": rule, "schedule": t.schedule.model_copy(update={"heading": rule})}
+        )
+        controller = Controller(load_gains("paper-pd", load_vehicle("mini-auv"), change))
+        library, name = compiled(controller, compiler, tmp_path)
+        heading = getattr(library, f"{name}_heading")
+        heading.restype = ctypes.c_double
+        assert heading(*map(ctypes.c_double, (0.0, 0.0, -1.0, 1.0))) == pytest.approx(expected, abs=1e-15)
+        assert heading(*map(ctypes.c_double, (0.0, 0.0, 0.0, -1.0))) == pytest.approx(-np.pi / 2)
+
+
+def test_the_source_needs_nothing_but_math() -> None:
+    text = ControllerExport(auv("pid")).texts["controller.c"]
+    assert [line for line in text.splitlines() if line.startswith("#include")] == [
+        '#include "controller.h"',
+        "#include <math.h>",
+    ]
+
+
+def test_what_is_current_and_what_is_stale(tmp_path: Path) -> None:
+    export = ControllerExport(auv("pd"))
+    assert export.check(tmp_path).first
+    folder = export.write(tmp_path).folder
+    assert folder == tmp_path / "mini-auv" / "all-of-pd"
+    assert sorted(p.name for p in folder.iterdir()) == ["controller.c", "controller.h"]
+    assert export.check(tmp_path).changes == ()
+    (folder / "controller.c").write_text("int x;\n")
+    assert export.check(tmp_path).changes == ("controller.c is not as it would be generated",)
+    assert export.write(tmp_path).changes
+    assert export.check(tmp_path).changes == ()
