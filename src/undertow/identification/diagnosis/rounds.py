@@ -135,10 +135,13 @@ def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench,
 
 
 def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
-    """A trial under the finer noise model; what is far behind is not fitted once more."""
-    score = sharp.judge(trial.fit)
-    if trial is not best and np.mean(score.r**2) > _OUT_OF_REACH * np.mean(sharp.judge(best.fit).r ** 2):
-        return replace(trial, score=score)
+    """A trial under the finer noise model; what is far behind with all its parameters is not fitted again.
+
+    What the coarser noise model hid of an effect was left out of it, and may be what makes it the right one.
+    """
+    left, least = (np.mean(sharp.judge(t.full).r ** 2) for t in (trial, best))
+    if trial is not best and left > _OUT_OF_REACH * least:
+        return replace(trial, score=sharp.judge(trial.fit))
     return try_candidate(trial.candidate, sharp, trial.full.values)
 
 
