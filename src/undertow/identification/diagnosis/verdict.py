@@ -69,8 +69,8 @@ def judge(
     sets = _sets(found)
     if not winners:
         return _without_effect(quiet, share)
-    if not confirmed or (not quiet and share < NAMED_SHARE):
-        return _unexplained(winners, share, confirmed)
+    if doubt := _doubt(winners, share, quiet=quiet, confirmed=confirmed):
+        return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > _MANY for s in sets):
         verdict = "not_identifiable"
@@ -88,13 +88,27 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
     return Judgement("unexplained", text, [], [], share)
 
 
-def _unexplained(winners: list[Finding], share: float, confirmed: bool) -> Judgement:
+def _doubt(winners: list[Finding], share: float, *, quiet: bool, confirmed: bool) -> str:
+    """Why nothing can be named, or nothing where it can.
+
+    Where more than noise is left, a later effect may only make up for an earlier one that is wrong or poorly
+    fitted: several are named together only where they explain all.
+    """
+    if not confirmed:
+        return "makes the simulation of the kept-aside runs worse, so it is not what is missing"
+    if quiet:
+        return ""
+    if share < NAMED_SHARE:
+        return (
+            f"explains only {share:.0%} of what exceeds the noise, too little to be named as what is missing"
+        )
+    if len(unique_ids(winners)) > 1:
+        return "leaves more than noise, and several effects are named only where nothing else is left"
+    return ""
+
+
+def _unexplained(winners: list[Finding], share: float, reason: str) -> Judgement:
     names = " and ".join(unique_ids(winners))
-    reason = (
-        f"explains only {share:.0%} of what exceeds the noise, too little to be named as what is missing"
-        if confirmed
-        else "makes the simulation of the kept-aside runs worse, so it is not what is missing"
-    )
     text = f"Unexplained: adding {names} fits the kept-aside data better by more than chance, but {reason}."
     return Judgement("unexplained", text, [], [], share)
 
