@@ -1,0 +1,34 @@
+"""What may be named: the rules between the evidence and the verdict."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from undertow.identification.diagnosis.verdict import NAMED_SHARE, _doubt
+
+ONE, TWO = ["lift"], ["lift", "actuation_delay"]
+TWICE = ["thruster_gain", "thruster_gain"]
+
+
+@pytest.mark.parametrize(
+    ("ids", "share", "quiet", "confirmed", "doubt"),
+    [
+        (ONE, 0.5, True, True, ""),
+        (ONE, NAMED_SHARE + 0.01, False, True, ""),
+        (ONE, NAMED_SHARE - 0.01, False, True, "too little to be named"),
+        (ONE, 0.99, True, False, "simulation"),
+        (TWO, 0.99, True, True, ""),
+        (TWO, 0.99, False, True, "several effects are named only where nothing else is left"),
+        (TWICE, 0.99, False, True, ""),
+    ],
+)
+def test_what_stands_against_naming(
+    ids: list[str], share: float, quiet: bool, confirmed: bool, doubt: str
+) -> None:
+    """A second effect can make up for a first one that is wrong, so two have to explain all."""
+    winners = [SimpleNamespace(id=i) for i in ids]
+    said = _doubt(winners, share, quiet=quiet, confirmed=confirmed)
+    assert doubt in said
+    assert bool(said) is bool(doubt)
