@@ -1,0 +1,43 @@
+"""One step of the search: what is tried again under the noise model of the leading candidate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from undertow.identification.diagnosis import rounds
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A trial by the mean square that its thinned and its full fit leave."""
+
+    fit: float
+    full: SimpleNamespace
+    candidate: str = ""
+    score: object = None
+
+
+def _trial(thinned: float, full: float) -> _Trial:
+    return _Trial(thinned, SimpleNamespace(left=full, values={}))
+
+
+@pytest.mark.parametrize(("thinned", "full", "again"), [(20.0, 1.5, True), (20.0, 3.0, False)])
+def test_what_the_coarse_noise_model_hid_does_not_put_an_effect_out_of_reach(
+    thinned: float, full: float, again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cubic drag that was left with one of four coefficients must not lose to square drag for that."""
+
+    def judged(fit: float | SimpleNamespace) -> SimpleNamespace:
+        left = fit.left if isinstance(fit, SimpleNamespace) else fit
+        return SimpleNamespace(r=np.sqrt(np.full(10, left)))
+
+    monkeypatch.setattr(rounds, "try_candidate", lambda *_: "fitted again")
+    sharp, best, trial = SimpleNamespace(judge=judged), _trial(1.0, 1.0), _trial(thinned, full)
+    found = rounds._again(trial, sharp, best)
+    assert (found == "fitted again") is again
+    if not again:
+        assert np.mean(found.score.r**2) == pytest.approx(thinned)
