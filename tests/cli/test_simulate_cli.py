@@ -41,6 +41,15 @@ def test_the_tables_tell_what_the_json_holds(here: Path, capsys: Capture) -> Non
     assert result["commands"][0]["rms"] == pytest.approx(7.15, abs=0.02)  # half the weight in water each
 
 
+def test_whole_turns_are_told(here: Path, capsys: Capture) -> None:
+    words = ["simulate", "mini-auv", "paper-pd", "--to", "0,0,0,3.1", "--for", "120", "--dt", "0.01"]
+    assert main([*words, "--moving", "r=30", "--json", "r.json"]) == 0
+    turns = {c["name"]: c["turns"] for c in json.loads((here / "r.json").read_text())[0]["coordinates"]}
+    assert turns.pop("psi") >= 2
+    assert not any(turns.values())
+    assert re.search(r"psi: errors are from the set-point \d whole turns on", capsys.readouterr().out)
+
+
 def test_the_log_is_one_that_undertow_reads(here: Path) -> None:
     assert (
         main([*SHORT, "--noise", "x=0.01", "--noise", "psi=1deg", "--log", "0.05", "--out", "log.csv"]) == 0

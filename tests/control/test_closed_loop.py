@@ -256,6 +256,30 @@ def test_headings_turn_the_short_way() -> None:
     assert result.of("psi").settling is not None
 
 
+def test_a_heading_whole_turns_on_is_the_same_heading() -> None:
+    """Spun up at first, the vehicle comes to rest where the controller's wrapped error is zero."""
+    at_rest, *spun = (
+        run("paper-pd", to=(0.0, 0.0, 0.0, 3.1), duration=120.0, dt=0.01, moving={"r": r})
+        for r in (0.0, 30.0, -30.0)
+    )
+    assert at_rest.result.of("psi").turns == 0
+    for record, way in zip(spun, (1, -1), strict=True):
+        psi = record.result.of("psi")
+        assert psi.turns * way >= 1
+        assert record.state["psi"][-1] == pytest.approx(3.1 + 2 * math.pi * psi.turns, abs=1e-3)
+        assert record.result.to["psi"] == pytest.approx(3.1 + 2 * math.pi * psi.turns)
+        assert psi.move == pytest.approx(3.1)
+        assert max(abs(psi.final_error), abs(psi.steady_error)) < 1e-3
+        assert psi.settling is not None
+        assert psi.largest == pytest.approx(np.abs(record.errors["psi"]).max())
+        late = np.abs(record.errors["psi"][record.t > psi.settling + 0.1])
+        assert late.max() <= 0.02 * 3.1
+        travelled = math.copysign(1.0, psi.move + 2 * math.pi * psi.turns)
+        assert psi.overshoot == pytest.approx(
+            100 * max(0.0, float((-travelled * record.errors["psi"]).max())) / 3.1, abs=0.5
+        )
+
+
 # --- what does not fit -------------------------------------------------------------------------------------
 def test_a_vehicle_without_what_the_controller_needs_is_refused() -> None:
     surge: Vehicle = load_vehicle("cybership2")

@@ -195,10 +195,17 @@ def _facts(result: LoopResult) -> Iterator[str]:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
     if result.diverged is not None:
         yield f"DIVERGED: no numbers any more after {result.diverged:g} s"
+    for c in result.coordinates:
+        if c.turns:
+            yield f"{c.name}: errors are from the set-point {_turns(c.turns)}, the nearest one at the end"
     left = {c.name: c for c in result.coordinates if c.sampling_offset}
     if left:
         sizes = ", ".join(f"{c.sampling_offset:.3g} {c.unit} in {name}" for name, c in left.items())
         yield f"the sign of the law, sampled, may leave up to {sizes}"
+
+
+def _turns(count: int) -> str:
+    return f"{abs(count)} whole turn{'s' if abs(count) > 1 else ''} {'on' if count > 0 else 'back'}"
 
 
 def _coordinate(c: CoordinateResult) -> tuple[str, ...]:
