@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image as mpimg
 import numpy as np
 import pytest
 
+from tests.control.loops import run as simulated
+from undertow.cli._simulation import show
 from undertow.cli.main import main
 from undertow.identification.logs import read_log
 from undertow.model.loading import bundled_vehicles
@@ -48,6 +51,15 @@ def test_whole_turns_are_told(here: Path, capsys: Capture) -> None:
     assert turns.pop("psi") >= 2
     assert not any(turns.values())
     assert re.search(r"psi: errors are from the set-point \d whole turns on", capsys.readouterr().out)
+
+
+def test_what_has_grown_beyond_measure_is_told_in_a_few_digits(capsys: Capture) -> None:
+    result = simulated("paper-pd", duration=1.0, dt=0.01).result
+    grown = tuple(replace(c, overshoot=1.5e75) for c in result.coordinates)
+    show([replace(result, coordinates=grown)])
+    said = capsys.readouterr().out
+    assert "1.5e+75 %" in said
+    assert not re.search(r"\d{20}", said)
 
 
 def test_the_log_is_one_that_undertow_reads(here: Path) -> None:

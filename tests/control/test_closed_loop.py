@@ -10,6 +10,7 @@ import pytest
 
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
+from undertow.control.closed_loop.sampling import SampledLoop
 from undertow.control.gain_schema import GainTable, ScheduleTable
 from undertow.control.gains import gains_from_table, load_gains
 from undertow.errors import UndertowError
@@ -127,6 +128,26 @@ def test_reaching_time() -> None:
     record = run("paper-smc", choices, duration=16.0, dt=1e-4, log_interval=0.01, moving=CREEPING)
     surface = 0.7 * record.errors["x"] - np.gradient(record.state["x"], record.t)
     assert float(record.t[np.flatnonzero(np.abs(surface) > 2e-3)[-1]]) == pytest.approx(14.0, abs=0.06)
+
+
+# --- without sampling --------------------------------------------------------------------------------
+def damped(k_v: float) -> ClosedLoop:
+    """A hull that is pushed by a known force, under PD."""
+    content = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd", "gains": {"K_P": 200.0, "K_V": k_v}}
+    return ClosedLoop(gains_from_table(GainTable.model_validate(content), load_vehicle("box-hull")))
+
+
+def test_a_fast_loop_without_sampling_is_integrated_in_steps_that_suit_it() -> None:
+    """The vehicle alone asks for no step this short; at 0.05 s the fast root is far outside Runge-Kutta's."""
+    stiff = damped(3e4)
+    rates = SampledLoop(stiff.parts, np.zeros(1), np.zeros(1)).continuous_rates()
+    assert rates.real.min() * 0.05 < -3
+    record = stiff.run(Scenario((1.0,), 10.0, 0.05, continuous=True))
+    assert record.result.diverged is None
+    slow = rates.real[rates.real < 0].max()
+    assert float(record.errors["x"][-1]) == pytest.approx(math.exp(10 * slow), rel=1e-3)
+    with pytest.raises(UndertowError, match=r"as fast as .* steps, and 5e\+07 are the most"):
+        damped(3e12).run(Scenario((1.0,), 10.0, 0.05, continuous=True))
 
 
 # --- model, controller and integrator together -----------------------------------------------------

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from undertow.control.closed_loop.measures import CoordinateResult
 
 _AXES = "XYZKMN"
+_MUCH = 1e5  # of an overshoot in %: more has no decimals
 _OF_COMMANDS = ("command", "effort", "rms", "peak", "changes per s", "at limit")
 
 
@@ -189,7 +190,7 @@ def show(results: Sequence[LoopResult]) -> None:
 
 
 def _facts(result: LoopResult) -> Iterator[str]:
-    how = "law not sampled, steps of" if result.law_is == "continuous" else "controller sampled every"
+    how = "law not sampled, steps of at most" if result.law_is == "continuous" else "controller sampled every"
     yield f"{result.duration:g} s, {how} {result.dt:g} s"
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
@@ -212,7 +213,7 @@ def _coordinate(c: CoordinateResult) -> tuple[str, ...]:
     settled = (
         "not settled" if c.settling is None and c.move else "" if c.settling is None else f"{c.settling:.2f}"
     )
-    overshoot = "" if c.overshoot is None else f"{c.overshoot:.2f} %"
+    overshoot = "" if c.overshoot is None else f"{c.overshoot:{'.2f' if c.overshoot < _MUCH else '.3g'}} %"
     steady = f"{c.steady_error:+.3g} ± {c.steady_spread:.2g}"
     return (
         c.name,
