@@ -133,7 +133,8 @@ def test_reaching_time() -> None:
 # --- without sampling --------------------------------------------------------------------------------
 def damped(k_v: float) -> ClosedLoop:
     """A hull that is pushed by a known force, under PD."""
-    content = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd", "gains": {"K_P": 200.0, "K_V": k_v}}
+    content: dict[str, object] = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd"}
+    content |= {"gains": {"K_P": 200.0, "K_V": k_v}}
     return ClosedLoop(gains_from_table(GainTable.model_validate(content), load_vehicle("box-hull")))
 
 

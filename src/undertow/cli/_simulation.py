@@ -202,7 +202,7 @@ def _facts(result: LoopResult) -> Iterator[str]:
     left = {c.name: c for c in result.coordinates if c.sampling_offset}
     if left:
         sizes = ", ".join(f"{c.sampling_offset:.3g} {c.unit} in {name}" for name, c in left.items())
-        yield f"the sign of the law, sampled, may leave up to {sizes}"
+        yield f"the sign of the law, sampled, may leave up to {sizes} (an estimate)"
 
 
 def _turns(count: int) -> str:

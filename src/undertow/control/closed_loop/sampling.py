@@ -100,7 +100,8 @@ class SampledLoop:
 
     def fastest(self, continuous: bool) -> float:
         """Magnitude of the fastest eigenvalue of the vehicle, or of the loop without sampling, 1/s."""
-        rates = [self.continuous_rates(i) if continuous else np.linalg.eigvals(self._sides[i][0]) for i in (0, 1)]
+        own = [np.linalg.eigvals(side[0]) for side in self._sides]
+        rates = [self.continuous_rates(side) for side in (0, 1)] if continuous else own
         return max(float(np.abs(np.concatenate(rates)).max(initial=0.0)), _REACH / _STEP)
 
 
@@ -122,11 +123,12 @@ def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple
 
 # --- refusing ----------------------------------------------------------------------------------
 def offsets(parts: Parts, dt: float) -> dict[str, float]:
-    """Distance from the set-point that a sampled jump of the law may leave, m and rad, by coordinate."""
+    """Estimate of the distance from the set-point that a sampled jump may leave, m and rad, by coordinate."""
     gains = parts.controller.gains
     rows = gains.law.offset(gains.signals).xreplace(gains.numbers)
     names = gains.plant.vehicle.pose_names
-    return {name: float(row) * dt for name, row in zip(names, rows, strict=True) if row}
+    power = dt**gains.law.offset_order
+    return {name: float(row) * power for name, row in zip(names, rows, strict=True) if row}
 
 
 def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, float]) -> None:
@@ -148,7 +150,7 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
     UndertowError
         If sampling makes the loop unstable, or the jumps of the law may leave more than the whole distance.
     """
-    name = parts.controller.gains.name
+    name, order = parts.controller.gains.name, parts.controller.gains.law.offset_order
     if not loop.keeps_stability(dt):
         raise UndertowError(
             f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': sampled so slowly, what is "
@@ -158,9 +160,9 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
         move = abs(moves[coordinate])
         if 0 < move <= left:
             raise UndertowError(
-                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, may leave "
-                f"{left:.3g} in {coordinate}, where {move:.3g} is to be gone; the limit is "
-                f"{dt * move / left:.3g} s"
+                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, by "
+                f"estimate may leave {left:.3g} in {coordinate}, where {move:.3g} is to be gone; it must be "
+                f"below {dt * (move / left) ** (1 / order):.3g} s"
             )
 
 
