@@ -114,6 +114,13 @@ def test_another_plant_moves(here: Path) -> None:
     assert result["coordinates"][2]["final_error"] == pytest.approx(-1.0, abs=1e-3)
 
 
+def test_thrusters_of_the_same_name_that_push_elsewhere_are_told_of(here: Path, capsys: Capture) -> None:
+    assert main([*SHORT, "--plant", "bluerov2"]) == 0
+    assert re.search(r"more than 45 deg from where .* f", capsys.readouterr().out) is not None
+    assert main([*SHORT, "--plant", "mini-auv"]) == 0
+    assert "45 deg" not in capsys.readouterr().out
+
+
 def test_without_a_compiler_it_runs_too(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert main([*SHORT, "--json", "a.json"]) == 0
     monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")

@@ -220,6 +220,23 @@ def test_the_controller_may_know_another_vehicle() -> None:
     assert result.of("z").final_error == pytest.approx(-1.0, abs=1e-4)
 
 
+def test_thrusters_that_push_elsewhere() -> None:
+    """Sides swapped, or reversed; an arm half as long again and another strength are no other direction."""
+    thrusters = {t.name: t for t in AUV.thrusters}
+    arms = {n: np.array(t.wrench)[[0, 2, 5]] for n, t in thrusters.items()}
+    (one, *_) = (n for n, w in arms.items() if w[0] and w[2])
+
+    def turned(wrench: np.ndarray, **more: object) -> tuple[str, ...]:
+        other = replace(thrusters[one], wrench=tuple(map(float, wrench)), **more)  # type: ignore[arg-type]
+        vehicle = replace(AUV, thrusters=tuple(other if t.name == one else t for t in AUV.thrusters))
+        return ClosedLoop(load_gains("paper-pd", AUV), vehicle, compiled=False).parts.turned
+
+    own, arm = np.array(thrusters[one].wrench), np.array([1, 1, 1, 1, 1, 1.5])
+    assert turned(own) == turned(own * arm) == turned(own, thrust_per_command=Value(3.0)) == ()
+    assert turned(own * [1, 1, 1, 1, 1, -1]) == (one,)
+    assert turned(own, thrust_per_command=Value(-1.0)) == turned(0 * own) == (one,)
+
+
 def test_thruster_limits_and_anti_windup() -> None:
     """Held integrals overshoot less after a long time at the limit."""
     found = {}

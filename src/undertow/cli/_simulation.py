@@ -196,6 +196,9 @@ def _facts(result: LoopResult) -> Iterator[str]:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
     if result.diverged is not None:
         yield f"DIVERGED: no numbers any more after {result.diverged:g} s"
+    if result.turned_thrusters:
+        names = ", ".join(result.turned_thrusters)
+        yield f"REMARK: more than 45 deg from where the controller takes them to push: {names}"
     for c in result.coordinates:
         if c.turns:
             yield f"{c.name}: errors are from the set-point {_turns(c.turns)}, the nearest one at the end"
