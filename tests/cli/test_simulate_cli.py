@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image as mpimg
 import numpy as np
 import pytest
 
+from tests.control.loops import run as simulated
+from undertow.cli._simulation import show
 from undertow.cli.main import main
 from undertow.identification.logs import read_log
 from undertow.model.loading import bundled_vehicles
@@ -39,6 +42,24 @@ def test_the_tables_tell_what_the_json_holds(here: Path, capsys: Capture) -> Non
     assert "heading within the gate after 22.877 s" in said
     assert [c["name"] for c in result["commands"]] == ["f1", "f2", "f3", "f4"]
     assert result["commands"][0]["rms"] == pytest.approx(7.15, abs=0.02)  # half the weight in water each
+
+
+def test_whole_turns_are_told(here: Path, capsys: Capture) -> None:
+    words = ["simulate", "mini-auv", "paper-pd", "--to", "0,0,0,3.1", "--for", "120", "--dt", "0.01"]
+    assert main([*words, "--moving", "r=30", "--json", "r.json"]) == 0
+    turns = {c["name"]: c["turns"] for c in json.loads((here / "r.json").read_text())[0]["coordinates"]}
+    assert turns.pop("psi") >= 2
+    assert not any(turns.values())
+    assert re.search(r"psi: errors are from the set-point \d whole turns on", capsys.readouterr().out)
+
+
+def test_what_has_grown_beyond_measure_is_told_in_a_few_digits(capsys: Capture) -> None:
+    result = simulated("paper-pd", duration=1.0, dt=0.01).result
+    grown = tuple(replace(c, overshoot=1.5e75) for c in result.coordinates)
+    show([replace(result, coordinates=grown)])
+    said = capsys.readouterr().out
+    assert "1.5e+75 %" in said
+    assert not re.search(r"\d{20}", said)
 
 
 def test_the_log_is_one_that_undertow_reads(here: Path) -> None:
@@ -91,6 +112,13 @@ def test_another_plant_moves(here: Path) -> None:
     assert main([*words, "--plant", "heavy.toml", "--json", "r.json"]) == 0
     (result,) = json.loads((here / "r.json").read_text())
     assert result["coordinates"][2]["final_error"] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_thrusters_of_the_same_name_that_push_elsewhere_are_told_of(here: Path, capsys: Capture) -> None:
+    assert main([*SHORT, "--plant", "bluerov2"]) == 0
+    assert re.search(r"more than 45 deg from where .* f", capsys.readouterr().out) is not None
+    assert main([*SHORT, "--plant", "mini-auv"]) == 0
+    assert "45 deg" not in capsys.readouterr().out
 
 
 def test_without_a_compiler_it_runs_too(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

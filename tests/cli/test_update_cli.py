@@ -9,6 +9,7 @@ import pytest
 
 from tests.cli.bad import refusal
 from undertow.cli.main import main
+from undertow.control.gains import bundled_gains
 from undertow.model.loading import bundled_vehicles
 
 Capture = pytest.CaptureFixture[str]
@@ -72,6 +73,34 @@ def test_a_bad_edit_changes_nothing(folder: Path, capsys: Capture) -> None:
     assert main(["update", "auv.toml"]) == 0
     _edit('m = { value = "7.5 kg"', 'm = { value = "-7.5 kg"')
     assert "m" in refusal(["update", "auv.toml"], capsys, folder)
+
+
+def _gains(path: str, name: str) -> str:
+    text = bundled_gains()["paper-pd"].read_text()
+    Path(path).parent.mkdir(exist_ok=True)
+    Path(path).write_text(re.sub(r'(?m)^name = ".*"', f'name = "{name}"', text))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "words"),
+    [
+        (("a.toml", "soft PD"), ("b.toml", "Soft-pd"), r"b\.toml .* folder 'soft-pd', .* of a\.toml"),
+        (("a.toml", "soft"), ("b.toml", "Figures"), "'Figures' would have the folder 'figures'"),
+        (("a.toml", "soft"), ("b/a.toml", "hard"), r"b/a\.toml .* pictures 'a', .* of a\.toml"),
+        (("a.toml", "soft"), ("vehicle.toml", "hard"), "pictures 'vehicle', which is that of the vehicle"),
+    ],
+)
+def test_nothing_is_written_over_something_else(
+    folder: Path, capsys: Capture, one: tuple[str, str], other: tuple[str, str], words: str
+) -> None:
+    files = [word for pair in (one, other) for word in ("--gains", _gains(*pair))]
+    assert re.search(words, refusal(["update", "auv.toml", *files], capsys, folder))
+
+
+def test_a_controller_in_the_folder_of_the_pictures_is_refused(folder: Path, capsys: Capture) -> None:
+    line = refusal(["codegen", "auv.toml", "--controller", _gains("a.toml", "figures")], capsys, folder)
+    assert "give it another name" in line
 
 
 def test_a_spoilt_state_file_counts_as_none(folder: Path, capsys: Capture) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
+from undertow.control.closed_loop.sampling import SampledLoop
 from undertow.control.gain_schema import GainTable, ScheduleTable
 from undertow.control.gains import gains_from_table, load_gains
 from undertow.errors import UndertowError
@@ -129,6 +130,27 @@ def test_reaching_time() -> None:
     assert float(record.t[np.flatnonzero(np.abs(surface) > 2e-3)[-1]]) == pytest.approx(14.0, abs=0.06)
 
 
+# --- without sampling --------------------------------------------------------------------------------
+def damped(k_v: float) -> ClosedLoop:
+    """A hull that is pushed by a known force, under PD."""
+    content: dict[str, object] = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd"}
+    content |= {"gains": {"K_P": 200.0, "K_V": k_v}}
+    return ClosedLoop(gains_from_table(GainTable.model_validate(content), load_vehicle("box-hull")))
+
+
+def test_a_fast_loop_without_sampling_is_integrated_in_steps_that_suit_it() -> None:
+    """The vehicle alone asks for no step this short; at 0.05 s the fast root is far outside Runge-Kutta's."""
+    stiff = damped(3e4)
+    rates = SampledLoop(stiff.parts, np.zeros(1), np.zeros(1)).continuous_rates()
+    assert rates.real.min() * 0.05 < -3
+    record = stiff.run(Scenario((1.0,), 10.0, 0.05, continuous=True))
+    assert record.result.diverged is None
+    slow = rates.real[rates.real < 0].max()
+    assert float(record.errors["x"][-1]) == pytest.approx(math.exp(10 * slow), rel=1e-3)
+    with pytest.raises(UndertowError, match=r"as fast as .* steps, and 5e\+07 are the most"):
+        damped(3e12).run(Scenario((1.0,), 10.0, 0.05, continuous=True))
+
+
 # --- model, controller and integrator together -----------------------------------------------------
 @pytest.mark.parametrize("continuous", [False, True])
 @pytest.mark.parametrize("gains", ["paper-pid", "paper-smc"])
@@ -198,6 +220,23 @@ def test_the_controller_may_know_another_vehicle() -> None:
     assert result.of("z").final_error == pytest.approx(-1.0, abs=1e-4)
 
 
+def test_thrusters_that_push_elsewhere() -> None:
+    """Sides swapped, or reversed; an arm half as long again and another strength are no other direction."""
+    thrusters = {t.name: t for t in AUV.thrusters}
+    arms = {n: np.array(t.wrench)[[0, 2, 5]] for n, t in thrusters.items()}
+    (one, *_) = (n for n, w in arms.items() if w[0] and w[2])
+
+    def turned(wrench: np.ndarray, **more: object) -> tuple[str, ...]:
+        other = replace(thrusters[one], wrench=tuple(map(float, wrench)), **more)  # type: ignore[arg-type]
+        vehicle = replace(AUV, thrusters=tuple(other if t.name == one else t for t in AUV.thrusters))
+        return ClosedLoop(load_gains("paper-pd", AUV), vehicle, compiled=False).parts.turned
+
+    own, arm = np.array(thrusters[one].wrench), np.array([1, 1, 1, 1, 1, 1.5])
+    assert turned(own) == turned(own * arm) == turned(own, thrust_per_command=Value(3.0)) == ()
+    assert turned(own * [1, 1, 1, 1, 1, -1]) == (one,)
+    assert turned(own, thrust_per_command=Value(-1.0)) == turned(0 * own) == (one,)
+
+
 def test_thruster_limits_and_anti_windup() -> None:
     """Held integrals overshoot less after a long time at the limit."""
     found = {}
@@ -254,6 +293,30 @@ def test_headings_turn_the_short_way() -> None:
     result = run("paper-pd", to=(0.0, 0.0, 0.0, 2 * math.pi - 0.5), duration=60.0, dt=0.01).result
     assert result.to["psi"] == pytest.approx(-0.5)
     assert result.of("psi").settling is not None
+
+
+def test_a_heading_whole_turns_on_is_the_same_heading() -> None:
+    """Spun up at first, the vehicle comes to rest where the controller's wrapped error is zero."""
+    at_rest, *spun = (
+        run("paper-pd", to=(0.0, 0.0, 0.0, 3.1), duration=120.0, dt=0.01, moving={"r": r})
+        for r in (0.0, 30.0, -30.0)
+    )
+    assert at_rest.result.of("psi").turns == 0
+    for record, way in zip(spun, (1, -1), strict=True):
+        psi = record.result.of("psi")
+        assert psi.turns * way >= 1
+        assert record.state["psi"][-1] == pytest.approx(3.1 + 2 * math.pi * psi.turns, abs=1e-3)
+        assert record.result.to["psi"] == pytest.approx(3.1 + 2 * math.pi * psi.turns)
+        assert psi.move == pytest.approx(3.1)
+        assert max(abs(psi.final_error), abs(psi.steady_error)) < 1e-3
+        assert psi.settling is not None
+        assert psi.largest == pytest.approx(np.abs(record.errors["psi"]).max())
+        late = np.abs(record.errors["psi"][record.t > psi.settling + 0.1])
+        assert late.max() <= 0.02 * 3.1
+        travelled = math.copysign(1.0, psi.move + 2 * math.pi * psi.turns)
+        assert psi.overshoot == pytest.approx(
+            100 * max(0.0, float((-travelled * record.errors["psi"]).max())) / 3.1, abs=0.5
+        )
 
 
 # --- what does not fit -------------------------------------------------------------------------------------

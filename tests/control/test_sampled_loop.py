@@ -91,9 +91,37 @@ def test_offsets_of_the_sampled_sign() -> None:
     assert found["z"] == pytest.approx(0.0142857, abs=1e-6)
     assert offsets(loop("paper-pd").parts, 1e-3) == {}
     with pytest.raises(
-        UndertowError, match=r"may leave 2.86 in z, where 1 is to be gone; the limit is 0.07 s"
+        UndertowError, match=r"may leave 2.86 in z, where 1 is to be gone; it must be below 0.07 s"
     ):
         run("paper-smc", dt=0.2)
+
+
+def test_super_twisting_stays_within_its_estimate() -> None:
+    """On a double integrator: S of the order of dt^2, below the estimate whatever the gains."""
+    k_1, k_2 = (a.ravel() for a in np.meshgrid(np.geomspace(0.1, 10, 9), np.geomspace(0.01, 100, 9)))
+    few = (k_2 / k_1**2 > 0.01) & (k_2 / k_1**2 < 100)
+    k_1, k_2, slope = k_1[few], k_2[few], 0.3
+    estimate = (k_1 + k_2 / k_1) ** 2 / slope
+    error, speed, twist, largest = 0.1 * estimate, 0.0, np.zeros_like(k_1), np.zeros_like(k_1)
+    for i in range(6000):
+        surface = slope * error - speed
+        pull = k_1 * np.sqrt(np.abs(surface)) * np.sign(surface) + twist - slope * speed
+        twist = twist + k_2 * np.sign(surface)
+        error, speed = error - speed - pull / 2, speed + pull
+        if i > 4000:
+            largest = np.maximum(largest, np.abs(error))
+    assert (largest < estimate).all()
+    assert (largest > 0.3 * estimate).any()
+
+
+def test_super_twisting_has_a_longest_interval() -> None:
+    twisting = law_of("super-twisting", K_1=1.0, K_2=0.5, Lambda=0.8)
+    assert offsets(twisting.parts, 0.01)["z"] == pytest.approx(1.5**2 * 1e-4 / 0.8)
+    with pytest.raises(UndertowError, match=r"by estimate may leave 2.81 in z, where 1 .* below 0.596 s"):
+        twisting.run(Scenario((0.0, 0.0, 1.0, 0.0), 20.0, 1.0))
+    z = twisting.run(Scenario((0.0, 0.0, 1.0, 0.0), 40.0, 0.05)).result.of("z")
+    assert 0 < abs(z.steady_error) + z.steady_spread < z.sampling_offset
+    assert z.sampling_offset == pytest.approx(2.25 * 0.0025 / 0.8)
 
 
 # --- oscillations ---------------------------------------------------------------------------------------

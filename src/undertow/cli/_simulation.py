@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from undertow.control.closed_loop.measures import CoordinateResult
 
 _AXES = "XYZKMN"
+_MUCH = 1e5  # of an overshoot in %: more has no decimals
 _OF_COMMANDS = ("command", "effort", "rms", "peak", "changes per s", "at limit")
 
 
@@ -189,23 +190,33 @@ def show(results: Sequence[LoopResult]) -> None:
 
 
 def _facts(result: LoopResult) -> Iterator[str]:
-    how = "law not sampled, steps of" if result.law_is == "continuous" else "controller sampled every"
+    how = "law not sampled, steps of at most" if result.law_is == "continuous" else "controller sampled every"
     yield f"{result.duration:g} s, {how} {result.dt:g} s"
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
     if result.diverged is not None:
         yield f"DIVERGED: no numbers any more after {result.diverged:g} s"
+    if result.turned_thrusters:
+        names = ", ".join(result.turned_thrusters)
+        yield f"REMARK: more than 45 deg from where the controller takes them to push: {names}"
+    for c in result.coordinates:
+        if c.turns:
+            yield f"{c.name}: errors are from the set-point {_turns(c.turns)}, the nearest one at the end"
     left = {c.name: c for c in result.coordinates if c.sampling_offset}
     if left:
         sizes = ", ".join(f"{c.sampling_offset:.3g} {c.unit} in {name}" for name, c in left.items())
-        yield f"the sign of the law, sampled, may leave up to {sizes}"
+        yield f"the sign of the law, sampled, may leave up to {sizes} (an estimate)"
+
+
+def _turns(count: int) -> str:
+    return f"{abs(count)} whole turn{'s' if abs(count) > 1 else ''} {'on' if count > 0 else 'back'}"
 
 
 def _coordinate(c: CoordinateResult) -> tuple[str, ...]:
     settled = (
         "not settled" if c.settling is None and c.move else "" if c.settling is None else f"{c.settling:.2f}"
     )
-    overshoot = "" if c.overshoot is None else f"{c.overshoot:.2f} %"
+    overshoot = "" if c.overshoot is None else f"{c.overshoot:{'.2f' if c.overshoot < _MUCH else '.3g'}} %"
     steady = f"{c.steady_error:+.3g} ± {c.steady_spread:.2g}"
     return (
         c.name,

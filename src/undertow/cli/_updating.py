@@ -15,7 +15,7 @@ from undertow.codegen.export import Export
 from undertow.codegen.export import Report as Written
 from undertow.control.conditions.result import HOLDS
 from undertow.control.controller import Controller
-from undertow.control.export import ControllerExport
+from undertow.control.export import PICTURES, ControllerExport
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.linear.certified import told
 from undertow.control.linear.report import Analysis
@@ -27,7 +27,7 @@ from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
-_STATE, _FIGURES = "update.json", "figures"
+_STATE, _OWN = "update.json", "vehicle"
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,10 @@ class Update:
     def run(self, tell: Report) -> Done:
         """Work out everything, then write it."""
         gains = {name: load_gains(name, self._vehicle) for name in self._names}
-        exports: list[Export | ControllerExport] = [self._export]
-        exports += [ControllerExport(Controller(g)) for g in gains.values()]
+        controllers = {name: ControllerExport(Controller(g)) for name, g in gains.items()}
+        _check_apart({name: export.folder.name for name, export in controllers.items()}, "folder", {})
+        _check_apart({n: Path(n).stem for n in gains}, "name of pictures", {_OWN: "the vehicle"})
+        exports: list[Export | ControllerExport] = [self._export, *controllers.values()]
         for export in exports:
             assert export.texts  # what cannot be stated in C is refused before anything is written
         tell(0.3, "eigenvalues, margins and conditions")
@@ -110,7 +112,7 @@ class Update:
         return Done(self.old, new, written, self._write(new, drawn))
 
     def _write(self, new: Snapshot, drawn: Mapping[str, object]) -> list[Path]:
-        folder = self._folder / _FIGURES
+        folder = self._folder / PICTURES
         folder.mkdir(exist_ok=True)
         paths = [folder / f"{name}.png" for name in drawn]
         for path, one in zip(paths, drawn.values(), strict=True):
@@ -120,6 +122,18 @@ class Update:
         return paths
 
 
+def _check_apart(wanted: Mapping[str, str], what: str, taken: Mapping[str, str]) -> None:
+    """Refuse gain files of which one would be written over another, or over what is `taken`."""
+    owners = dict(taken)
+    for name, place in wanted.items():
+        owner = owners.setdefault(place.lower(), name)
+        if owner != name:
+            raise UndertowError(
+                f"gain file {name} would have the {what} '{place}', which is that of {owner}: give "
+                f"{'the set' if what == 'folder' else 'the file'} another name"
+            )
+
+
 def _pictures(
     vehicle: Vehicle, gains: Mapping[str, GainSet], wish: Wish, loops: Mapping[str, object]
 ) -> dict[str, object]:
@@ -127,7 +141,7 @@ def _pictures(
     trim = wish.trim(vehicle)
     own = Analysis(vehicle, trim)
     kinds = ("poles", "bode") if own.main_channels else ("poles",)
-    drawn: dict[str, object] = {f"vehicle-{kind}": picture(kind, own, own.main_channels) for kind in kinds}
+    drawn: dict[str, object] = {f"{_OWN}-{kind}": picture(kind, own, own.main_channels) for kind in kinds}
     hover = Wish(wish.vehicle, [], [], None, [], effects=wish.effects).trim(vehicle)
     for name, one in gains.items():
         if any(loop.startswith(f"{name}, ") for loop in loops):

@@ -11,11 +11,13 @@ import undertow
 from undertow.codegen.export import Report, comment, filled, identifier, listing, make_folder, slug, strings
 from undertow.codegen.manifest import Entry
 from undertow.codegen.plain import plain_c
+from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 
 from .controller import Controller
 
+PICTURES = "figures"
 _POSE_UNITS = ("m",) * 3 + ("rad",) * 3
 _UNITS = dict(
     zip(
@@ -46,14 +48,24 @@ class ControllerExport:
     Raises
     ------
     UndertowError
-        If the name of the vehicle or of the gains gives no folder name.
+        If the name of the vehicle or of the gains gives no folder name, or that of the pictures.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the files go, under the folder of all that is generated.
     """
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._vehicle = controller.gains.plant.vehicle
-        self._folder = Path(slug(self._vehicle.name)) / slug(controller.gains.name)
-        self._name = identifier(f"{self._folder.parts[0]}-{self._folder.parts[1]}")
+        self.folder = Path(slug(self._vehicle.name)) / slug(controller.gains.name)
+        if self.folder.name == PICTURES:
+            raise UndertowError(
+                f"gain set '{controller.gains.name}' would have the folder '{PICTURES}', which is that of "
+                "the pictures: give it another name"
+            )
+        self._name = identifier("-".join(self.folder.parts))
 
     def write(self, out: Path) -> Report:
         """Write controller.c and controller.h to a folder of their own in that of the vehicle.
@@ -71,7 +83,7 @@ class ControllerExport:
 
     def check(self, out: Path) -> Report:
         """Compare what lies in `out` with the controller; without changes it is current."""
-        folder = out / self._folder
+        folder = out / self.folder
         found = {name: _text(folder / name) for name in self.texts}
         changed = [
             f"{name} is not as it would be generated" for name in found if found[name] != self.texts[name]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 BAND = 0.02
 TAIL = 0.1
+_TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
 
 
@@ -26,12 +27,17 @@ ALONG, CROSS = "along track", "cross track"
 class CoordinateResult:
     """How one coordinate came to its set-point; errors are desired less true.
 
+    The same heading comes back with every turn. So an angle has settled where it is near any of them, and the
+    other measures are of the one that the vehicle comes to.
+
     Attributes
     ----------
     name, unit : str
         The coordinate; "along track" and "cross track" are measured on the line from the start to the goal.
     move : float
-        What was to be gone.
+        What was to be gone, the short way round for an angle.
+    turns : int
+        Whole turns from where the move leads to where the vehicle comes to; zero but for angles.
     settling : float, optional
         Time after which the error stays within 2 % of the move, s; None if it is not there for the whole last
         tenth of the run (it may just pass), or nothing was to go.
@@ -52,6 +58,7 @@ class CoordinateResult:
     name: str
     unit: str
     move: float
+    turns: int
     settling: float | None
     overshoot: float | None
     final_error: float
@@ -89,12 +96,12 @@ class CommandResult:
 
 
 class _Error:
-    """What is gathered of one coordinate."""
+    """What is gathered of one coordinate; `turn` is after how much it is the same again."""
 
-    def __init__(self, move: float) -> None:
-        self.move, self.band = move, BAND * abs(move)
+    def __init__(self, move: float, turn: float) -> None:
+        self.move, self.band, self._turn = move, BAND * abs(move), turn
         self.settled: float | None = 0.0
-        self.beyond, self.largest, self.final = 0.0, 0.0, move
+        self.least, self.most, self.final = math.inf, -math.inf, move
         self.tail: list[np.ndarray] = []
         self._before: float | None = None
 
@@ -103,10 +110,23 @@ class _Error:
         if self._before is not None:
             dt = t[1] - t[0] if len(t) > 1 else 0.0
             t, error = np.r_[t[0] - dt, t], np.r_[self._before, error]
-        self._settle(t, np.abs(error))
-        self.beyond = max(self.beyond, float((-error * np.sign(self.move)).max()))
-        self.largest = max(self.largest, float(np.abs(error).max()))
+        self._settle(t, np.abs(error - self._turn * np.rint(error / (self._turn or 1.0))))
+        self.least, self.most = min(self.least, float(error.min())), max(self.most, float(error.max()))
         self._before = self.final = float(error[-1])
+
+    @property
+    def turns(self) -> int:
+        return -round(self.final / self._turn) if self._turn else 0
+
+    def beyond(self, turns: int) -> float:
+        """How far it came past the set-point that lies so many turns on, never below zero."""
+        further = self._turn * turns
+        least, most = self.least + further, self.most + further
+        return max(-least if self.move + further > 0 else most, 0.0)
+
+    def largest(self, turns: int) -> float:
+        further = self._turn * turns
+        return max(abs(self.least + further), abs(self.most + further))
 
     def _settle(self, t: np.ndarray, size: np.ndarray) -> None:
         outside = np.flatnonzero(~(size <= self.band))
@@ -150,7 +170,7 @@ class Measures:
         if {"x", "y"} <= moves.keys() and (moves["x"] or moves["y"]):
             self._course = math.atan2(moves["y"], moves["x"])
             moves |= {ALONG: math.hypot(moves["x"], moves["y"]), CROSS: 0.0}
-        self._errors = {name: _Error(move) for name, move in moves.items()}
+        self._errors = {n: _Error(m, _TURN if UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()}
         self._names = list(to)
         self._commands = _Commands(loop)
         self.gate: float | None = None
@@ -158,8 +178,11 @@ class Measures:
 
     @property
     def goal(self) -> dict[str, float]:
-        """The set-point, angles as many turns on as the vehicle comes to it."""
-        return self._goal
+        """The set-point, angles as many turns on as the vehicle has come to by now."""
+        return {name: value + _TURN * self._turns(name) for name, value in self._goal.items()}
+
+    def _turns(self, name: str) -> int:
+        return self._errors[name].turns if self.diverged is None else 0
 
     def add(self, begin: int, rows: Rows) -> None:
         """Take in the rows of the samples from `begin` on."""
@@ -170,7 +193,7 @@ class Measures:
             self.diverged = float(t[count])
         if not count:
             return
-        errors = self.errors(rows.x[:count])
+        errors = self._from(self._goal, rows.x[:count])
         for name, error in errors.items():
             self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
         passed = np.flatnonzero(rows.s[:count, -1] > 0)
@@ -180,7 +203,10 @@ class Measures:
 
     def errors(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Desired less true pose over rows of states, along and across the track, too."""
-        errors = {name: self._goal[name] - x[:, i] for i, name in enumerate(self._names)}
+        return self._from(self.goal, x)
+
+    def _from(self, goal: Mapping[str, float], x: np.ndarray) -> dict[str, np.ndarray]:
+        errors = {name: goal[name] - x[:, i] for i, name in enumerate(self._names)}
         if self._course is not None:
             c, s = math.cos(self._course), math.sin(self._course)
             errors[ALONG] = c * errors["x"] + s * errors["y"]
@@ -196,21 +222,22 @@ class Measures:
         return self._commands.results()
 
     def _coordinate(self, name: str, cycle: Cycle | None) -> CoordinateResult:
-        e = self._errors[name]
+        e, turns = self._errors[name], self._turns(name)
         tail = np.concatenate(e.tail) if e.tail else np.array([])
-        tail = tail if tail.size else np.array([e.final])
+        tail = (tail if tail.size else np.array([e.final])) + _TURN * turns
         moved = self.diverged is None and e.move != 0
         stays = e.settled is not None and e.settled <= (1 - TAIL) * self._scenario.duration
         return CoordinateResult(
             name,
             UNITS.get(name, "m"),
             e.move,
+            turns,
             e.settled if moved and stays else None,
-            100 * e.beyond / abs(e.move) if e.move else None,
-            e.final,
+            100 * e.beyond(turns) / abs(e.move) if e.move else None,
+            e.final + _TURN * turns,
             float(tail.mean()),
             float(np.ptp(tail)) / 2,
-            e.largest,
+            e.largest(turns),
             self._left.get(name, 0.0),
             cycle,
         )
@@ -253,4 +280,4 @@ class _Commands:
 
 def _short(name: str, move: float) -> float:
     """The short way round for an angle."""
-    return math.remainder(move, 2 * math.pi) if UNITS[name] == "rad" else move
+    return math.remainder(move, _TURN) if UNITS[name] == "rad" else move

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import casadi as ca
@@ -12,6 +13,9 @@ from undertow.codegen.manifest import dead_time, output_delay
 from undertow.control.controller import Controller
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+
+# Cosine of 45 degrees, less what rounding takes off.
+_ALIKE = math.sqrt(0.5) - 1e-9
 
 
 class Parts:
@@ -48,6 +52,22 @@ class Parts:
                 f"vehicle '{self.vehicle.name}' lacks {what} '{missing[0]}', which the controller for "
                 f"'{self.controller.gains.plant.vehicle.name}' uses: take a vehicle that has it"
             )
+
+    @cached_property
+    def turned(self) -> tuple[str, ...]:
+        """Thrusters whose push differs by more than 45 degrees from what the controller takes it for.
+
+        Compared is the wrench of a command of one, in the motions that the controller knows; moments are
+        divided by the longest lever arm that it knows.
+        """
+        known = self.controller.gains.plant.vehicle
+        rows, moving = list(known.dof_indices), _pushes(self.vehicle)
+        wrenches = _pushes(known)
+        scale = np.ones(6)
+        scale[3:] = 1 / max((abs(w[i]) for w in wrenches.values() for i in rows if i > 2), default=1.0)
+        return tuple(
+            n for n, w in wrenches.items() if not _alike((scale * w)[rows], (scale * moving[n])[rows])
+        )
 
     # --- functions ----------------------------------------------------------------------------
     @property
@@ -106,3 +126,14 @@ class Parts:
         """Dead time of the commands and of each report, s."""
         reports = output_delay(self.functions)
         return dead_time(self.functions), np.array([reports.get(n, 0.0) for n in self.reported_names])
+
+
+def _pushes(vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """Force and moment of a positive command of each thruster per newton of thrust, shape (6,), 1 and m."""
+    return {t.name: np.sign(t.thrust_per_command.value) * np.array(t.wrench) for t in vehicle.thrusters}
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two directions are within 45 degrees; none is like none."""
+    sizes = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) >= _ALIKE * sizes if sizes else not (one.any() or other.any())

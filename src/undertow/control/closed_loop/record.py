@@ -45,6 +45,8 @@ class LoopResult:
         One for each pose coordinate, and along and across the track.
     commands : tuple of CommandResult
         One for each command.
+    turned_thrusters : tuple of str
+        Those that push elsewhere, by more than 45 degrees, than the controller takes them to.
     """
 
     controller: str
@@ -59,6 +61,7 @@ class LoopResult:
     diverged: float | None
     coordinates: tuple[CoordinateResult, ...]
     commands: tuple[CommandResult, ...]
+    turned_thrusters: tuple[str, ...]
 
     def of(self, name: str) -> CoordinateResult:
         """The measures of one coordinate."""
@@ -184,6 +187,7 @@ class Recorder:
             measures.diverged,
             measures.coordinates(cycles),
             measures.commands(),
+            self._loop.parts.turned,
         )
 
 

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from undertow.errors import UndertowError
 
 from .parts import Parts
+from .scenario import MOST_SAMPLES
 
 # Growth that counts as none, 1/s: rounding splits poles at zero (a cross-track error that nothing corrects).
 _STILL = 1e-4
@@ -89,11 +90,19 @@ class SampledLoop:
             low, high = (middle, high) if self.keeps_stability(middle) else (low, middle)
         return low
 
-    def substeps(self, dt: float) -> int:
-        """Runge-Kutta steps in an interval, so that each is short beside the fastest motion."""
-        fastest = max(np.abs(np.linalg.eigvals(side[0])).max(initial=0.0) for side in self._sides)
-        longest = min(_STEP, _REACH / fastest if fastest else _STEP)
+    def substeps(self, dt: float, continuous: bool = False) -> int:
+        """Runge-Kutta steps in an interval, so that each is short beside the fastest motion.
+
+        That is one of the vehicle, as its commands are held, and of the whole loop where they are not.
+        """
+        longest = min(_STEP, _REACH / self.fastest(continuous))
         return max(int(np.ceil(dt / longest - 1e-9)), 1)
+
+    def fastest(self, continuous: bool) -> float:
+        """Magnitude of the fastest eigenvalue of the vehicle, or of the loop without sampling, 1/s."""
+        own = [np.linalg.eigvals(side[0]) for side in self._sides]
+        rates = [self.continuous_rates(side) for side in (0, 1)] if continuous else own
+        return max(float(np.abs(np.concatenate(rates)).max(initial=0.0)), _REACH / _STEP)
 
 
 def _growing(rates: np.ndarray) -> int:
@@ -114,11 +123,12 @@ def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple
 
 # --- refusing ----------------------------------------------------------------------------------
 def offsets(parts: Parts, dt: float) -> dict[str, float]:
-    """Distance from the set-point that a sampled jump of the law may leave, m and rad, by coordinate."""
+    """Estimate of the distance from the set-point that a sampled jump may leave, m and rad, by coordinate."""
     gains = parts.controller.gains
     rows = gains.law.offset(gains.signals).xreplace(gains.numbers)
     names = gains.plant.vehicle.pose_names
-    return {name: float(row) * dt for name, row in zip(names, rows, strict=True) if row}
+    power = dt**gains.law.offset_order
+    return {name: float(row) * power for name, row in zip(names, rows, strict=True) if row}
 
 
 def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, float]) -> None:
@@ -140,7 +150,7 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
     UndertowError
         If sampling makes the loop unstable, or the jumps of the law may leave more than the whole distance.
     """
-    name = parts.controller.gains.name
+    name, order = parts.controller.gains.name, parts.controller.gains.law.offset_order
     if not loop.keeps_stability(dt):
         raise UndertowError(
             f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': sampled so slowly, what is "
@@ -150,7 +160,37 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
         move = abs(moves[coordinate])
         if 0 < move <= left:
             raise UndertowError(
-                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, may leave "
-                f"{left:.3g} in {coordinate}, where {move:.3g} is to be gone; the limit is "
-                f"{dt * move / left:.3g} s"
+                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, by "
+                f"estimate may leave {left:.3g} in {coordinate}, where {move:.3g} is to be gone; it must be "
+                f"below {dt * (move / left) ** (1 / order):.3g} s"
             )
+
+
+def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> None:
+    """Refuse a loop that cannot be integrated without sampling.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+        The linearised loop.
+    parts : Parts
+        Model and controller.
+    dt : float
+        The interval, s.
+    samples : int
+        Number of intervals.
+
+    Raises
+    ------
+    UndertowError
+        If the vehicle has dead times, or there would be more steps than samples are allowed.
+    """
+    if any(parts.late[1]) or parts.late[0]:
+        raise UndertowError("dead times need a sampled law, but it is not sampled: leave --continuous out")
+    steps = float(samples) * loop.substeps(dt, continuous=True)
+    if steps > MOST_SAMPLES:
+        raise UndertowError(
+            f"'{parts.controller.gains.name}' on '{parts.vehicle.name}' is as fast as "
+            f"{loop.fastest(continuous=True):.3g} 1/s: without sampling that takes {steps:.3g} steps, and "
+            f"{MOST_SAMPLES:.0e} are the most; shorten the run, or leave --continuous out"
+        )

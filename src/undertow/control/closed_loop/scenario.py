@@ -58,7 +58,7 @@ class Scenario:
         Body velocities that it begins with, SI, by name; at rest by default. Of parameters that differ by
         direction the mean holds at exactly zero velocity.
     continuous : bool
-        Whether the law acts without sampling, at every stage of the integration with steps of dt.
+        Whether the law acts without sampling, at every stage of the integration with steps of at most dt.
     noise : mapping
         Standard deviation of what a sensor adds to each sample, SI, by channel (x ... psi, u ... r).
     seed : int

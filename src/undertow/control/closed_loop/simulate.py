@@ -18,7 +18,7 @@ from .measures import Measures
 from .parts import Parts
 from .problem import LoopStepper, problem_of
 from .record import Record, Recorder
-from .sampling import SampledLoop, check_interval, offsets
+from .sampling import SampledLoop, check_interval, check_steps, offsets
 from .scenario import Scenario, heading
 from .virtual import VirtualLoop
 
@@ -113,13 +113,11 @@ class ClosedLoop:
         moves = {name: to[name] - start[name] for name in known.pose_names}
         goal, desired = np.array(list(to.values())), np.array([to[n] for n in known.pose_names])
         linear = SampledLoop(parts, goal, desired)
-        if not scenario.continuous:
+        if scenario.continuous:
+            check_steps(linear, parts, scenario.dt, scenario.samples)
+        else:
             check_interval(linear, parts, scenario.dt, moves)
-        elif any(parts.late[1]) or parts.late[0]:
-            raise UndertowError(
-                "dead times need a sampled law, but it is not sampled: leave --continuous out"
-            )
-        substeps = linear.substeps(scenario.dt)
+        substeps = linear.substeps(scenario.dt, scenario.continuous)
         first = np.array([*start.values(), *scenario.velocity(self.vehicle.velocity_names)])
         problem = problem_of(parts, first, desired, scenario.dt, substeps, scenario.continuous)
         left = {} if scenario.continuous else offsets(parts, scenario.dt)

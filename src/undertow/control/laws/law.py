@@ -90,12 +90,15 @@ class Law(abc.ABC):
         Its gain matrices.
     states : tuple of str
         Names of its own states; each is one number for every pose coordinate.
+    offset_order : int
+        Power of the sampling interval with which `offset` grows.
     """
 
     id: ClassVar[str]
     reference: ClassVar[str]
     gains: ClassVar[tuple[GainMatrix, ...]]
     states: ClassVar[tuple[str, ...]] = ()
+    offset_order: ClassVar[int] = 1
 
     @abc.abstractmethod
     def force(self, s: LawSignals) -> sm.Matrix:
@@ -106,9 +109,10 @@ class Law(abc.ABC):
         return sm.zeros(len(s.states), 1)
 
     def offset(self, s: LawSignals) -> sm.Matrix:
-        """Distance from the set-point that sampling the law may leave, per second of the interval, (n, 1).
+        """Distance from the set-point that sampling the law may leave, by estimate, shape (n, 1).
 
-        Zero for laws without a jump.
+        In m and rad, divided by the interval in s to the power of `offset_order`; zero for laws without a
+        jump.
         """
         return sm.zeros(len(s.coordinates), 1)
 

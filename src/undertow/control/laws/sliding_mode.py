@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 
 import sympy as sm
 
@@ -34,6 +35,11 @@ class _Sliding(Law):
         return plant.M * acceleration + (plant.C + plant.D) * plant.nu + plant.g
 
 
+def _errors(sizes: Sequence[sm.Expr], s: LawSignals) -> sm.Matrix:
+    """Errors at rest, where S = Lambda error, of these sizes of S."""
+    return sm.Matrix([size / a if a else a for size, a in zip(sizes, s.Lambda.diagonal(), strict=True)])
+
+
 class SlidingMode(_Sliding):
     """Sliding-mode control: the sign of the surface, which is reached in the time |S| / K_Z."""
 
@@ -45,10 +51,8 @@ class SlidingMode(_Sliding):
         return s.K_Z * self.surface(s).applyfunc(sm.sign)
 
     def offset(self, s: LawSignals) -> sm.Matrix:
-        # A sample takes S at most K_Z dt past zero, and S = Lambda error at rest.
-        return sm.Matrix(
-            [k / a if a else a for k, a in zip(s.K_Z.diagonal(), s.Lambda.diagonal(), strict=True)]
-        )
+        # A sample takes S at most K_Z dt past zero.
+        return _errors(s.K_Z.diagonal(), s)
 
 
 class BoundaryLayer(_Sliding):
@@ -74,6 +78,7 @@ class SuperTwisting(_Sliding):
         LAMBDA,
     )
     states = ("twist",)
+    offset_order = 2
 
     def reach(self, s: LawSignals) -> sm.Matrix:
         root = self.surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)) * sm.sign(e))
@@ -81,3 +86,10 @@ class SuperTwisting(_Sliding):
 
     def rates(self, s: LawSignals) -> sm.Matrix:
         return s.K_2 * self.surface(s).applyfunc(sm.sign)
+
+    def offset(self, s: LawSignals) -> sm.Matrix:
+        # The root alone takes S past zero where K_1 |S|^(1/2) dt > |S|, so by K_1^2 dt^2. In a sample it
+        # takes K_1 K_2 |S|^(1/2) dt of K_2 |S| + twist^2 / 2, to which the sampled sign adds K_2^2 dt^2 / 2:
+        # balance is where |S|^(1/2) is of the order of K_2 dt / K_1. Both: (K_1 + K_2 / K_1)^2 dt^2.
+        pairs = zip(s.K_1.diagonal(), s.K_2.diagonal(), strict=True)
+        return _errors([(k_1 + k_2 / k_1) ** 2 for k_1, k_2 in pairs], s)
