@@ -1,0 +1,78 @@
+"""Commands on control and odd vehicles, gains and values: an answer, or one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.bad import refusal
+from undertow.cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+
+HEAVE = """\
+schema = "undertow/vehicle/1"
+name = "heaver"
+degrees_of_freedom = ["heave"]
+signs = "magnitudes"
+water_density = "1000 kg/m^3"
+[effects.rigid_body]
+m = "7.5 kg"
+[effects.added_mass]
+Z_wdot = "2.5 kg"
+[effects.linear_damping]
+Z_w = "1 kg/s"
+"""
+THRUSTER = """
+[[thrusters]]
+name = "f1"
+position = ["0 m", "0 m", "0 m"]
+direction = [0, 0, 1]
+"""
+GAINS = """\
+schema = "undertow/gains/1"
+name = "mine"
+law = "pd"
+[gains]
+K_P = { z = "20 N/m" }
+K_V = { z = "3 N s/m" }
+"""
+LEFT_OUT = GAINS.replace("[gains]", 'unactuated = ["heave"]\n[gains]')
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder, the current one, with a vehicle that heaves, without (bare.toml) and with a thruster."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "bare.toml").write_text(HEAVE)
+    (tmp_path / "heave.toml").write_text(HEAVE + THRUSTER)
+    (tmp_path / "gains.toml").write_text(GAINS)
+    (tmp_path / "left-out.toml").write_text(LEFT_OUT)
+    return tmp_path
+
+
+# --- without thrusters ----------------------------------------------------------------------------
+def test_poles_of_a_vehicle_that_has_nothing_to_be_found(here: Path, capsys: Capture) -> None:
+    """Hovering holds z and w, and there is no command: no unknown is left."""
+    assert main(["linearize", "bare.toml"]) == 0
+    assert "-0.1 " in capsys.readouterr().out  # Z_w / (m - Z_wdot) = 1 / 10
+    assert "has no thruster" in refusal(
+        ["design", "bare.toml", "--error", "z=1", "--force", "heave=1"], capsys, here
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["linearize", "bare.toml", "--gains", "left-out.toml"],
+        ["codegen", "bare.toml", "--controller", "left-out.toml"],
+        ["simulate", "bare.toml", "left-out.toml", "--to", "1", "--for", "1", "--dt", "0.01"],
+        ["update", "bare.toml", "--gains", "left-out.toml"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_controller_without_thrusters_is_refused(here: Path, capsys: Capture, words: list[str]) -> None:
+    said = refusal(words, capsys, here)
+    assert "no thruster of 'heaver' pushes in heave; add [[thrusters]]" in said
