@@ -8,6 +8,8 @@ import pytest
 
 from tests.cli.bad import refusal
 from undertow.cli.main import main
+from undertow.control.gains import load_gains
+from undertow.model.loading import load_vehicle
 
 Capture = pytest.CaptureFixture[str]
 
@@ -76,3 +78,25 @@ def test_poles_of_a_vehicle_that_has_nothing_to_be_found(here: Path, capsys: Cap
 def test_a_controller_without_thrusters_is_refused(here: Path, capsys: Capture, words: list[str]) -> None:
     said = refusal(words, capsys, here)
     assert "no thruster of 'heaver' pushes in heave; add [[thrusters]]" in said
+
+
+# --- design with thrusters that are not ideal -----------------------------------------------------
+DESIGN = ["design", "lazy.toml", "--error", "z=1", "--force", "heave=10"]
+
+
+@pytest.mark.parametrize(
+    "effect",
+    ['[effects.thruster_lag]\nT_lag = "0.05 s"\n', "[effects.thruster_deadband]\ndeadband_width = 0.1\n"],
+    ids=["lag", "dead band"],
+)
+def test_the_law_is_designed_for_ideal_thrust(here: Path, capsys: Capture, effect: str) -> None:
+    Path("lazy.toml").write_text(HEAVE + THRUSTER + effect)
+    assert main([*DESIGN, "--out", "new.toml"]) == 0
+    found = load_gains("new.toml", load_vehicle("lazy.toml")).values
+    assert found["K_P_z"] == pytest.approx(10.0)  # force / error
+    assert found["K_V_z"] == pytest.approx(201**0.5 - 1.0, rel=1e-5)  # sqrt(D^2 + 2 M K_P) - D
+
+
+def test_a_lag_that_the_design_does_not_bear_is_told(here: Path, capsys: Capture) -> None:
+    Path("lazy.toml").write_text(HEAVE + THRUSTER + '[effects.thruster_lag]\nT_lag = "10 s"\n')
+    assert "does not hold the vehicle" in refusal(DESIGN, capsys, here)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control as ct
 import numpy as np
 
+from undertow.codegen import Functions
 from undertow.control.gain_schema import GainTable
 from undertow.control.gains import GainSet, gains_from_table
 from undertow.control.laws import LAWS
@@ -16,7 +17,7 @@ from undertow.model.vehicle import Vehicle
 
 from .analysis import Mode, controllability, modes, observability
 from .loop import LinearLoop, close_loop, with_forces
-from .numeric import Array
+from .numeric import Array, with_ideal_thrust
 from .systems import linearize, named
 from .trim import Trim, find_trim
 
@@ -75,8 +76,9 @@ def lqr(
 
     The weights are Bryson's: an error as large as `error` counts as much as a force as large as `force`. The
     law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, in x and y the larger
-    one for both, and the loop that it closes is checked. Where conditions are given and fail, the integral is
-    given more time until they hold.
+    one for both. Thrust counts as ideal in the design; the loop that it closes is checked with the lag of
+    thrusters and the like. Where conditions are given and fail, the integral is given more time until they
+    hold.
 
     Parameters
     ----------
@@ -137,7 +139,7 @@ class _Channels:
         self, vehicle: Vehicle, trim: Trim, error: Mapping[str, float], force: Mapping[str, float]
     ) -> None:
         self.vehicle, self.trim = vehicle, trim
-        plant = with_forces(vehicle, linearize(vehicle, trim))
+        plant = with_forces(vehicle, _ideal_plant(vehicle, trim))
         pushed = [name.removeprefix("force_") for name in plant.input_labels]
         if not pushed:
             raise UndertowError(f"'{vehicle.name}' has no thruster: state one, there is nothing to design")
@@ -189,6 +191,13 @@ class _Channels:
         silent = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]
         content = {"schema": "undertow/gains/1", "name": name, "law": law, "gains": gains}
         return gains_from_table(GainTable.model_validate(content | {"unactuated": silent}), self.vehicle)
+
+
+def _ideal_plant(vehicle: Vehicle, trim: Trim) -> ct.StateSpace:
+    """The linear vehicle with ideal thrust: the law has no feedback of a lag, and a dead band has no slope."""
+    ideal = with_ideal_thrust(vehicle)
+    names = Functions(ideal).state_names
+    return linearize(ideal, replace(trim, states={n: trim.states[n] for n in names}))
 
 
 def _coupling(part: Array) -> float:
