@@ -100,3 +100,24 @@ def test_the_law_is_designed_for_ideal_thrust(here: Path, capsys: Capture, effec
 def test_a_lag_that_the_design_does_not_bear_is_told(here: Path, capsys: Capture) -> None:
     Path("lazy.toml").write_text(HEAVE + THRUSTER + '[effects.thruster_lag]\nT_lag = "10 s"\n')
     assert "does not hold the vehicle" in refusal(DESIGN, capsys, here)
+
+
+# --- what design says is what gains says ----------------------------------------------------------
+FULL = ["--error", "x=0.5,z=0.2,psi=0.2", "--force", "surge=1,heave=2,yaw=0.1"]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "weights", "lacks"),
+    [("mini-auv", FULL, 1), ("heave.toml", ["--error", "z=1", "--force", "heave=10"], 0)],
+)
+def test_a_missing_force_is_told_by_design_as_by_gains(
+    here: Path, capsys: Capture, vehicle: str, weights: list[str], lacks: int
+) -> None:
+    words = ", but a force is missing that the law asks for"
+    assert main(["design", vehicle, *weights, "--out", "new.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "conditions derived from the model: all hold" in out
+    assert ("all hold" + words in out) == bool(lacks)
+    assert ("asks for a force in sway" in out) == bool(lacks)
+    assert main(["gains", vehicle, "new.toml"]) == lacks
+    assert ("all conditions hold" + words in capsys.readouterr().out) == bool(lacks)

@@ -194,7 +194,7 @@ class _Channels:
 
 
 def _ideal_plant(vehicle: Vehicle, trim: Trim) -> ct.StateSpace:
-    """The linear vehicle with ideal thrust: the law has no feedback of a lag, and a dead band has no slope."""
+    """The linear vehicle with ideal thrust: the law feeds no lag back, and a dead band has no slope."""
     ideal = with_ideal_thrust(vehicle)
     names = Functions(ideal).state_names
     return linearize(ideal, replace(trim, states={n: trim.states[n] for n in names}))
