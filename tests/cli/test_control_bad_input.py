@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.bad import refusal
@@ -121,3 +122,46 @@ def test_a_missing_force_is_told_by_design_as_by_gains(
     assert ("asks for a force in sway" in out) == bool(lacks)
     assert main(["gains", vehicle, "new.toml"]) == lacks
     assert ("all conditions hold" + words in capsys.readouterr().out) == bool(lacks)
+
+
+# --- numbers that no vehicle has ------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["linearize", "heave.toml", "--at", "w=1e9"], "w = 1e+09 (SI) is too much"),
+        (["linearize", "heave.toml", "--at", "f1=1e200"], "stay within 1e+06"),
+        (["linearize", "heave.toml", "--current", "1e200,0"], "1e+200 m/s to the north is none of water"),
+        (
+            ["simulate", "heave.toml", "gains.toml", "--to", "1", "--current", "0,-101"],
+            "-101 m/s to the east is none of water: stay within 100 m/s",
+        ),
+        (["design", "heave.toml", "--error", "z=1e-200", "--force", "heave=1"], "error of z is 1e-200"),
+        (["design", "heave.toml", "--error", "z=1", "--force", "heave=1e200"], "1e-09 to 1e+09"),
+    ],
+)
+def test_values_beyond_all_bounds_are_refused(
+    here: Path, capsys: Capture, words: list[str], said: str
+) -> None:
+    assert said in refusal(words, capsys, here)
+
+
+def test_weights_that_are_too_far_apart_are_refused(here: Path, capsys: Capture) -> None:
+    weights = ["--error", "x=1e-9,z=1e9,psi=1", "--force", "surge=1e-9,heave=1e9,yaw=1e9"]
+    said = refusal(["design", "mini-auv", "--law", "pid", *weights], capsys, here)
+    assert "numerically singular; give errors and forces that are nearer" in said
+
+
+def test_failing_linear_algebra_ends_in_one_line(
+    here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of the report is printed before it is whole."""
+
+    def fails(*_: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge.")
+
+    monkeypatch.setattr("undertow.control.linear.report.observability", fails)
+    capsys.readouterr()
+    assert main(["linearize", "heave.toml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: linear algebra fails on these numbers: SVD did not converge; look for")

@@ -16,6 +16,7 @@ from undertow.control.closed_loop import without as left_out
 from undertow.control.closed_loop.scenario import UNITS, force_unit
 from undertow.errors import UndertowError
 from undertow.files import check_folder, check_writable, write_whole
+from undertow.model.effects.ocean_current import check_current
 from undertow.model.units import to_si
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def choices_of(
         raise UndertowError(
             f"--current {current} has {len(water)} values: give two, to the north and to the east"
         )
+    if water is not None:
+        check_current(*water)
     wanted = None if gate is None else f"{_number(gate, 'rad', '--gate')!r} rad"
     return Choices(order, heading, integrators, wanted, sway, water)  # type: ignore[arg-type]
 

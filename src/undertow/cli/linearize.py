@@ -77,16 +77,18 @@ def linearize(
     from undertow.cli._linear import Wish, analysed, check_picture, refuse_unstable, show
     from undertow.cli._progress import progress
     from undertow.cli._show import print_json
+    from undertow.control.linear.failures import told
 
     check_picture(plot, out, vehicle, gains)
     wish = Wish(vehicle, at or [], free or [], current, direction or [], gains, sensors, effects or [])
-    with progress("linearising") as tell:
+    with progress("linearising") as tell, told():
         found = analysed(wish, family, seed, pade, tell)
-    channels = found.chosen(input, output)
+        channels = found.chosen(input, output)
+        content = found.content(channels)  # all of it, before the first line is printed
     if require_stable:
         refuse_unstable(found)
     if json:
-        print_json(found.content(channels))
+        print_json(content)
     else:
         show(found, channels)
     if plot and out:

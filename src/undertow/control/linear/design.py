@@ -16,6 +16,7 @@ from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from .analysis import Mode, controllability, modes, observability
+from .failures import told
 from .loop import LinearLoop, close_loop, with_forces
 from .numeric import Array, with_ideal_thrust
 from .systems import linearize, named
@@ -27,6 +28,8 @@ _FASTER = 2.0
 _ROUNDS = 12
 _HORIZONTAL = ("x", "y")
 _SETTLED = -1e-9
+# Riccati equations lose their digits far beyond what these weights, SI, span.
+_LEAST, _MOST = 1e-9, 1e9
 DESIGNED = ("pd", "pid")
 
 Verdict = Callable[[GainSet], bool]
@@ -180,7 +183,9 @@ class _Channels:
             a = np.block([[a, np.zeros((2 * n, n))], [np.eye(n), np.zeros((n, 2 * n))]])
             b = np.vstack([b, np.zeros((n, n))])
             cost = np.r_[cost, (rate / self._error) ** 2]
-        gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
+        remedy = "give errors and forces that are nearer to each other"
+        with told("no design with these errors and forces", remedy, ValueError):
+            gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
         return np.asarray(gain, dtype=float)
 
     def _as_gains(self, law: str, values: Mapping[str, Mapping[str, float]], name: str) -> GainSet:
@@ -214,6 +219,8 @@ def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
         if value is None or not 0 < value < np.inf:
             shown = "missing" if value is None else f"{value:g}"
             raise UndertowError(f"{what} of {name} is {shown}: give a positive one for {', '.join(names)}")
+        if not _LEAST <= value <= _MOST:
+            raise UndertowError(f"{what} of {name} is {value:g}: give one from {_LEAST:g} to {_MOST:g} (SI)")
     return np.array([float(given[n]) for n in names])
 
 
@@ -258,13 +265,9 @@ def lqg(
     r = np.diag(1 / _positive("command", force, plant.input_labels) ** 2)
     v = np.diag([disturbance.get(n, 0.0) ** 2 for n in names])
     w = np.diag(_positive("noise", noise, list(noise)) ** 2)
-    try:
+    with told("no LQG design", "give weights and disturbances to more states", ValueError):
         gain = np.asarray(ct.lqr(a, b, q, r)[0])
         observer = np.asarray(ct.lqe(a, np.eye(len(kept)), c, v, w)[0])
-    except (np.linalg.LinAlgError, ValueError, ct.ControlArgument) as error:
-        raise UndertowError(
-            f"no LQG design: {error}; give weights and disturbances to more states"
-        ) from error
     system = ct.ss(a - b @ gain - observer @ c, observer, -gain, np.zeros((len(r), len(w))))
     return named(system, [f"{n}_hat" for n in names], list(noise), plant.input_labels, "lqg")
 

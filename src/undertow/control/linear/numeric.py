@@ -15,7 +15,7 @@ from undertow.codegen.buffers import Evaluator
 from undertow.codegen.manifest import dead_time, describe
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
-from undertow.model.effects.ocean_current import OceanCurrent
+from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.parameter import bare_name
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Value, Vehicle
@@ -160,5 +160,12 @@ def with_ideal_thrust(vehicle: Vehicle) -> Vehicle:
 
 
 def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
-    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced."""
+    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced.
+
+    Raises
+    ------
+    UndertowError
+        If no water flows that fast.
+    """
+    check_current(north, east)
     return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
