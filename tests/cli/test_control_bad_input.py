@@ -165,3 +165,40 @@ def test_failing_linear_algebra_ends_in_one_line(
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("error: linear algebra fails on these numbers: SVD did not converge; look for")
+
+
+# --- places and angles ----------------------------------------------------------------------------
+SIMULATE = ["simulate", "mini-auv", "paper-pd", "--for", "1", "--dt", "0.01"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["linearize", "heave.toml", "--plot", "poles", "--out", "a.txt"], "name it a.png"),
+        (["linearize", "heave.toml", "--plot", "poles", "--out", "a"], "name it a.png"),
+        ([*SIMULATE, "--to", "1,1,1", "--gate", "181deg", "--order", "yaw-first"], "beyond 180 deg"),
+        ([*SIMULATE, "--to", "1,1,1", "--gate", "5", "--order", "yaw-first"], "without a unit is in rad"),
+    ],
+)
+def test_names_and_angles_that_cannot_be_meant_are_refused(
+    here: Path, capsys: Capture, words: list[str], said: str
+) -> None:
+    assert said in refusal(words, capsys, here)
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that takes no files")
+def test_a_place_without_files_is_refused_before_the_run(here: Path, capsys: Capture) -> None:
+    capsys.readouterr()
+    assert main([*SIMULATE, "--to", "1,1,1", "--json", "/proc/result.json"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "cannot write '/proc/result.json'" in err
+
+
+@pytest.mark.parametrize(
+    ("goal", "asks"), [("1,1,1,90", True), ("1,1,1,1.5", False), ("1,1,1,900deg", False), ("90,1,1", False)]
+)
+def test_a_heading_of_many_turns_is_asked_about(here: Path, capsys: Capture, goal: str, asks: bool) -> None:
+    assert main([*SIMULATE, "--to", goal]) == 0
+    said = "the heading 90 is in radians, 14.3 turns; write 90deg if degrees are meant"
+    assert (said in capsys.readouterr().err) == asks
