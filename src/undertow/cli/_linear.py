@@ -124,9 +124,9 @@ def check_picture(plot: str | None, out: Path | None, *inputs: str | None) -> No
         raise UndertowError(f"--plot {plot} has nowhere to go: add --out FILE.png")
     if out and not plot:
         raise UndertowError("--out has no picture to write: add --plot bode, step, poles or root-locus")
+    check_writable(out, inputs=[i for i in inputs if i])
     if out and out.suffix.lower() != ".png":
         raise UndertowError(f"--out {out}: pictures are written as PNG; name it {out.with_suffix('.png')}")
-    check_writable(out, inputs=[i for i in inputs if i])
 
 
 def analysed(wish: Wish, size: int | None, seed: int, pade: int, tell: Report) -> Analysis:
