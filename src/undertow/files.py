@@ -10,6 +10,7 @@ import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from undertow.errors import UndertowError
 
@@ -104,6 +105,19 @@ def _check_target(path: Path) -> None:
         raise UndertowError(f"cannot write '{path}': it is a folder: name a file in it")
     if not os.access(path if _is_special(path) else path.parent, os.W_OK):
         raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
+    if path.is_file() and not os.access(path, os.W_OK):
+        raise UndertowError(f"cannot write '{path}': it is write-protected; choose another name")
+    if not _is_special(path):
+        _try_folder(path)
+
+
+def _try_folder(path: Path) -> None:
+    """Make a file without a name there: where no file can be (/proc), permissions do not tell."""
+    try:
+        with TemporaryFile(dir=path.resolve().parent):
+            pass
+    except OSError as failure:
+        raise UndertowError(_refusal(path, failure)) from failure
 
 
 def _is_special(path: Path) -> bool:

@@ -46,7 +46,16 @@ FAULTS = {
     "a key that is none": ('name = "mine"', 'nam = "mine"', ["'nam'", "'name'"]),
     "no TOML": ("[gains]", "[gains", ["TOML"]),
     "a weight of nothing": ("[gains]", "[allocation.weights]\nf9 = 1\n[gains]", ["f9", "f1, f2, f3, f4"]),
-    "a weight of zero": ("[gains]", "[allocation.weights]\nf1 = 0\n[gains]", ["f1", "not above zero"]),
+    "a weight of zero": ("[gains]", "[allocation.weights]\nf1 = 0\n[gains]", ["f1", "above zero"]),
+    "a weight next to nothing": (
+        "[gains]",
+        "[allocation.weights]\nf1 = 1e-300\n[gains]",
+        ["'f1' is 1e-300", "1e-09 to 1e+09"],
+    ),
+    "a huge weight": ("[gains]", "[allocation.weights]\nf1 = 1e10\n[gains]", ["'f1' is 1e+10", "to 1e+09"]),
+    "a huge gain": ("5 N s/m", "1e308 N s/m", ["K_V for z is 1e308 N s/m", "1e-12 to 1e+12 N s/m"]),
+    "a huge integral": ("[0.001,", "[1e300,", ["K_I for x is 1e+300", "1e-12 to 1e+12 N/(m s)"]),
+    "a gain next to nothing": ('"1 N/m"', "1e-300", ["K_P for z is 1e-300", "1e-12 to 1e+12"]),
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import tomlkit
 
 from undertow.cli._linear import Wish, pairs, show_modes, si
 from undertow.cli._show import console, section, table, text
-from undertow.control.linear.certified import certified
+from undertow.control.linear.certified import certified, checked
 from undertow.control.linear.design import Design, lqr
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE
 
@@ -41,15 +41,25 @@ def show(done: Design) -> None:
     out = console()
     share = f"{100 * done.coupling:.3g} %"
     out.print(text(f"  coupling that the diagonal law leaves out: up to {share} of the optimal gain"))
-    out.print(
-        text(f"  conditions derived from the model (undertow gains): {_VERDICTS[bool(done.certified)]}")
-    )
+    for line in _told(done):
+        out.print(text(f"  {line}"), soft_wrap=True)
     if done.slowed:
         out.print(text(f"  the integral was given twice the time {done.slowed} times until they held"))
     show_modes("Poles of the loop", done.modes)
 
 
 _VERDICTS = {True: "all hold", False: "not all hold"}
+
+
+def _told(done: Design) -> Iterator[str]:
+    """What the conditions say, with everything for which undertow gains would say no."""
+    report = checked(done.gains)
+    but = ", but a force is missing that the law asks for" if report.actuation else ""
+    yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}{but}"
+    if report.actuation:
+        yield report.actuation
+    if done.certified and not report.conditions_hold:
+        yield "the conditions in their printed form do not all hold: undertow gains shows which"
 
 
 def _coordinates(done: Design) -> list[str]:

@@ -119,12 +119,14 @@ def _way(name: str, value: str) -> int:
 
 
 def check_picture(plot: str | None, out: Path | None, *inputs: str | None) -> None:
-    """Refuse a picture without a place, or a place without a picture."""
+    """Refuse a picture without a place, a place without a picture, or a name that is none of a picture."""
     if plot and out is None:
         raise UndertowError(f"--plot {plot} has nowhere to go: add --out FILE.png")
     if out and not plot:
         raise UndertowError("--out has no picture to write: add --plot bode, step, poles or root-locus")
     check_writable(out, inputs=[i for i in inputs if i])
+    if out and out.suffix.lower() != ".png":
+        raise UndertowError(f"--out {out}: pictures are written as PNG; name it {out.with_suffix('.png')}")
 
 
 def analysed(wish: Wish, size: int | None, seed: int, pade: int, tell: Report) -> Analysis:

@@ -16,6 +16,7 @@ from undertow.control.closed_loop import without as left_out
 from undertow.control.closed_loop.scenario import UNITS, force_unit
 from undertow.errors import UndertowError
 from undertow.files import check_folder, check_writable, write_whole
+from undertow.model.effects.ocean_current import check_current
 from undertow.model.units import to_si
 
 if TYPE_CHECKING:
@@ -74,6 +75,8 @@ def choices_of(
         raise UndertowError(
             f"--current {current} has {len(water)} values: give two, to the north and to the east"
         )
+    if water is not None:
+        check_current(*water)
     wanted = None if gate is None else f"{_number(gate, 'rad', '--gate')!r} rad"
     return Choices(order, heading, integrators, wanted, sway, water)  # type: ignore[arg-type]
 
@@ -157,12 +160,21 @@ def simulated(
     from undertow.model.loading import load_vehicle
 
     known = left_out(load_vehicle(vehicle, effect_files=effects), without)
+    _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)
     moving = load_vehicle(plant, effect_files=effects) if plant else None
     with progress("simulating", total=len(gains) * scenario.duration) as report:
         return [
             _one(choices.loop(name, known, moving), scenario, report, i * scenario.duration)
             for i, name in enumerate(gains)
         ]
+
+
+def _remark_turns(option: str, pose: dict[str, float], stated: Sequence[str | float]) -> None:
+    """Ask whether degrees were meant, where a heading without a unit is more than a turn."""
+    psi = pose.get("psi", 0.0)
+    if abs(psi) > 2 * math.pi and not isinstance(dict(zip(pose, stated, strict=True))["psi"], str):
+        remark = f"{option}: the heading {psi:g} is in radians, {psi / (2 * math.pi):.1f} turns"
+        typer.echo(f"{remark}; write {psi:g}deg if degrees are meant", err=True)
 
 
 def _one(loop: ClosedLoop, scenario: Scenario, report: Callable[[float, str], None], before: float) -> Record:

@@ -39,10 +39,12 @@ def design(
     effects: EffectsOption = None,
 ) -> None:
     from undertow.cli._design import designed, gain_file, show
+    from undertow.control.linear.failures import told
     from undertow.files import check_writable, write_whole
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
-    done = designed(vehicle, error, force, law, direction or [], name, effects or [])
+    with told():
+        done = designed(vehicle, error, force, law, direction or [], name, effects or [])
     show(done)
     if out is None:
         typer.echo("nothing was written: --out NEW.toml writes the gain file")

@@ -23,12 +23,18 @@ out, and with --require-stable refused.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from undertow.control.linear.report import Analysis, Channel
 
 Plot = Literal["bode", "step", "poles", "root-locus"]
 _AT = typer.Option("--at", metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
@@ -77,21 +83,29 @@ def linearize(
     from undertow.cli._linear import Wish, analysed, check_picture, refuse_unstable, show
     from undertow.cli._progress import progress
     from undertow.cli._show import print_json
+    from undertow.control.linear.failures import told
 
     check_picture(plot, out, vehicle, gains)
     wish = Wish(vehicle, at or [], free or [], current, direction or [], gains, sensors, effects or [])
-    with progress("linearising") as tell:
+    with progress("linearising") as tell, told():
         found = analysed(wish, family, seed, pade, tell)
-    channels = found.chosen(input, output)
+        channels = found.chosen(input, output)
+        content = found.content(channels)  # all of it, before the first line is printed
+        drawn = _drawn(plot, found, channels) if plot else None
     if require_stable:
         refuse_unstable(found)
     if json:
-        print_json(found.content(channels))
+        print_json(content)
     else:
         show(found, channels)
-    if plot and out:
-        from undertow.cli._linear_pictures import picture
+    if drawn and out:
         from undertow.identification.report.style import save_png
 
-        save_png(picture(plot, found, channels), out)
+        save_png(drawn, out)
         typer.echo(f"wrote {out}", err=json)
+
+
+def _drawn(plot: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
+    from undertow.cli._linear_pictures import picture
+
+    return picture(plot, found, channels)

@@ -46,7 +46,8 @@ def update(
 ) -> None:
     from undertow.cli._progress import progress
     from undertow.cli._updating import Update, show
+    from undertow.control.linear.failures import told
 
-    with progress("updating") as tell:
+    with progress("updating") as tell, told():
         done = Update(vehicle, gains, at, out, effects or []).run(tell)
     show(done)

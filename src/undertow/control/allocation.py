@@ -124,12 +124,17 @@ def allocation_of(gains: GainSet) -> Allocation:
     Raises
     ------
     UndertowError
-        If a limit is none, or the thrusters cannot push in the degrees of freedom independently.
+        If a limit is none, or the thrusters push in nothing that the law uses, or not independently.
     """
     plant, vehicle = gains.plant, gains.plant.vehicle
     matrix = np.array(plant.B.xreplace(plant.numbers).tolist(), dtype=float).reshape(plant.B.shape)
     dofs = vehicle.degrees_of_freedom
     rows = tuple(i for i, d in enumerate(dofs) if d not in gains.unactuated)
+    if not rows:
+        raise UndertowError(
+            f"a controller has nothing to command: no thruster of '{vehicle.name}' pushes in "
+            f"{', '.join(dofs)}; add [[thrusters]] to the vehicle file"
+        )
     if np.linalg.matrix_rank(matrix[list(rows)]) < len(rows):
         raise UndertowError(
             f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import pi
 
 import casadi as ca
 import sympy as sm
@@ -63,9 +64,11 @@ class Controller:
                 f"[schedule] order = 'yaw-first' needs {missing[0]}, which '{self.gains.plant.vehicle.name}' "
                 'does not have: write order = "together"'
             )
-        if not self.gate > 0:
+        if not 0 < self.gate <= pi:
+            fault = "beyond 180 deg, which no error of the heading is" if self.gate > pi else "not above zero"
             raise UndertowError(
-                f"[schedule] gate = {self.gains.schedule.gate} is not above zero: give an angle"
+                f"[schedule] gate = {self.gains.schedule.gate} is {fault}: give an angle of up to 180 deg "
+                "(a number without a unit is in rad)"
             )
 
     # --- names and numbers --------------------------------------------------------------------

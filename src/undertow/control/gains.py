@@ -22,6 +22,10 @@ from .gain_schema import AllocationTable, Diagonal, GainTable, ScheduleTable
 from .laws import LAWS, GainMatrix, Law, LawSignals
 from .plant import Plant
 
+# Beyond these, SI, numbers are slips of a unit or a power of ten, and sums of their products lose all digits.
+_GAINS = (1e-12, 1e12)
+_WEIGHTS = (1e-9, 1e9)
+
 
 @dataclass(frozen=True)
 class GainSet:
@@ -192,6 +196,12 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
             f"gain {gain.name} for {coordinate} is {stated}, not above zero: gains are positive, the law "
             "itself has the signs"
         )
+    low, high = _GAINS
+    if not low <= value <= high:
+        raise UndertowError(
+            f"gain {gain.name} for {coordinate} is {stated}: give one from {low:g} to {high:g} "
+            f"{gain.unit(coordinate)}"
+        )
     return value
 
 
@@ -237,6 +247,10 @@ def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
                 f"[allocation] names thruster '{key}'{nearest(key, known)}: the vehicle has "
                 f"{', '.join(known) or 'none'}"
             )
-    low = [k for k, w in allocation.weights.items() if not 0 < w < float("inf")]
-    if low:
-        raise UndertowError(f"weight of thruster '{low[0]}' is not above zero and finite: change it")
+    low, high = _WEIGHTS
+    odd = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
+    if odd:
+        name, weight = odd[0]
+        raise UndertowError(
+            f"weight of thruster '{name}' is {weight:g}: give one above zero, from {low:g} to {high:g}"
+        )

@@ -13,6 +13,8 @@ VELOCITY = ("u", "v", "w", "p", "q", "r")
 FORCE = ("X", "Y", "Z", "K", "M", "N")
 FORCE_UNITS = ("N",) * 3 + ("N m",) * 3
 VELOCITY_UNITS = ("m/s",) * 3 + ("rad/s",) * 3
+# No vehicle in water moves or turns faster, and no water flows faster: m/s and rad/s.
+FASTEST = 100.0
 
 
 def symbol(name: str) -> sm.Symbol:

@@ -131,6 +131,8 @@ def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
 
 
 def _from(balance: Balance, y: Array) -> Array:
+    if not y.size:  # everything is held: SLSQP does not take a search without unknowns
+        return y
     from scipy.optimize import minimize
 
     prices = balance.prices

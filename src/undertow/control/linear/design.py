@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control as ct
 import numpy as np
 
+from undertow.codegen import Functions
 from undertow.control.gain_schema import GainTable
 from undertow.control.gains import GainSet, gains_from_table
 from undertow.control.laws import LAWS
@@ -15,8 +16,9 @@ from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from .analysis import Mode, controllability, modes, observability
+from .failures import told
 from .loop import LinearLoop, close_loop, with_forces
-from .numeric import Array
+from .numeric import Array, with_ideal_thrust
 from .systems import linearize, named
 from .trim import Trim, find_trim
 
@@ -26,6 +28,8 @@ _FASTER = 2.0
 _ROUNDS = 12
 _HORIZONTAL = ("x", "y")
 _SETTLED = -1e-9
+# Riccati equations lose their digits far beyond what these weights, SI, span.
+_LEAST, _MOST = 1e-9, 1e9
 DESIGNED = ("pd", "pid")
 
 Verdict = Callable[[GainSet], bool]
@@ -75,8 +79,9 @@ def lqr(
 
     The weights are Bryson's: an error as large as `error` counts as much as a force as large as `force`. The
     law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, in x and y the larger
-    one for both, and the loop that it closes is checked. Where conditions are given and fail, the integral is
-    given more time until they hold.
+    one for both. Thrust counts as ideal in the design; the loop that it closes is checked with the lag of
+    thrusters and the like. Where conditions are given and fail, the integral is given more time until they
+    hold.
 
     Parameters
     ----------
@@ -137,7 +142,7 @@ class _Channels:
         self, vehicle: Vehicle, trim: Trim, error: Mapping[str, float], force: Mapping[str, float]
     ) -> None:
         self.vehicle, self.trim = vehicle, trim
-        plant = with_forces(vehicle, linearize(vehicle, trim))
+        plant = with_forces(vehicle, _ideal_plant(vehicle, trim))
         pushed = [name.removeprefix("force_") for name in plant.input_labels]
         if not pushed:
             raise UndertowError(f"'{vehicle.name}' has no thruster: state one, there is nothing to design")
@@ -178,7 +183,9 @@ class _Channels:
             a = np.block([[a, np.zeros((2 * n, n))], [np.eye(n), np.zeros((n, 2 * n))]])
             b = np.vstack([b, np.zeros((n, n))])
             cost = np.r_[cost, (rate / self._error) ** 2]
-        gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
+        remedy = "give errors and forces that are nearer to each other"
+        with told("no design with these errors and forces", remedy, ValueError):
+            gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
         return np.asarray(gain, dtype=float)
 
     def _as_gains(self, law: str, values: Mapping[str, Mapping[str, float]], name: str) -> GainSet:
@@ -189,6 +196,13 @@ class _Channels:
         silent = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]
         content = {"schema": "undertow/gains/1", "name": name, "law": law, "gains": gains}
         return gains_from_table(GainTable.model_validate(content | {"unactuated": silent}), self.vehicle)
+
+
+def _ideal_plant(vehicle: Vehicle, trim: Trim) -> ct.StateSpace:
+    """The linear vehicle with ideal thrust: the law feeds no lag back, and a dead band has no slope."""
+    ideal = with_ideal_thrust(vehicle)
+    names = Functions(ideal).state_names
+    return linearize(ideal, replace(trim, states={n: trim.states[n] for n in names}))
 
 
 def _coupling(part: Array) -> float:
@@ -205,6 +219,8 @@ def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
         if value is None or not 0 < value < np.inf:
             shown = "missing" if value is None else f"{value:g}"
             raise UndertowError(f"{what} of {name} is {shown}: give a positive one for {', '.join(names)}")
+        if not _LEAST <= value <= _MOST:
+            raise UndertowError(f"{what} of {name} is {value:g}: give one from {_LEAST:g} to {_MOST:g} (SI)")
     return np.array([float(given[n]) for n in names])
 
 
@@ -249,13 +265,9 @@ def lqg(
     r = np.diag(1 / _positive("command", force, plant.input_labels) ** 2)
     v = np.diag([disturbance.get(n, 0.0) ** 2 for n in names])
     w = np.diag(_positive("noise", noise, list(noise)) ** 2)
-    try:
+    with told("no LQG design", "give weights and disturbances to more states", ValueError):
         gain = np.asarray(ct.lqr(a, b, q, r)[0])
         observer = np.asarray(ct.lqe(a, np.eye(len(kept)), c, v, w)[0])
-    except (np.linalg.LinAlgError, ValueError, ct.ControlArgument) as error:
-        raise UndertowError(
-            f"no LQG design: {error}; give weights and disturbances to more states"
-        ) from error
     system = ct.ss(a - b @ gain - observer @ c, observer, -gain, np.zeros((len(r), len(w))))
     return named(system, [f"{n}_hat" for n in names], list(noise), plant.input_labels, "lqg")
 

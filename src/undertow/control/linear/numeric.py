@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
@@ -13,7 +14,8 @@ from undertow.codegen import Compiled, Functions
 from undertow.codegen.buffers import Evaluator
 from undertow.codegen.manifest import dead_time, describe
 from undertow.errors import UndertowError
-from undertow.model.effects.ocean_current import OceanCurrent
+from undertow.model.effect import Actuation
+from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.parameter import bare_name
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Value, Vehicle
@@ -152,6 +154,18 @@ def motion_of(vehicle: Vehicle, name: str) -> str | None:
     return None if declared is None or declared.motion is None else VELOCITY[declared.motion]
 
 
+def with_ideal_thrust(vehicle: Vehicle) -> Vehicle:
+    """The vehicle whose thrusters give at once, and in proportion, what is commanded."""
+    return replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
+
+
 def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
-    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced."""
+    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced.
+
+    Raises
+    ------
+    UndertowError
+        If no water flows that fast.
+    """
+    check_current(north, east)
     return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})

@@ -8,11 +8,13 @@ from math import isfinite
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
+from undertow.model.symbols import FASTEST, VELOCITY
 from undertow.model.vehicle import Vehicle
 
 _HOVER = {"u": 0.0, "v": 0.0, "w": 0.0, "r": 0.0}
 _FREE = ("r", "w", "z")
 _PLACE = ("x", "y")
+_FARTHEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection
     Raises
     ------
     UndertowError
-        If a name is none of the vehicle, a value is not finite, or a name is both held and free.
+        If a name is none of the vehicle, a value is not finite or too large, or a name is both held and free.
     """
     given = _hovering(vehicle) if held is None else dict(held)
     known = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
@@ -73,3 +75,6 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
         raise UndertowError(f"{name} = {value} is no value for a steady motion: give a finite one")
+    most = FASTEST if name in VELOCITY else _FARTHEST
+    if abs(value) > most:
+        raise UndertowError(f"{name} = {value:g} (SI) is too much for a steady motion: stay within {most:g}")

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.model.effect import Actuation
 from undertow.model.symbols import POSE
 from undertow.model.vehicle import Vehicle
 
 from .balance import Balance, solve
-from .numeric import Array, Numeric, in_direction, reversing
+from .numeric import Array, Numeric, in_direction, reversing, with_ideal_thrust
 from .request import Request, request
 
 # Forces of a steady motion may change by this much in a second (share of the gravity of rounding, m/s^3).
@@ -130,7 +129,7 @@ def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
     try:
         return solve(balance)
     except UndertowError:
-        ideal = replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
+        ideal = with_ideal_thrust(vehicle)
         if len(ideal.effects) == len(vehicle.effects):
             raise
         try:

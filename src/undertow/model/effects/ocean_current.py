@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sympy as sm
 
+from undertow.errors import UndertowError
 from undertow.model.effect import Flow
 from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
+from undertow.model.symbols import FASTEST, Signals
 
 
 class OceanCurrent(Flow):
@@ -21,3 +22,18 @@ class OceanCurrent(Flow):
 
     def velocity(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([self.V_N, self.V_E, 0])
+
+
+def check_current(north: float, east: float) -> None:
+    """Refuse a velocity of the water, m/s, that none has.
+
+    Raises
+    ------
+    UndertowError
+        If one is beyond the limit.
+    """
+    for way, value in (("north", north), ("east", east)):
+        if not abs(value) <= FASTEST:
+            raise UndertowError(
+                f"a current of {value:g} m/s to the {way} is none of water: stay within {FASTEST:g} m/s"
+            )
