@@ -192,6 +192,20 @@ def test_repaired_gains_satisfy_what_they_were_repaired_for(kind: str) -> None:
                 assert there.margin(condition, one, found.iota) > 0
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_digits_that_are_printed_repair(kind: str) -> None:
+    found, here = repair(kind), problem()
+    values = {name: v.copy() for name, v in here.values.items()}
+    for name, changed in found.gains.items():
+        for coordinate, value in changed.items():
+            values[name][here.coordinates.index(coordinate)] = float(f"{value:.6g}")
+    there = here.changed(values)
+    conditions = [c for c in KINDS[kind].conditions if not c.per_channel_only]
+    assert not conditions or there.iota(conditions, there.distinct) is not None
+    for condition in {*KINDS[kind].conditions} - {*conditions}:
+        assert all(there.channel_margin(condition, one, i, None) > 0 for one in there.sets for i in range(4))
+
+
 def test_the_repair_is_the_smallest_in_a_case_with_a_closed_form() -> None:
     """Backward surge: the nearest point of k_p K = m k_i, by a search over k_p and k_v."""
     found = repair("routh")

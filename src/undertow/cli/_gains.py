@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -310,9 +311,12 @@ def _show_repairs(judged: Judged) -> None:
 
 
 def _wanted(single: Single) -> str:
+    """The bound rounded to the side on which the condition holds."""
     if single.bound is None:
         return "alone never suffices"
-    return f"{'>' if single.above else '<'} {single.bound:.6g}"
+    way = ROUND_CEILING if single.above else ROUND_FLOOR
+    rounded = Context(prec=6, rounding=way).create_decimal_from_float(single.bound)
+    return f"{'>' if single.above else '<'} {float(rounded):.6g}"
 
 
 def _show_rest(report: Report) -> None:

@@ -185,7 +185,7 @@ def _place(
 
 
 class _ThirdOrder:
-    """All H_i at an attitude, shape (n, n, n): the symmetric matrix of nu' (C - M J^-1 J_dot) J^-1 q~ for q~ along i."""
+    """All H_i at an attitude: symmetric matrices of nu' (C - M J^-1 J_dot) J^-1 q~ for q~ along i."""
 
     def __init__(self, plant: Plant, one: SignSet) -> None:
         self._angles = [symbol(a) for a in ("phi", "theta", "psi")]
