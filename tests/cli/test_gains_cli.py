@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.cli.bad import refusal
@@ -97,6 +98,40 @@ def test_good_gains_end_with_zero(sled: Path, capsys: Capture) -> None:
     assert found["region"]["angle"] is None
     assert "everywhere" in found["region"]["text"]
     assert main(["gains", "sled.toml", "gains.toml"]) == 1  # as printed they fail: K_V > M
+
+
+SLOW = """
+schema = "undertow/vehicle/1"
+name = "heaver"
+degrees_of_freedom = ["heave"]
+signs = "magnitudes"
+[effects.rigid_body]
+m = "10 kg"
+[effects.linear_damping]
+Z_w = "1 kg/s"
+[effects.thruster_lag]
+T_lag = "LAG s"
+[[thrusters]]
+name = "f1"
+position = ["0 m", "0 m", "0 m"]
+direction = [0, 0, 1]
+"""
+
+
+@pytest.mark.parametrize(("lag", "stable"), [(0.1, True), (10.0, False)])
+def test_what_is_left_out_is_looked_at(lag: float, stable: bool, sled: Path, capsys: Capture) -> None:
+    """10 T s^3 + (10 + T) s^2 + 4 s + 20 with a lag T: Routh asks for 4 (10 + T) > 200 T."""
+    (sled / "slow.toml").write_text(SLOW.replace("LAG", str(lag)))
+    law = GAINS.partition("[gains]")[0].replace('"pid"', '"pd"')
+    (sled / "pd.toml").write_text(law + "[gains]\nK_P = 20\nK_V = 3\n")
+    assert main(["gains", "slow.toml", "pd.toml"]) == (0 if stable else 1)
+    out = capsys.readouterr().out
+    assert "all conditions hold, but thruster_lag is not in them" in out
+    assert f"full loop linearised at rest: {'stable' if stable else 'UNSTABLE'}" in out
+    _, found = content(capsys, "slow.toml", "pd.toml")
+    growing = max(np.roots([10 * lag, 10 + lag, 4, 20]), key=lambda r: r.real)
+    assert found["ok"] == found["whole"]["stable"] == stable
+    assert found["whole"]["pole"][0] == pytest.approx(growing.real, rel=1e-6)
 
 
 PSI, NUMBER = "psi", r"[0-9.e-]+"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -140,6 +141,26 @@ def test_sliding_mode_reaches_although_the_weight_is_uncertain() -> None:
     heave = row("derived", "reaching", "z", "forward", "paper-smc")
     assert heave.left == pytest.approx(10.088308, rel=SIX)
     assert heave.right == pytest.approx(1.959963985 * 0.41, rel=SIX)
+
+
+# --- gains that tell north from east ----------------------------------------------------------------
+def test_gains_that_are_good_heading_north_only_are_refused() -> None:
+    """Heading east, the stiff gains of y act on surge: M k_i > K k_p there."""
+    vehicle = load_vehicle("mini-auv")
+    gains = load_gains("paper-pid", vehicle)
+    good = {"K_P_x": 0.2, "K_V_x": 2.0, "K_P_y": 0.2, "K_I_y": 0.05, "K_P_psi": 0.1}
+    found = check(replace(gains, values={**gains.values, **good}), Uncertainty(vehicle), forms=["derived"])
+    stable = {(c.coordinate, c.signs): c.stable for c in found.channels}
+    assert stable["x", "forward"]
+    assert stable["y", "both"]
+    assert not stable["y heading east", "forward"]
+    (worst,) = [roots for name, roots in found.coupled.items() if name.startswith("forward")]
+    assert "forward, worst of 18 headings: 90 deg" in found.coupled
+    surge = np.roots([9.130825, 0.142306 + 0.005, 0.2, 0.05])
+    assert worst[0].real >= max(surge.real) - 1e-9
+    assert not found.conditions_hold
+    mended = repaired(Problem(replace(gains, values={**gains.values, **good})), "routh")
+    assert mended.gains  # something has to change
 
 
 # --- repairs ----------------------------------------------------------------------------------------

@@ -285,8 +285,8 @@ def _agreements(problem: Problem, iota: float | None) -> list[Agreement]:
 # --- linearised channels ----------------------------------------------------------------------
 def _channels(problem: Problem) -> list[Channel]:
     found = []
-    for i, coordinate in enumerate(problem.coordinates):
-        own = [_channel(problem, one, i, coordinate) for one in problem.sets[:2]]
+    for i, axis, name in problem.channels:
+        own = [_channel(problem, one, i, axis, name) for one in problem.sets[:2]]
         distinct = [c for c in own if c is not None]
         if len(distinct) == 2 and distinct[0].polynomial == distinct[1].polynomial:
             distinct = [replace(distinct[0], signs="both")]
@@ -294,22 +294,31 @@ def _channels(problem: Problem) -> list[Channel]:
     return found
 
 
-def _channel(problem: Problem, one: SignSet, i: int, coordinate: str) -> Channel | None:
-    gains = {name: float(v[i]) for name, v in problem.values.items()}
-    polynomial = channel_polynomial(gains, float(one.inertia[i, i]), float(one.damping[i, i]))
+def _channel(problem: Problem, one: SignSet, i: int, axis: int, name: str) -> Channel | None:
+    gains = {gain: float(v[i]) for gain, v in problem.values.items()}
+    polynomial = channel_polynomial(gains, float(one.inertia[axis, axis]), float(one.damping[axis, axis]))
     if polynomial is None:
         return None
     first = [float(row[0]) for row in routh_array(polynomial)]
     found = roots(polynomial)
     stable = all(a * b > 0 for a, b in pairwise(first)) and found[0].real < 0
-    return Channel(coordinate, one.name, polynomial, first, found, stable)
+    return Channel(name, one.name, polynomial, first, found, stable)
 
 
 def _coupled(problem: Problem) -> dict[str, list[complex]]:
-    """Roots with all axes together, where M or D couple them."""
-    if problem.decoupled or "K_P" not in problem.values:
+    """Roots with all axes together, where M or D couple them or gains tell north from east.
+
+    Of all headings, where they matter, the one with the root that grows fastest.
+    """
+    if (problem.decoupled and not problem.heading_counts) or "K_P" not in problem.values:
         return {}
-    return {
-        one.name: coupled_roots(problem.values, one.inertia, one.damping, problem.plant)
-        for one in problem.sets[:2]
-    }
+    found = {}
+    for one in problem.sets[:2]:
+        tried = [
+            (coupled_roots(problem.values, one.inertia, one.damping, problem.plant, J), degrees)
+            for degrees, J in problem.headings
+        ]
+        roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
+        of = "" if not problem.heading_counts else f"worst of {len(tried)} headings: {degrees:.0f} deg"
+        found[", ".join(filter(None, (one.name, of)))] = roots_there
+    return found

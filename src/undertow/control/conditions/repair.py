@@ -190,10 +190,10 @@ def _still_holds(problem: Problem, found: Repair) -> bool:
     if found.iota is not None:
         return there.iota(list(conditions), there.distinct) is not None
     return all(
-        there.channel_margin(c, one, i, None) > 0
+        np.min(c.margin(there.channel_signs(one, i, None, axis=axis))) > 0
         for c in conditions
         for one in there.sets[:2]
-        for i in range(there.size)
+        for i, axis, _ in there.channels
     )
 
 
@@ -309,11 +309,11 @@ def _routh_cuts(variables: _Variables) -> Callable[[Array], Iterator[Cut]]:
 
     def at(x: Array) -> Iterator[Cut]:
         for one in problem.sets[:2]:
-            for i in range(problem.size):
+            for i, axis, _ in problem.channels:
                 p, v, s = (variables.place(n, i) for n in ("K_P", "K_V", "K_I"))
                 k_p, k_v, k_i = (float(problem.values[n][i]) for n in ("K_P", "K_V", "K_I"))
-                K, P = k_v * (1 + x[v]) + float(one.damping[i, i]), k_p * (1 + x[p])
-                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(one.inertia[i, i]) * k_i)
+                K, P = k_v * (1 + x[v]) + float(one.damping[axis, axis]), k_p * (1 + x[p])
+                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(one.inertia[axis, axis]) * k_i)
                 slope = np.zeros(variables.size)
                 slope[p], slope[v], slope[s] = K * k_p / (2 * mean), P * k_v / (2 * mean), -root / 2
                 value = mean - root * (1 + x[s] / 2)
