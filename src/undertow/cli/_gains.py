@@ -112,7 +112,9 @@ def show(judged: Judged) -> None:
 
 def _headline(report: Report) -> str:
     if not report.conditions_hold:
-        return "some conditions fail"
+        unproved = any(r.verdict == "not proved" for r in report.rows)
+        refuted = any(r.verdict == "fails" for r in report.rows) or not unproved
+        return "some conditions fail" if refuted else "some conditions are not proved"
     but = []
     if report.left_out:
         one = len(report.left_out) == 1
@@ -168,7 +170,7 @@ def _verdict(row: Row) -> str:
     if not row.uses_iota:
         reached = row.where if row.scope != "matrices" else ""
         return f"{row.verdict}; {reached}" if reached else row.verdict
-    return f"{'holds' if row.verdict == 'holds' else 'fails'}; {_bounds(row)}" if row.iota else "no iota"
+    return f"{row.verdict}; {_bounds(row)}" if row.iota else "no iota"
 
 
 def _bounds(row: Row) -> str:

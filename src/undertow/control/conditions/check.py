@@ -19,10 +19,10 @@ from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import Problem
 from .reaching import reaching
 from .region import region
-from .result import FAILS, HOLDS, Agreement, Channel, Report, Row
+from .result import FAILS, HOLDS, UNPROVED, Agreement, Channel, Report, Row
 from .routh import channel_polynomial, coupled_roots, roots, routh_array
 from .speed import damping_at_speed
-from .uncertain import NOMINAL, Range, Uncertainty
+from .uncertain import ALL, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
 
 Array = np.ndarray
 Tell = Callable[[float, str], None]
@@ -144,7 +144,7 @@ class _Place:
         iota = self._iota(one, span)
         left, right, certificate = self._sides(one, iota)
         condition = self.condition
-        holds = certificate.bound > 0
+        verdict = HOLDS if certificate.bound > 0 else UNPROVED if certificate.found > 0 else FAILS
         row = Row(
             condition.form,
             condition.id,
@@ -156,13 +156,13 @@ class _Place:
             left,
             right,
             certificate.found,
-            HOLDS if holds else FAILS,
+            verdict,
             span,
             condition.uses_iota,
             iota,
             _where(certificate),
         )
-        box, ellipsoid = self._ranges(one, iota, holds, uncertainty)
+        box, ellipsoid = self._ranges(one, iota, verdict, uncertainty)
         return replace(row, box=box, ellipsoid=ellipsoid)
 
     def _span(self, one: SignSet) -> Span | None:
@@ -197,24 +197,29 @@ class _Place:
 
     # --- uncertainty
     def _ranges(
-        self, one: SignSet, iota: float | None, holds: bool, uncertainty: Uncertainty
+        self, one: SignSet, iota: float | None, verdict: str, uncertainty: Uncertainty
     ) -> tuple[Range | None, Range | None]:
         matters, features = self._features(one)
         known = np.diag(uncertainty.covariance(one.names)) > 0
         if not (matters & known).any():
             return None, None
-        if not holds:
-            failed = Range(NOMINAL, self._margin(one, iota), {})
-            return failed, failed
+        if verdict != HOLDS:
+            found = Range(NOMINAL if verdict == FAILS else OPEN, self._margin(one, iota), {})
+            return found, found
 
         def margins(theta: Array) -> Array:
             return np.array([self._margin(one, iota, row) for row in theta])
 
         batched = self._batched(one, iota) or margins
         return (
-            uncertainty.over_box(batched, one, matters & known),
-            uncertainty.over_ellipsoid(batched, one, features),
+            self._honest(uncertainty.over_box(batched, one, matters & known)),
+            self._honest(uncertainty.over_ellipsoid(batched, one, features)),
         )
+
+    def _honest(self, found: Range) -> Range:
+        """What holds at some attitudes only is not settled for all."""
+        sampled = self.channel is None and len(self.problem.few_attitudes) > 1
+        return replace(found, verdict=SAMPLED) if sampled and found.verdict == ALL else found
 
     def _batched(self, one: SignSet, iota: float | None) -> Callable[[Array], Array] | None:
         """All parameters at once; a margin that one side alone decides comes as a single number."""
@@ -254,7 +259,7 @@ def _over_sets(place: _Place, uncertainty: Uncertainty) -> list[Row]:
         rows = [replace(rows[0], signs="both")]
     known = min(r.margin for r in rows)
     mixed = [place.row(one, uncertainty) for one in sets[2:]] if place.channel is None else []
-    return rows + [r for r in mixed if r.margin < known - 1e-12 * abs(known) and r.verdict == FAILS]
+    return rows + [r for r in mixed if r.margin < known - 1e-12 * abs(known) and r.verdict != HOLDS]
 
 
 def _alike(one: Row, other: Row) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from .feasible import Span
 from .uncertain import Range
 
-HOLDS, FAILS = "holds", "fails"
+HOLDS, FAILS, UNPROVED = "holds", "fails", "not proved"
 _ZERO = 1e-6
 
 
@@ -26,7 +26,7 @@ class Row:
     left, right, margin : float
         The two sides (at `iota`), and the least margin over all attitudes.
     verdict : str
-        `HOLDS` or `FAILS`.
+        `HOLDS`, `FAILS` or `UNPROVED` (found nowhere to fail, but the bound over attitudes is not settled).
     iota : (float, float) or None
         The values of iota that satisfy it; None where none does or the condition has no iota.
     uses_iota : bool
