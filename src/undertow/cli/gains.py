@@ -14,7 +14,7 @@ prints everything for a program. --repair proposes the smallest change of the ga
 (printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
 
 The exit code is 0 where all conditions hold, 1 where some fail or are not proved, the law asks for a force
-that no thruster gives or the loop with what is not in the conditions is unstable, 2 for a mistake in the input.
+that no thruster gives, or the loop with all effects is unstable, 2 for a mistake in the input.
 """
 
 from __future__ import annotations
