@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.cli.bad import refusal
@@ -68,7 +70,7 @@ def test_the_published_pid_gains(sled: Path, capsys: Capture) -> None:
         "equal to V_dot worked out from the model",
         "no region: no iota satisfies the derived conditions together",
         "K_V alone never suffices",
-        "K_I < 0.000193594",
+        "K_I < 0.000193593",
         "Smallest change of all gains together (routh)",
     ]
     for line in lines:
@@ -96,6 +98,89 @@ def test_good_gains_end_with_zero(sled: Path, capsys: Capture) -> None:
     assert found["region"]["angle"] is None
     assert "everywhere" in found["region"]["text"]
     assert main(["gains", "sled.toml", "gains.toml"]) == 1  # as printed they fail: K_V > M
+
+
+SLOW = """
+schema = "undertow/vehicle/1"
+name = "heaver"
+degrees_of_freedom = ["heave"]
+signs = "magnitudes"
+[effects.rigid_body]
+m = "10 kg"
+[effects.linear_damping]
+Z_w = "1 kg/s"
+[effects.thruster_lag]
+T_lag = "LAG s"
+[[thrusters]]
+name = "f1"
+position = ["0 m", "0 m", "0 m"]
+direction = [0, 0, 1]
+"""
+
+
+@pytest.mark.parametrize(("lag", "stable"), [(0.1, True), (10.0, False)])
+def test_what_is_left_out_is_looked_at(lag: float, stable: bool, sled: Path, capsys: Capture) -> None:
+    """10 T s^3 + (10 + T) s^2 + 4 s + 20 with a lag T: Routh asks for 4 (10 + T) > 200 T."""
+    (sled / "slow.toml").write_text(SLOW.replace("LAG", str(lag)))
+    law = GAINS.partition("[gains]")[0].replace('"pid"', '"pd"')
+    (sled / "pd.toml").write_text(law + "[gains]\nK_P = 20\nK_V = 3\n")
+    assert main(["gains", "slow.toml", "pd.toml"]) == (0 if stable else 1)
+    out = capsys.readouterr().out
+    assert "all conditions hold, but thruster_lag is not in them" in out
+    assert f"full loop linearised at rest: {'stable' if stable else 'UNSTABLE'}" in out
+    _, found = content(capsys, "slow.toml", "pd.toml")
+    growing = max(np.roots([10 * lag, 10 + lag, 4, 20]), key=lambda r: r.real)
+    assert found["ok"] == found["whole"]["stable"] == stable
+    assert found["whole"]["pole"][0] == pytest.approx(growing.real, rel=1e-6)
+
+
+PSI, NUMBER = "psi", r"[0-9.e-]+"
+
+
+@pytest.mark.parametrize("kind", ["routh", "lyapunov"])
+def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Capture) -> None:
+    """Routh in every channel, and one iota for Q(iota) > 0 (V > 0 follows for a channel only)."""
+    main(["gains", "mini-auv", "paper-pid", "--repair", kind])
+    out = capsys.readouterr().out.partition("Smallest change")[2]
+    new = re.findall(rf"(K_[PVI])_(\w+) +({NUMBER}) +{NUMBER}", out)
+    assert {n for n, _, _ in new} == {"K_P", "K_V", "K_I"}
+    gains: dict[str, dict[str, float]] = {
+        "K_P": {"x": 0.012, "y": 0.012, "z": 1, "psi": 0.01},
+        "K_V": {"x": 0.005, "y": 0.005, "z": 3, "psi": 0.5},
+        "K_I": {"x": 0.0003, "y": 0.0003, "z": 0.0005, "psi": 0.00005},
+    }
+    for name, coordinate, value in new:
+        gains[name][coordinate] = float(value)
+    wanted = {"routh": {"Routh"}, "lyapunov": {"some iota", "V_dot"}}[kind]
+    assert holding(sled, capsys, gains) >= wanted
+
+
+@pytest.mark.parametrize("gain", ["K_V", "K_I"])
+def test_a_printed_bound_of_one_gain_is_on_the_safe_side(gain: str, sled: Path, capsys: Capture) -> None:
+    main(["gains", "mini-auv", "paper-pid"])
+    out = capsys.readouterr().out
+    bounds = [float(b) for b in re.findall(rf"x: routh +\w+ +{gain} [<>] ({NUMBER})", out)]
+    gains = {
+        "K_P": {"x": 0.012, "y": 1.0, "z": 1, "psi": 0.01},
+        "K_V": {"x": 0.005, "y": 1.0, "z": 3, "psi": 0.5},
+        "K_I": {"x": 0.0003, "y": 0.0003, "z": 0.0005, "psi": 0.00005},
+    }
+    gains[gain]["x"] = max(bounds) if gain == "K_V" else min(bounds)
+    assert "Routh" in holding(sled, capsys, gains)
+
+
+def holding(folder: Path, capsys: Capture, gains: dict[str, dict[str, float]]) -> set[str]:
+    """The derived conditions that hold everywhere for PID gains of the mini-AUV."""
+    units = {"K_P": ("N/m", "N m/rad"), "K_V": ("N s/m", "N m s/rad"), "K_I": ("N/(m s)", "N m/(rad s)")}
+    head = GAINS.partition("[gains]")[0] + 'unactuated = ["sway"]\n[gains]\n'
+    lines = []
+    for name, own in gains.items():
+        cells = [f'{c} = "{v} {units[name][c == PSI]}"' for c, v in own.items()]
+        lines.append(f"{name} = {{ {', '.join(cells)} }}")
+    (folder / "new.toml").write_text(head + "\n".join(lines))
+    _, found = content(capsys, "mini-auv", "new.toml", "--form", "derived")
+    failing = {r["condition"] for r in found["rows"] if r["verdict"] != "holds"}
+    return {r["condition"] for r in found["rows"]} - failing
 
 
 LAWS = {

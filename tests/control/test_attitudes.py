@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 import sympy as sm
 
-from undertow.control.conditions import interval
+from undertow.control.conditions import attitude, interval
 from undertow.control.conditions.attitude import Attitudes, least
 from undertow.control.conditions.check import check
 from undertow.control.conditions.interval import Interval, least_eigenvalue
 from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.uncertain import Uncertainty
+from undertow.control.conditions.result import HOLDS, UNPROVED
+from undertow.control.conditions.uncertain import ALL, SAMPLED, Uncertainty
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
@@ -123,6 +125,33 @@ def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     assert "interval arithmetic" in row.where
     assert row.where.startswith("least near phi")
     assert ("psi" in row.where) == (sideways != 60.0)
+
+
+def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -> None:
+    """The nominal verdict is proved by intervals; over the parameters a few attitudes are tried only."""
+    vehicle = rov()
+    known = {n: replace(v, sigma=1e-6) for n, v in vehicle.values.items() if n == "K_p"}
+    assert known
+    vehicle = vehicle.with_values(known)
+    path = tmp_path / "gains.toml"
+    rov_gains(tmp_path)
+    found = check(load_gains(path, vehicle), Uncertainty(vehicle), forms=["derived"])
+    rows = {r.scope: r for r in found.rows if r.condition == "K_V + D"}
+    for scope, verdict in (("matrices", SAMPLED), ("phi", ALL)):
+        box = rows[scope].box
+        assert box is not None
+        assert (rows[scope].verdict, box.verdict) == (HOLDS, verdict)
+
+
+def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(attitude, "_MOST_BOXES", 1)
+    gains = rov_gains(tmp_path, "pd", 10.0)
+    found = check(gains, Uncertainty(rov()), forms=["derived"], tilt=np.radians(80))
+    (row,) = [r for r in found.rows if r.condition == "K_V + D" and r.scope == "matrices"]
+    assert row.margin > 0
+    assert row.verdict == UNPROVED
+    assert "NOT proved" in row.where
+    assert not found.ok
 
 
 def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None:

@@ -116,6 +116,15 @@ def test_the_comparison_sees_a_wrong_derivative(monkeypatch: pytest.MonkeyPatch)
     assert compare(plant(), LAWS["pd"]()) > 1e-3
 
 
+def test_the_comparison_sees_a_fault_of_backward_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Damping that is right forward only: |u| taken for u."""
+    right, u = CANDIDATES["pd"].derivative, symbol("u")
+    monkeypatch.setattr(
+        type(CANDIDATES["pd"]), "derivative", lambda self, s: right(s).xreplace({sm.Abs(u): u})
+    )
+    assert compare(plant(), LAWS["pd"]()) > 1e-3
+
+
 def test_all_rest_states_have_v_dot_zero_but_only_the_set_point_stays() -> None:
     """LaSalle: the set of (25) is gamma = 0 with any error; its largest invariant subset is the origin."""
     law = LAWS["pd"]()

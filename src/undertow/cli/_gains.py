@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from ._show import console, print_json, section, table, text
 
 if TYPE_CHECKING:
     from undertow.control.conditions.repair import Repair, Single
-    from undertow.control.conditions.result import Channel, Report, Row
+    from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
 
 _GREEN, _RED = "green", "red"
 
@@ -45,6 +46,7 @@ def judge(
     from undertow.control.conditions.problem import Problem
     from undertow.control.conditions.repair import repair, singles
     from undertow.control.conditions.uncertain import Uncertainty
+    from undertow.control.conditions.whole import with_whole_loop
     from undertow.control.gains import load_gains
     from undertow.model.history import last_covariance
     from undertow.model.loading import load_vehicle, resolve_vehicle
@@ -60,7 +62,7 @@ def judge(
     uncertainty = Uncertainty(loaded, confidence, last_covariance(history, loaded))
     found = check(chosen, uncertainty, forms=forms, iota=iota, tilt=math.radians(tilt), tell=tell)
     problem = Problem(chosen, math.radians(tilt))
-    return Judged(found, singles(problem), repair(problem, kind) if kind else None)
+    return Judged(with_whole_loop(found, chosen), singles(problem), repair(problem, kind) if kind else None)
 
 
 # --- JSON -----------------------------------------------------------------------------------------
@@ -110,10 +112,18 @@ def show(judged: Judged) -> None:
 
 def _headline(report: Report) -> str:
     if not report.conditions_hold:
-        return "some conditions fail"
-    return "all conditions hold" + (
-        ", but a force is missing that the law asks for" if report.actuation else ""
-    )
+        unproved = any(r.verdict == "not proved" for r in report.rows)
+        refuted = any(r.verdict == "fails" for r in report.rows) or not unproved
+        return "some conditions fail" if refuted else "some conditions are not proved"
+    but = []
+    if report.left_out:
+        one = len(report.left_out) == 1
+        but.append(f"{', '.join(report.left_out)} {'is' if one else 'are'} not in them")
+    if report.whole is not None and report.whole.stable is False:
+        but.append("with that the loop is unstable")
+    if report.actuation:
+        but.append("a force is missing that the law asks for")
+    return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
 
 
 def say(line: str, style: str = "") -> None:
@@ -160,7 +170,7 @@ def _verdict(row: Row) -> str:
     if not row.uses_iota:
         reached = row.where if row.scope != "matrices" else ""
         return f"{row.verdict}; {reached}" if reached else row.verdict
-    return f"{'holds' if row.verdict == 'holds' else 'fails'}; {_bounds(row)}" if row.iota else "no iota"
+    return f"{row.verdict}; {_bounds(row)}" if row.iota else "no iota"
 
 
 def _bounds(row: Row) -> str:
@@ -199,7 +209,11 @@ def _show_routh(report: Report) -> None:
         )
     )
     for name, roots in report.coupled.items():
-        say(f"  all axes together{f', {name}' if name else ''}: {_roots(roots)}")
+        grows = roots[0].real > 1e-6
+        of = f", {name}" if name else ""
+        say(f"  all axes together{of}: {_roots(roots)}{'; UNSTABLE' if grows else ''}", _RED if grows else "")
+    if any(c.coordinate == "x heading east" for c in report.channels):
+        say("  gains of x and y differ: conditions channel by channel are for heading north", "dim")
     for channel in report.channels:
         if not channel.stable:
             of = f" ({channel.signs})" if channel.signs else ""
@@ -303,16 +317,19 @@ def _show_repairs(judged: Judged) -> None:
     if rows_of:
         console().print(table(("gain", "new value", "times the old one"), rows_of))
     else:
-        say("  nothing has to change")
+        say("  nothing has to change for these conditions")
     if judged.repair.iota is not None:
         say(f"  with iota = {judged.repair.iota:.6g} 1/s")
     say(f"  {judged.repair.method}", "dim")
 
 
 def _wanted(single: Single) -> str:
+    """The bound rounded to the side on which the condition holds."""
     if single.bound is None:
         return "alone never suffices"
-    return f"{'>' if single.above else '<'} {single.bound:.6g}"
+    way = ROUND_CEILING if single.above else ROUND_FLOOR
+    rounded = Context(prec=6, rounding=way).create_decimal_from_float(single.bound)
+    return f"{'>' if single.above else '<'} {float(rounded):.6g}"
 
 
 def _show_rest(report: Report) -> None:
@@ -322,3 +339,14 @@ def _show_rest(report: Report) -> None:
     if report.left_out:
         section("Not in the conditions")
         console().print(table(("", ""), report.left_out.items()))
+    if report.whole is not None:
+        style = _RED if report.whole.stable is False else ""
+        say(f"  full loop linearised at rest: {_whole(report.whole)}", style)
+
+
+def _whole(whole: WholeLoop) -> str:
+    if whole.pole is None:
+        return whole.text
+    verdict = "stable" if whole.stable else "UNSTABLE"
+    at = f" ({whole.text})" if whole.text else ""
+    return f"{verdict}, slowest or growing pole {_roots([whole.pole])} 1/s{at}"

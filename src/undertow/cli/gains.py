@@ -13,8 +13,8 @@ The first line shows why the published PID gains do not work: their surge loop i
 prints everything for a program. --repair proposes the smallest change of the gains after which the literal
 (printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
 
-The exit code is 0 where all conditions hold, 1 where some fail or the law asks for a force that no thruster
-gives, 2 for a mistake in the input.
+The exit code is 0 where all conditions hold, 1 where some fail or are not proved, the law asks for a force
+that no thruster gives, or the loop with all effects is unstable, 2 for a mistake in the input.
 """
 
 from __future__ import annotations

@@ -19,10 +19,10 @@ from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import Problem
 from .reaching import reaching
 from .region import region
-from .result import FAILS, HOLDS, Agreement, Channel, Report, Row
+from .result import FAILS, HOLDS, UNPROVED, Agreement, Channel, Report, Row
 from .routh import channel_polynomial, coupled_roots, roots, routh_array
 from .speed import damping_at_speed
-from .uncertain import NOMINAL, Range, Uncertainty
+from .uncertain import ALL, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
 
 Array = np.ndarray
 Tell = Callable[[float, str], None]
@@ -144,7 +144,7 @@ class _Place:
         iota = self._iota(one, span)
         left, right, certificate = self._sides(one, iota)
         condition = self.condition
-        holds = certificate.bound > 0
+        verdict = HOLDS if certificate.bound > 0 else UNPROVED if certificate.found > 0 else FAILS
         row = Row(
             condition.form,
             condition.id,
@@ -156,13 +156,13 @@ class _Place:
             left,
             right,
             certificate.found,
-            HOLDS if holds else FAILS,
+            verdict,
             span,
             condition.uses_iota,
             iota,
             _where(certificate),
         )
-        box, ellipsoid = self._ranges(one, iota, holds, uncertainty)
+        box, ellipsoid = self._ranges(one, iota, verdict, uncertainty)
         return replace(row, box=box, ellipsoid=ellipsoid)
 
     def _span(self, one: SignSet) -> Span | None:
@@ -197,24 +197,29 @@ class _Place:
 
     # --- uncertainty
     def _ranges(
-        self, one: SignSet, iota: float | None, holds: bool, uncertainty: Uncertainty
+        self, one: SignSet, iota: float | None, verdict: str, uncertainty: Uncertainty
     ) -> tuple[Range | None, Range | None]:
         matters, features = self._features(one)
         known = np.diag(uncertainty.covariance(one.names)) > 0
         if not (matters & known).any():
             return None, None
-        if not holds:
-            failed = Range(NOMINAL, self._margin(one, iota), {})
-            return failed, failed
+        if verdict != HOLDS:
+            found = Range(NOMINAL if verdict == FAILS else OPEN, self._margin(one, iota), {})
+            return found, found
 
         def margins(theta: Array) -> Array:
             return np.array([self._margin(one, iota, row) for row in theta])
 
         batched = self._batched(one, iota) or margins
         return (
-            uncertainty.over_box(batched, one, matters & known),
-            uncertainty.over_ellipsoid(batched, one, features),
+            self._honest(uncertainty.over_box(batched, one, matters & known)),
+            self._honest(uncertainty.over_ellipsoid(batched, one, features)),
         )
+
+    def _honest(self, found: Range) -> Range:
+        """What holds at some attitudes only is not settled for all."""
+        sampled = self.channel is None and len(self.problem.few_attitudes) > 1
+        return replace(found, verdict=SAMPLED) if sampled and found.verdict == ALL else found
 
     def _batched(self, one: SignSet, iota: float | None) -> Callable[[Array], Array] | None:
         """All parameters at once; a margin that one side alone decides comes as a single number."""
@@ -254,7 +259,7 @@ def _over_sets(place: _Place, uncertainty: Uncertainty) -> list[Row]:
         rows = [replace(rows[0], signs="both")]
     known = min(r.margin for r in rows)
     mixed = [place.row(one, uncertainty) for one in sets[2:]] if place.channel is None else []
-    return rows + [r for r in mixed if r.margin < known - 1e-12 * abs(known) and r.verdict == FAILS]
+    return rows + [r for r in mixed if r.margin < known - 1e-12 * abs(known) and r.verdict != HOLDS]
 
 
 def _alike(one: Row, other: Row) -> bool:
@@ -285,8 +290,8 @@ def _agreements(problem: Problem, iota: float | None) -> list[Agreement]:
 # --- linearised channels ----------------------------------------------------------------------
 def _channels(problem: Problem) -> list[Channel]:
     found = []
-    for i, coordinate in enumerate(problem.coordinates):
-        own = [_channel(problem, one, i, coordinate) for one in problem.sets[:2]]
+    for i, axis, name in problem.channels:
+        own = [_channel(problem, one, i, axis, name) for one in problem.sets[:2]]
         distinct = [c for c in own if c is not None]
         if len(distinct) == 2 and distinct[0].polynomial == distinct[1].polynomial:
             distinct = [replace(distinct[0], signs="both")]
@@ -294,22 +299,31 @@ def _channels(problem: Problem) -> list[Channel]:
     return found
 
 
-def _channel(problem: Problem, one: SignSet, i: int, coordinate: str) -> Channel | None:
-    gains = {name: float(v[i]) for name, v in problem.values.items()}
-    polynomial = channel_polynomial(gains, float(one.inertia[i, i]), float(one.damping[i, i]))
+def _channel(problem: Problem, one: SignSet, i: int, axis: int, name: str) -> Channel | None:
+    gains = {gain: float(v[i]) for gain, v in problem.values.items()}
+    polynomial = channel_polynomial(gains, float(one.inertia[axis, axis]), float(one.damping[axis, axis]))
     if polynomial is None:
         return None
     first = [float(row[0]) for row in routh_array(polynomial)]
     found = roots(polynomial)
     stable = all(a * b > 0 for a, b in pairwise(first)) and found[0].real < 0
-    return Channel(coordinate, one.name, polynomial, first, found, stable)
+    return Channel(name, one.name, polynomial, first, found, stable)
 
 
 def _coupled(problem: Problem) -> dict[str, list[complex]]:
-    """Roots with all axes together, where M or D couple them."""
-    if problem.decoupled or "K_P" not in problem.values:
+    """Roots with all axes together, where M or D couple them or gains tell north from east.
+
+    Of all headings, where they matter, the one with the root that grows fastest.
+    """
+    if (problem.decoupled and not problem.heading_counts) or "K_P" not in problem.values:
         return {}
-    return {
-        one.name: coupled_roots(problem.values, one.inertia, one.damping, problem.plant)
-        for one in problem.sets[:2]
-    }
+    found = {}
+    for one in problem.sets[:2]:
+        tried = [
+            (coupled_roots(problem.values, one.inertia, one.damping, problem.plant, J), degrees)
+            for degrees, J in problem.headings
+        ]
+        roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
+        of = "" if not problem.heading_counts else f"worst of {len(tried)} headings: {degrees:.0f} deg"
+        found[", ".join(filter(None, (one.name, of)))] = roots_there
+    return found

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.optimize import nnls
 
 Array = np.ndarray
-_SLACK = 1e-7
 _ROUNDS = 80
 _LEAST = 1e-3
 
@@ -25,10 +24,10 @@ Cuts = Callable[[Array], Iterable[Cut]]
 """Cuts at a point x of relative changes; at least one of them is violated where a demand is."""
 
 
-def least_change(cuts: Cuts, size: int) -> Array | None:
+def least_change(cuts: Cuts, size: int, slack: float) -> Array | None:
     """The relative changes x with the least sum of squares that satisfy all demands, or None.
 
-    Every gain keeps at least a thousandth of itself. Demands are met with a relative slack of 1e-7.
+    Every gain keeps at least a thousandth of itself.
 
     Parameters
     ----------
@@ -36,15 +35,17 @@ def least_change(cuts: Cuts, size: int) -> Array | None:
         The demands.
     size : int
         Number of variables.
+    slack : float
+        How far inside every demand x lies, as a distance.
     """
     x = np.zeros(size)
     slopes, floors = [*np.eye(size)], [_LEAST - 1.0] * size
     for _ in range(_ROUNDS):
-        violated = [c for c in map(_scaled, cuts(x)) if c.slope @ x + c.offset < 0.5 * _SLACK]
+        violated = [c for c in map(_scaled, cuts(x)) if c.slope @ x + c.offset < 0.5 * slack]
         if not violated:
             return x
         slopes += [c.slope for c in violated]
-        floors += [_SLACK - c.offset for c in violated]
+        floors += [slack - c.offset for c in violated]
         found = _least_distance(np.array(slopes), np.array(floors))
         if found is None:
             return None

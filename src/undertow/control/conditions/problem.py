@@ -82,6 +82,28 @@ class Problem:
         """Whether no gain tells north from east, so that the heading changes no eigenvalue."""
         return self.same(("x", "y")) or not {"x", "y"} & set(self.coordinates)
 
+    @property
+    def heading_counts(self) -> bool:
+        """Whether the loop at rest can differ between headings: gains tell north from east, and it turns."""
+        return not self.turned and {"x", "y", "psi"} <= set(self.coordinates)
+
+    @property
+    def headings(self) -> list[tuple[float, Array]]:
+        """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
+        if not self.heading_counts:
+            return [(0.0, np.linalg.inv(self.attitudes.at({})))]
+        degrees = map(float, range(0, 180, 10))
+        return [(d, np.linalg.inv(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
+
+    @property
+    def channels(self) -> list[tuple[int, int, str]]:
+        """Coordinate, axis and name of each channel; x and y change axes for a vehicle that heads east."""
+        own = [(i, i, c) for i, c in enumerate(self.coordinates)]
+        if not self.heading_counts:
+            return own
+        x, y = (self.coordinates.index(c) for c in ("x", "y"))
+        return [*own, (x, y, "x heading east"), (y, x, "y heading east")]
+
     def same(self, coordinates: tuple[str, ...]) -> bool:
         """Whether the vehicle has these coordinates, and every gain is the same for all of them."""
         if not set(coordinates) <= set(self.coordinates):
@@ -113,11 +135,17 @@ class Problem:
         M, D = (turn @ m.at(theta) @ inverse for m in (one.M, one.D))
         return Signs({**gains, "M": M, "D": D, "iota": iota})
 
-    def channel_signs(self, one: SignSet, i: int, iota: Any, theta: Array | None = None) -> Signs:
-        """The quantities of one channel at rest on an even keel, heading north, shape (..., 1, 1)."""
+    def channel_signs(
+        self, one: SignSet, i: int, iota: Any, theta: Array | None = None, axis: int | None = None
+    ) -> Signs:
+        """The quantities of one channel at rest on an even keel, shape (..., 1, 1).
+
+        A coordinate acts on its own axis (heading north) unless another one is given.
+        """
         theta = one.theta if theta is None else theta
+        k = i if axis is None else axis
         gains = {name: v[i].reshape(1, 1) for name, v in self.values.items()}
-        M, D = (m.at(theta)[..., i : i + 1, i : i + 1] for m in (one.M, one.D))
+        M, D = (m.at(theta)[..., k : k + 1, k : k + 1] for m in (one.M, one.D))
         return Signs({**gains, "M": M, "D": D, "iota": iota})
 
     def margin(

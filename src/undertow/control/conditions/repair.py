@@ -19,6 +19,7 @@ from .pid import FallingCandidate, PrintedDamper, PrintedLast, PrintedSpring, Ro
 from .problem import Problem
 
 Array = np.ndarray
+_SLACKS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 _GRID = np.log(np.logspace(-4, 1, 26))
 
 
@@ -158,14 +159,42 @@ def repair(problem: Problem, kind: str) -> Repair:
         raise UndertowError(
             f"--repair {kind} is for PID gains: the conditions of law '{problem.gains.law.id}' are signs only"
         )
-    wanted = KINDS[kind]
-    variables = _Variables(problem, wanted.changes)
+    variables = _Variables(problem, KINDS[kind].changes)
+    for slack in _SLACKS:
+        found = _with_slack(problem, kind, variables, slack)
+        if not found.found or _still_holds(problem, found):
+            return found
+    return Repair(kind, KINDS[kind].method, {}, {}, None, False)
+
+
+def six_digits(value: float) -> float:
+    """A number as it is printed."""
+    return float(f"{value:.6g}")
+
+
+def _with_slack(problem: Problem, kind: str, variables: _Variables, slack: float) -> Repair:
+    size, conditions = variables.size, KINDS[kind].conditions
     if kind == "routh":
-        return _told(problem, kind, variables, least_change(_routh_cuts(variables), variables.size), None)
-    iota, change = _best_iota(
-        lambda value: least_change(_cuts(variables, wanted.conditions, value), variables.size)
-    )
+        return _told(problem, kind, variables, least_change(_routh_cuts(variables), size, slack), None)
+    iota, change = _best_iota(lambda value: least_change(_cuts(variables, conditions, value), size, slack))
     return _told(problem, kind, variables, change, iota)
+
+
+def _still_holds(problem: Problem, found: Repair) -> bool:
+    """Whether the gains satisfy what they were repaired for in the digits that are printed."""
+    values = {name: v.copy() for name, v in problem.values.items()}
+    for name, changed in found.gains.items():
+        for coordinate, value in changed.items():
+            values[name][problem.coordinates.index(coordinate)] = six_digits(value)
+    there, conditions = problem.changed(values), KINDS[found.kind].conditions
+    if found.iota is not None:
+        return there.iota(list(conditions), there.distinct) is not None
+    return all(
+        np.min(c.margin(there.channel_signs(one, i, None, axis=axis))) > 0
+        for c in conditions
+        for one in there.sets[:2]
+        for i, axis, _ in there.channels
+    )
 
 
 class _Variables:
@@ -280,11 +309,11 @@ def _routh_cuts(variables: _Variables) -> Callable[[Array], Iterator[Cut]]:
 
     def at(x: Array) -> Iterator[Cut]:
         for one in problem.sets[:2]:
-            for i in range(problem.size):
+            for i, axis, _ in problem.channels:
                 p, v, s = (variables.place(n, i) for n in ("K_P", "K_V", "K_I"))
                 k_p, k_v, k_i = (float(problem.values[n][i]) for n in ("K_P", "K_V", "K_I"))
-                K, P = k_v * (1 + x[v]) + float(one.damping[i, i]), k_p * (1 + x[p])
-                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(one.inertia[i, i]) * k_i)
+                K, P = k_v * (1 + x[v]) + float(one.damping[axis, axis]), k_p * (1 + x[p])
+                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(one.inertia[axis, axis]) * k_i)
                 slope = np.zeros(variables.size)
                 slope[p], slope[v], slope[s] = K * k_p / (2 * mean), P * k_v / (2 * mean), -root / 2
                 value = mean - root * (1 + x[s] / 2)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from .feasible import Span
 from .uncertain import Range
 
-HOLDS, FAILS = "holds", "fails"
+HOLDS, FAILS, UNPROVED = "holds", "fails", "not proved"
+_ZERO = 1e-6
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Row:
     left, right, margin : float
         The two sides (at `iota`), and the least margin over all attitudes.
     verdict : str
-        `HOLDS` or `FAILS`.
+        `HOLDS`, `FAILS` or `UNPROVED` (found nowhere to fail, but the bound over attitudes is not settled).
     iota : (float, float) or None
         The values of iota that satisfy it; None where none does or the condition has no iota.
     uses_iota : bool
@@ -83,7 +84,7 @@ class Channel:
     Attributes
     ----------
     coordinate, signs : str
-        Pose coordinate and set of parameters.
+        Pose coordinate, with "heading east" where x acts on sway and y on surge, and set of parameters.
     polynomial : list of float
         Characteristic polynomial, highest power first, SI.
     first_column : list of float
@@ -151,6 +152,25 @@ class Region:
 
 
 @dataclass(frozen=True)
+class WholeLoop:
+    """The loop with all effects, linearised at rest.
+
+    Attributes
+    ----------
+    stable : bool or None
+        Whether no pole grows; None where it could not be judged.
+    pole : complex or None
+        The pole that grows fastest or decays slowest, 1/s.
+    text : str
+        Where that is, or why it was not judged.
+    """
+
+    stable: bool | None
+    pole: complex | None
+    text: str
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything that is known of a gain set on a vehicle.
 
@@ -165,7 +185,7 @@ class Report:
     channels : tuple of Channel
         Linearised channels.
     coupled : dict
-        Roots of all axes together by set of parameters, where axes are coupled.
+        Roots of all axes together by set of parameters, where axes are coupled or the heading counts.
     lyapunov : Lyapunov
         Candidate and derivative.
     region : Region or None
@@ -178,6 +198,8 @@ class Report:
         Effects that no condition knows, with the reason.
     uncertainty : str
         Where the uncertainty of the parameters is from, and its confidence.
+    whole : WholeLoop or None
+        The loop with the effects that no condition knows; None where it was not looked at.
     """
 
     vehicle: str
@@ -193,16 +215,19 @@ class Report:
     speed: str = ""
     left_out: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
+    whole: WholeLoop | None = None
 
     @property
     def conditions_hold(self) -> bool:
         """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
         rows = all(r.verdict == HOLDS for r in self.rows)
         together = all(a.verdict == HOLDS for a in self.agreements)
-        coupled = all(r.real < 0 for roots in self.coupled.values() for r in roots) or bool(self.actuation)
+        border = _ZERO if self.actuation else 0.0  # what nothing pushes stays where it is
+        coupled = all(r.real < border for roots in self.coupled.values() for r in roots)
         return rows and together and coupled and all(c.stable for c in self.channels)
 
     @property
     def ok(self) -> bool:
-        """Whether conditions hold and every force that the law asks for can be given."""
-        return self.conditions_hold and not self.actuation
+        """Whether conditions hold, every force asked for can be given, and the whole loop is not unstable."""
+        grows = self.whole is not None and self.whole.stable is False
+        return self.conditions_hold and not self.actuation and not grows

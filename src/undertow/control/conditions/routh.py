@@ -69,22 +69,34 @@ def roots(coefficients: Sequence[float]) -> list[complex]:
     return sorted(found, key=lambda r: (-r.real, -r.imag))
 
 
-def coupled_roots(gains: dict[str, Array], inertia: Array, damping: Array, plant: Plant) -> list[complex]:
-    """Eigenvalues of the loop linearised at rest, all axes together, heading north on an even keel.
+def coupled_roots(
+    gains: dict[str, Array], inertia: Array, damping: Array, plant: Plant, J: Array | None = None
+) -> list[complex]:
+    """Eigenvalues of the loop linearised at rest, all axes together.
 
     What no thruster can push keeps its own dynamics.
+
+    Parameters
+    ----------
+    gains : dict of array
+        Diagonals of the gain matrices by name, pose coordinates.
+    inertia, damping : array, shape (n, n)
+        M and D(0), body frame.
+    plant : Plant
+        What is pushed.
+    J : array, shape (n, n), optional
+        The attitude; heading north on an even keel unless given.
     """
     n = len(inertia)
+    J = np.eye(n) if J is None else J
     pushed = np.diag([float(any(row)) for row in plant.B.tolist()])
     zero, one = np.zeros((n, n)), np.eye(n)
-    inverse = np.linalg.inv(inertia)
+    push = np.linalg.inv(inertia) @ pushed @ J.T
+    own = np.linalg.inv(inertia) @ damping
+    integral = np.diag(gains.get("K_I", np.zeros(n)))
     rows = [
-        [zero, one, zero],
-        [
-            -inverse @ pushed @ np.diag(gains["K_P"]),
-            -inverse @ (pushed @ np.diag(gains["K_V"]) + damping),
-            -inverse @ pushed @ np.diag(gains.get("K_I", np.zeros(n))),
-        ],
+        [zero, J, zero],
+        [-push @ np.diag(gains["K_P"]), -push @ np.diag(gains["K_V"]) @ J - own, -push @ integral],
         [one, zero, zero],
     ]
     matrix = np.block(rows)

@@ -6,6 +6,7 @@ import numpy as np
 import sympy as sm
 
 from .case import SignSet
+from .fast import extra_damping, never_negative
 from .problem import Problem
 
 Array = np.ndarray
@@ -20,9 +21,8 @@ def damping_at_speed(problem: Problem) -> str:
 
 def _one(problem: Problem, one: SignSet) -> str:
     plant = problem.plant
-    D = plant.one_way(plant.D, one.way).xreplace(plant.numbers)
-    more = (D - D.xreplace(dict.fromkeys(plant.nu, sm.Integer(0)))).applyfunc(sm.expand)
-    if more.is_diagonal() and all(_never_negative(e, plant.nu) for e in more.diagonal()):
+    more = extra_damping(plant, one)
+    if never_negative(more, plant.nu):
         return "never less than at rest, so the conditions at rest serve at any speed"
     names = list(plant.nu)
     velocities = np.random.default_rng(_SEED).uniform(-_FASTEST, _FASTEST, (_TRIALS, len(names)))
@@ -37,13 +37,3 @@ def _one(problem: Problem, one: SignSet) -> str:
     worst = velocities[int(least.argmin())]
     at = ", ".join(f"{n} = {x:.3g}" for n, x in zip(names, worst, strict=True))
     return f"may be less than at rest (by {-least.min():.3g} at {at}): the conditions hold at low speed only"
-
-
-def _never_negative(entry: sm.Expr, nu: sm.Matrix) -> bool:
-    """Whether a polynomial in magnitudes and even powers of velocities has no negative coefficient."""
-    sizes = {sm.Abs(v): sm.Symbol(f"size_{v}", nonnegative=True) for v in nu}
-    squares = {v: sm.Symbol(f"size_{v}", nonnegative=True) for v in nu}
-    plain = sm.expand(entry).xreplace(sizes)
-    if any(sm.expand(plain - plain.xreplace({v: -v})) != 0 for v in nu):
-        return False  # an odd power changes its sign
-    return bool(sm.expand(plain.xreplace(squares)).is_nonnegative)
