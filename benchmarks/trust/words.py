@@ -65,12 +65,12 @@ several effects are named together only where they leave nothing but noise (the 
 since). The two cores were shared with two to four other processes, so that seconds are two to three times
 those of a free machine, and the case that was cut off had run for 500 s of them.
 
-Earlier versions were measured on base seed 52711 (45 cases, none wrong: strong 12 of 12 named alone, medium 11
-of 14, weak 2 of 3, no false alarm on 8 complete models) and on base seeds 4711 and 4712 (90 cases, none wrong:
-43 strong ones, 25 complete models, 10 outsiders, 9 pairs; hardly a medium case and no weak one). Between those
-and this one, the noise of the weak form was made finer, so that small effects show; on base seeds 314159 and
-271828, which were looked at while that was done, 52 of 53 complete models were `adequate` (one without measured
-velocities was `unexplained`, and is not any more).
+Earlier versions were measured on base seed 52711 (45 cases, none wrong: strong 12 of 12 named alone,
+medium 11 of 14, weak 2 of 3, no false alarm on 8 complete models) and on base seeds 4711 and 4712 (90
+cases, none wrong: 43 strong ones, 25 complete models, 10 outsiders, 9 pairs; hardly a medium case and no
+weak one). Between those and this one, the noise of the weak form was made finer, so that small effects
+show; on base seeds 314159 and 271828, which were looked at while that was done, 52 of 53 complete models
+were `adequate` (one without measured velocities was `unexplained`, and is not any more).
 
 Each case took one process with one thread; seconds are those of the diagnosis alone, without the simulation,
 with whatever else the machine did at the time.

@@ -57,7 +57,7 @@ _NOISE = typer.Option(
 )
 _SEED = typer.Option("--seed", help="Of the noise.")
 _CONTINUOUS = typer.Option(
-    "--continuous", help="The law acts without sampling, in Runge-Kutta steps of --dt."
+    "--continuous", help="The law acts without sampling, in Runge-Kutta steps of at most --dt."
 )
 _LOG = typer.Option(
     "--log", metavar="SECONDS", help="Interval of the rows of --out.", show_default="~5000 rows"
