@@ -14,7 +14,7 @@ from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
 from undertow.identification import read_log
 from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import disturbed, matched_disturbance
+from undertow.identification.weak.disturbance import disturbed
 from undertow.identification.weak.drive import shifted_mean
 from undertow.identification.weak.fit import fit_weak, free_parameters
 from undertow.identification.weak.noise import white_noise
@@ -177,7 +177,6 @@ def test_standard_errors_are_those_of_repeated_logs(tmp_path: Path) -> None:
 
 
 def _with_more_noise(run, rng):
-    from dataclasses import replace
 
     sigma = {"x": 0.02, "y": 0.02, "psi": 0.003, "u": 0.01, "v": 0.01, "r": 0.002}
     channels = {n: d + sigma.get(n, 0.0) * rng.standard_normal(len(d)) for n, d in run.channels.items()}
@@ -191,7 +190,6 @@ def test_a_wrong_sign_is_not_fitted(tmp_path: Path) -> None:
 
 
 def test_a_gap_in_the_commands_spoils_only_its_neighbourhood(tmp_path: Path) -> None:
-    from dataclasses import replace
 
     model, runs = _case(tmp_path, "usv", (), 5, 20.0)
     model = model.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.13, estimate=True)})
@@ -274,39 +272,3 @@ def test_a_fit_ends_where_data_and_stated_priors_balance(tmp_path: Path) -> None
     # One more step would move no parameter by a tenth of its standard error.
     assert np.all(np.abs(slope[inside] * errors[inside] ** 2) < 0.1 * errors[inside])
     assert fit.values["X_u"] == pytest.approx(tight["X_u"].value, rel=0.05)
-
-
-# --- what noise adds on average, and what counts as noise ---------------------------------------------------
-
-
-def test_noise_of_a_speed_adds_nothing_to_the_drag_on_average() -> None:
-    """|u|u of a noisy u is too large by the variance of the noise, which a whole log sums up."""
-    vehicle, clean = surge_vehicle(), surge_run()
-    model = WeakModel(Functions(vehicle), free_parameters(vehicle))
-    p = np.array([-TRUTH.get(n, -vehicle.value_of(n).value) for n in model.functions.parameter_names])
-    sigma, rng = 0.03, np.random.default_rng(5)
-    drawn = []
-    for _ in range(400):
-        noisy = clean.channels["u"] + sigma * rng.standard_normal(len(clean.t))
-        run = replace(clean, channels={**clean.channels, "u": noisy})
-        data = prepare([run], vehicle, sigma=np.array([0.0, sigma]))
-        corrected, raw = (
-            np.sum(model.linearise(d, p)[0].r) for d in (data, replace(data, sigma=np.zeros(2)))
-        )
-        drawn.append((corrected, raw))
-    mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0) / 20
-    exact = np.sum(model.linearise(prepare([clean], vehicle, sigma=np.zeros(2)), p)[0].r)
-    assert abs(mean[0] - exact) < 3 * error[0]
-    assert abs(mean[1] - exact) > 6 * error[1]
-
-
-def test_only_a_gross_contradiction_of_pose_and_velocity_is_a_disturbance() -> None:
-    """A speed log that is off by millimetres per second stays visible; another frame may not rule."""
-    case = make_case("usv", (), 4, duration=60.0)
-    vehicle, run = vehicle_of(case), runs_of(case)[0]
-    size = len(vehicle.degrees_of_freedom)
-    for offset, gross in ((0.003, False), (0.5, True)):
-        off = replace(run, channels={**run.channels, "v": run.channels["v"] + offset})
-        fit = fit_weak(vehicle, prepare([off], vehicle))
-        kinematic = matched_disturbance(fit, fit.model.whitening(fit.data, fit.p))[size:]
-        assert bool(np.any(kinematic > 0)) is gross

@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 from ..fitted import Fitted
 from ..weak.data import WeakData
 from ..weak.disturbance import disturbed, mean_square
-from ..weak.fit import WeakFit, fit_weak, settled, without_disturbance
+from ..weak.fit import WeakFit, fit_weak, settled
 from ..weak.noise import Whitening
 from ..weak.residual import Linearised, WeakModel, whitened
 from ..weak.step import inverse_of
@@ -30,9 +30,6 @@ _NOISE_EXPLAINS = 2.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
 _SHARPENING = 3
-# Mean square of an equation up to which a model is judged by the noise of the sensors alone: a disturbance
-# that swallows so little would hide a small effect for good.
-_LITTLE = 5.0
 
 
 @dataclass(frozen=True)
@@ -177,7 +174,7 @@ class Bench:
 
     def sharpened(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        fit = without_disturbance(settled(fit, most=_SHARPENING), _LITTLE)
+        fit = settled(fit, most=_SHARPENING)
         test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
         refitted = fit_weak(
             self.base.model,
@@ -208,7 +205,7 @@ class Bench:
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
-    base = without_disturbance(fit_weak(vehicle, train), _LITTLE)
+    base = fit_weak(vehicle, train)
     quiet = base.model.whitening(test, base.p)
     return Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
 
@@ -247,7 +244,7 @@ def try_candidate(
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
     if fit.cost < 0.5 * len(fit.at.r):
-        fit = without_disturbance(settled(fit, most=1), _LITTLE)
+        fit = settled(fit, most=1)
     kept = parameters_that_matter(fit, candidate.removable)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)

@@ -111,12 +111,6 @@ class WeakData:
         taken = [i for i in range(size, 2 * size) if any(self.names[i] in r.derived for r in self.runs)]
         return tuple(i for i in taken if self.sigma[i - size] > 0)
 
-    @cached_property
-    def velocity_variance(self) -> Array:
-        """Variance of the noise of each measured velocity, shape (n,); zero for those taken from the pose."""
-        size = len(self.names) // 2
-        return np.array([0.0 if i in self.derived else self.sigma[i] ** 2 for i in range(size, 2 * size)])
-
     @property
     def velocities_derived(self) -> bool:
         """Whether all velocities were taken from the pose: no sensor measured them."""

@@ -16,10 +16,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _MATCHING_STEPS = 4
-# Mean square of an equation of kinematics from which pose and velocity contradict each other.
-_GROSS = 100.0
 # Largest mean square of an equation that still counts as noise of the channels.
-NOISE_EXPLAINS = 1.6
+_NOISE_EXPLAINS = 1.6
 
 
 def mean_square(r: Array, data: WeakData) -> Array:
@@ -49,29 +47,18 @@ def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
 def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
     """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
 
-    Zero where the noise of the channels explains the residual by itself. Kinematics are exact, and what
-    breaks them are the sensors: they have a disturbance only where the break is gross, as by a wrong frame.
+    Zero where the noise of the channels explains the residual by itself.
     """
-    data, size = fit.data, len(fit.data.names) // 2
+    data = fit.data
     parts = fit.model.linearise(data, fit.p)
     if fits_noise(whitened(parts, quiet), data):
         return np.zeros(len(data.names))
     level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
-    on_forces, left = _matched(parts, quiet, np.where(np.arange(2 * size) < size, level, 0.0), data)
-    gross = np.any(left[size:] > _GROSS)
-    return _matched(parts, quiet, level, data)[0] if gross else on_forces
-
-
-def _matched(
-    parts: list[Linearised], quiet: list[Whitening], level: Array, data: WeakData
-) -> tuple[Array, Array]:
-    """Intensities brought to unit mean square where they are not zero, and the last mean squares seen."""
-    square = level
     for _ in range(_MATCHING_STEPS):
         square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
         level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
-    return level, square
+    return np.asarray(level)
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:
-    return bool(np.nanmax(mean_square(at.r, data)) < NOISE_EXPLAINS)
+    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)

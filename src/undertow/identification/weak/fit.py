@@ -15,7 +15,7 @@ from undertow.model.vehicle import Vehicle
 
 from .constraints import Constraints
 from .data import WeakData
-from .disturbance import NOISE_EXPLAINS, disturbed, first_guess, matched_disturbance, mean_square
+from .disturbance import disturbed, first_guess, fits_noise, matched_disturbance, mean_square
 from .noise import Whitening
 from .residual import Linearised, WeakModel, whitened
 from .solution import Solution, clustered
@@ -27,9 +27,7 @@ _MAX_ITERATIONS = 15
 _ENOUGH = 0.01
 _NOISE_ROUNDS = 6
 _NOISE_SETTLED = 0.2
-# Change of a parameter from which the sensors' noise enters otherwise. Position and velocity together tell
-# slow forces so well that noise of the velocity, let in by a damping wrong by percents, would hide them.
-_MOVED = 0.005
+_MOVED = 0.05
 # The same, up to which a fit without any disturbance may bring it down to that.
 _WORTH_A_LOOK = 30.0
 _PLAIN = Constraints()
@@ -167,20 +165,13 @@ def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
         fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, _MAX_ITERATIONS)
         if changed < _NOISE_SETTLED or not np.any(disturbance):
             break
-    return without_disturbance(fit)
+    return _without_disturbance(fit)
 
 
-def without_disturbance(fit: WeakFit, up_to: float = NOISE_EXPLAINS) -> WeakFit:
+def _without_disturbance(fit: WeakFit) -> WeakFit:
     """The fit under the noise of the sensors alone, if that explains what it leaves then.
 
     A disturbance feeds on a poor fit and keeps it poor: where little is left, both ends are worth a look.
-
-    Parameters
-    ----------
-    fit : WeakFit
-        A fit under a noise model with a disturbance; one without is returned as it is.
-    up_to : float
-        Mean square of an equation, in units of the noise, up to which the noise explains it.
     """
     if not np.any(fit.disturbance):
         return fit
@@ -190,12 +181,7 @@ def without_disturbance(fit: WeakFit, up_to: float = NOISE_EXPLAINS) -> WeakFit:
         return fit
     none = np.zeros_like(fit.disturbance)
     other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
-    if np.nanmax(mean_square(other.at.r, fit.data)) > up_to:
-        return fit
-    if _moved(other.p, fit.p):
-        quiet = fit.model.whitening(fit.data, other.p)
-        other = _solved(fit.model, other.p, fit.data, quiet, none, _MAX_ITERATIONS)
-    return other
+    return other if fits_noise(other.at, fit.data) else fit
 
 
 def _moved(p: Array, since: Array) -> bool:

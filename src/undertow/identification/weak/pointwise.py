@@ -39,7 +39,6 @@ class Pointwise:
         self.functions, self.free = functions, free
         self.size = len(functions.vehicle.dof_indices)
         self.measured = ca.SX.sym("measured", 2 * self.size)
-        self.variance = ca.SX.sym("variance", self.size)
 
     @cached_property
     def inverse(self) -> ca.SX:
@@ -83,21 +82,8 @@ class Pointwise:
     def _forces(self) -> tuple[ca.SX, ca.SX]:
         """Forcing without the commands, and by the commands."""
         f = self.functions
-        still = self._true(ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape)))
-        return still - self._rectified(still), self._true(self._by_commands)
-
-    def _rectified(self, force: ca.SX) -> ca.SX:
-        """What noise of the measured velocities adds to a curved force on average.
-
-        The square of a noisy speed is too large by the variance of the noise. That is little at any sample,
-        but always with the sign of the drag, and the weak form sums up over a whole log.
-        """
-        velocity = self.measured[self.size :]
-        mean = ca.SX(force.shape[0], 1)
-        for i in range(self.size):
-            curvature = ca.jacobian(ca.jacobian(force, velocity[i]), velocity[i])
-            mean += self.variance[i] / 2 * curvature
-        return mean
+        still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
+        return self._true(still), self._true(self._by_commands)
 
     @cached_property
     def _rows(self) -> ca.SX:
@@ -151,7 +137,7 @@ class Pointwise:
     def _inputs(self) -> list[ca.SX]:
         f = self.functions
         constant = ca.vertcat(*self.inverse.nonzeros()) if self.mass_is_constant else ca.SX(0, 1)
-        return [self.measured, f.actuation, f.memory, f.u, constant, self.variance, f.p, f.t]
+        return [self.measured, f.actuation, f.memory, f.u, constant, f.p, f.t]
 
     @cached_property
     def value_and_derivatives(self) -> ca.Function:

@@ -75,27 +75,25 @@ class WeakModel:
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
         driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
-        return [self._in_time(s, _cut(driven[s.run], s), data, p) for s in data.segments]
+        return [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
 
-    def _in_time(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Linearised:
-        return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, data, p))
+    def _in_time(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
+        return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
-    def _segment(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Linearised:
+    def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, data, p)
+        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
         entries = self._entries(inputs, actuation, memory, p, s.t)
         if self._points.held_depends_on_motion:
             later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
-            inputs = self._inputs(later[0], actuation.value, later[1], s.u, data, p)
+            inputs = self._inputs(later[0], actuation.value, later[1], s.u, p)
             entries = entries.averaged(
                 self._entries(inputs, actuation, memory, p, s.t), 4 * self._points.size
             )
-        return self._tested(entries, s, data.rows)
+        return self._tested(entries, s, rows)
 
-    def _inputs(
-        self, measured: Array, actuation: Array, memory: Array, u: Array, data: WeakData, p: Array
-    ) -> list[Array]:
-        return [measured, actuation, memory, u, self._points.mass_inverse(p), data.velocity_variance]
+    def _inputs(self, measured: Array, actuation: Array, memory: Array, u: Array, p: Array) -> list[Array]:
+        return [measured, actuation, memory, u, self._points.mass_inverse(p)]
 
     def _entries(self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array) -> Entries:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
@@ -139,7 +137,7 @@ class WeakModel:
 
     def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, data, p)
+        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
         function = self._points.noise
         (slope,) = nonzeros(function, [*inputs, p, s.t[:, None]], len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
