@@ -8,6 +8,7 @@ from random import Random
 
 import sympy as sm
 
+from .evaluation import function_of
 from .parameter import Parameter
 from .statement import Statement
 
@@ -76,7 +77,7 @@ def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, flo
     """A function from a point to the values of expressions; NaN where they are not defined."""
     rows = [sm.sympify(e, strict=True) for e in expressions]
     names = sorted({x for e in rows for x in e.free_symbols}, key=str)
-    function = sm.lambdify(names, rows, "math", cse=True)
+    function = function_of(names, rows)
 
     def values(point: Mapping[sm.Symbol, float]) -> list[float]:
         try:

@@ -10,6 +10,7 @@ import sympy as sm
 from undertow.control.conditions.case import SignSet, sign_sets
 from undertow.control.plant import Plant
 from undertow.model.effect import Wrench
+from undertow.model.evaluation import function_of
 from undertow.model.hints import hints
 from undertow.model.symbols import symbol
 from undertow.model.vehicle import Vehicle
@@ -118,7 +119,7 @@ def _at_random(power: sm.Expr, vehicle: Vehicle) -> Array:
     if not names:
         return np.array([float(filled)])
     generator = np.random.default_rng(_SEED)
-    function = sm.lambdify(names, filled, "numpy")
+    function = function_of(names, filled, "numpy")
     with np.errstate(all="ignore"):
         found = function(*generator.uniform(-1.0, 1.0, (len(names), _TRIALS)))
     return np.atleast_1d(np.asarray(found, dtype=float))

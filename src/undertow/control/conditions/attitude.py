@@ -12,6 +12,7 @@ import sympy as sm
 from scipy.optimize import minimize
 
 from undertow.control.plant import Plant
+from undertow.model.evaluation import function_of
 from undertow.model.kinematics import body_rates
 from undertow.model.symbols import POSE, column, symbol
 
@@ -103,7 +104,7 @@ class Attitudes:
         inverse = self._plant.J_inverse
         if self._isotropic:
             inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:])))
-        return sm.lambdify([symbol(a) for a in _ANGLES], inverse.tolist(), [FUNCTIONS])
+        return function_of([symbol(a) for a in _ANGLES], inverse.tolist(), FUNCTIONS)
 
     def inverse(self, values: dict[str, Interval]) -> Interval:
         """J^-1 for intervals of angles of shape (k,), zero where not given, shape (k, n, n)."""

@@ -133,7 +133,7 @@ def _contains(x: Interval, place: float) -> Array:
 
 
 FUNCTIONS: dict[str, Callable[..., Interval]] = {"sin": sin, "cos": cos, "tan": tan}
-"""For `sympy.lambdify`."""
+"""For `model.evaluation.function_of`."""
 
 
 def block(rows: Sequence[Sequence[Any]]) -> Any:

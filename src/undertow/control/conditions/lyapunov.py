@@ -11,6 +11,7 @@ import sympy as sm
 
 from undertow.control.laws import Law, LawSignals
 from undertow.control.plant import Plant
+from undertow.model.evaluation import function_of
 from undertow.model.symbols import symbol
 
 from .result import Lyapunov
@@ -178,7 +179,7 @@ def compare(plant: Plant, law: Law) -> float:
     candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _InNumbers(plant)), law)
     worked, stated = along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
     names = sorted(worked.free_symbols | stated.free_symbols, key=str)
-    function = sm.lambdify(names, [worked, stated], "math", cse=True)
+    function = function_of(names, [worked, stated])
     signed = {*plant.eta, *plant.nu, *s.error, *s.states}
     random, worst = Random(_SEED), 0.0
     for way in _ways(plant):

@@ -6,6 +6,7 @@ import numpy as np
 import sympy as sm
 from scipy.stats import norm
 
+from undertow.model.evaluation import function_of
 from undertow.model.symbols import symbol
 
 from .case import SignSet
@@ -87,5 +88,5 @@ def _largest(expression: sm.Expr, problem: Problem) -> float:
         return np.inf
     tilt = problem.attitudes.tilt
     ranges = [Interval(-tilt, tilt), Interval(-tilt, tilt), Interval(-np.pi, np.pi)]
-    found = sm.lambdify(angles, expression, [FUNCTIONS])(*ranges)
+    found = function_of(angles, expression, FUNCTIONS)(*ranges)
     return float(np.max(np.abs([found.lo, found.hi]))) if isinstance(found, Interval) else abs(float(found))

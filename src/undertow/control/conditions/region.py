@@ -10,6 +10,7 @@ import sympy as sm
 from scipy.optimize import brentq
 
 from undertow.control.plant import Plant
+from undertow.model.evaluation import function_of
 from undertow.model.symbols import symbol
 
 from .case import SignSet
@@ -192,7 +193,7 @@ class _ThirdOrder:
         moving = plant.C - plant.M * plant.J_inverse * plant.J_dot
         whole = (plant.one_way(moving, one.way) * plant.J_inverse).xreplace(plant.numbers)
         forms = [_hessian((plant.nu.T * whole[:, i])[0], plant.nu).tolist() for i in range(len(plant.nu))]
-        self._function = sm.lambdify(self._angles, forms, "math", cse=True)
+        self._function = function_of(self._angles, forms)
 
     def __call__(self, values: dict[str, float]) -> Array:
         forms = self._function(*(values.get(str(a), 0.0) for a in self._angles))

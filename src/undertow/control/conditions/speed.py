@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import sympy as sm
+
+from undertow.model.evaluation import function_of
 
 from .case import SignSet
 from .fast import extra_damping, never_negative
@@ -29,7 +30,7 @@ def _one(problem: Problem, one: SignSet) -> str:
     for i, v in enumerate(names):
         if v in one.way:
             velocities[:, i] = one.way[v] * np.abs(velocities[:, i])
-    function = sm.lambdify(names, more.tolist(), "numpy")
+    function = function_of(names, more.tolist(), "numpy")
     values = np.array([np.array(function(*row), dtype=float) for row in velocities])
     least = np.linalg.eigvalsh(0.5 * (values + np.swapaxes(values, 1, 2)))[:, 0]
     if least.min() >= -1e-9:
