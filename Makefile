@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11) and "undertow needs Python 3.11 or newer: make PYTHON=python3.12")
 
-.PHONY: demo test docs clean
+.PHONY: demo test bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/undertow demo
@@ -20,6 +20,9 @@ test: $(VENV)/.installed-dev
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m pytest -q -n $(WORKERS)
 
+bench: $(VENV)/.installed-bench
+	$(BIN)/python -m benchmarks.speed --out docs/results.md
+
 docs: $(VENV)/.installed
 	$(BIN)/python -m undertow.cli._docs docs/cli.md
 
@@ -30,6 +33,10 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/.made
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/.made
 	$(PIP) install --editable ".[dev]"
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-bench: pyproject.toml | $(VENV)/.made
+	$(PIP) install --editable ".[bench]"
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.made:

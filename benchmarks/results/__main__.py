@@ -18,7 +18,7 @@ from . import cfd, cse1, hidden
 from .basin import Basin
 from .pictures import NAMES, draw
 from .reading import Report
-from .summary import summary_of
+from .summary import speed_of, summary_of
 from .words import CFD, CSE1, HIDDEN, INTRODUCTION
 
 SECTIONS = ("hidden-effects", "ntnu-cse1", "cfd-surge")
@@ -42,7 +42,9 @@ def main(arguments: list[str] | None = None) -> int:
         print("\n".join(parts))
     else:
         known = options.out.read_text(encoding="utf-8") if options.out.exists() else ""
-        write_whole(options.out, "\n".join([INTRODUCTION, summary_of(known), *parts, _making()]))
+        write_whole(
+            options.out, "\n".join([INTRODUCTION, summary_of(known), speed_of(known), *parts, _making()])
+        )
     return int(any(_FAILED in p for p in parts))
 
 

@@ -1,0 +1,71 @@
+"""Command line: python -m benchmarks.speed --help"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.results.summary import SPEED, with_part
+from undertow.files import write_whole
+
+from . import report
+
+HERE = Path(__file__).parent
+_TOLD = """\
+Every number is one process of one machine; peers do the same work in the same run, and every time is paired
+with a check of the result. Times are those of the fastest round. Made by `make bench`.
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, print, and keep; the exit code of the measurements."""
+    options = _parser().parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        stored = options.store or Path(folder) / "speed.json"
+        code = 0 if options.from_stored else _measure(stored, options.only)
+        if not stored.exists():
+            return code or 1
+        page = _page(stored)
+    print(page)
+    if options.out:
+        known = options.out.read_text(encoding="utf-8")
+        write_whole(options.out, with_part(known, SPEED, f"{_TOLD}\n{page}"))
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.speed", description=__doc__)
+    parser.add_argument("--only", help="only topics that fit this ('rollout or fit'), as pytest -k")
+    parser.add_argument("--store", type=Path, help="keep what pytest-benchmark measured in this JSON file")
+    parser.add_argument("--from-stored", action="store_true", help="page from --store, measure nothing")
+    parser.add_argument("--out", type=Path, help="page whose part on speed is replaced (docs/results.md)")
+    return parser
+
+
+def _measure(stored: Path, only: str | None) -> int:
+    chosen = ["-k", only] if only else []
+    return subprocess.run(
+        [
+            *(sys.executable, "-m", "pytest", "-q", "-c", str(HERE / "pytest.ini"), str(HERE)),
+            *(f"--benchmark-json={stored}", "--benchmark-disable-gc", "--benchmark-quiet", *chosen),
+        ],
+        check=False,
+    ).returncode
+
+
+def _page(stored: Path) -> str:
+    timings, info = report.read(stored)
+    parts = [
+        report.machine(info) + ".\n",
+        report.goals(timings),
+        report.times(timings),
+        report.growth(timings),
+    ]
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""The fixture of the speed measurements: one action timed, with its accuracy checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+
+class Speed:
+    """Times one way of doing something; `benchmarks.speed.report` reads what it leaves behind."""
+
+    def __init__(self, benchmark: Any) -> None:
+        self._benchmark = benchmark
+
+    def __call__(
+        self,
+        what: str,
+        who: str,
+        action: Callable[[], object],
+        *,
+        calls: int = 1,
+        apart: float | None = None,
+        limit: float | None = None,
+        size: float | None = None,
+        rounds: int | None = None,
+        **more: float | str,
+    ) -> None:
+        """Time `action`.
+
+        Parameters
+        ----------
+        what : str
+            What is done: a key of `goals.GOALS`, or the name of a table of growth.
+        who : str
+            Who does it: "undertow", or a peer.
+        action : callable
+            The work.
+        calls : int
+            How often the action does it: times are divided by this.
+        apart : float, optional
+            Distance of the result from the reference.
+        limit : float, optional
+            Largest distance that is right; the measurement fails above it.
+        size : float, optional
+            Size of the problem, for tables of growth.
+        rounds : int, optional
+            How often a slow action is run; by default the runner decides.
+        more
+            Other figures for the page ("megabytes").
+        """
+        if apart is not None and limit is not None:
+            assert apart <= limit, f"{what}, {who}: {apart:.3g} apart, at most {limit:.3g}"
+        told = {"what": what, "who": who, "calls": calls, "apart": apart, "limit": limit, "size": size}
+        self._benchmark.extra_info.update({k: v for k, v in told.items() if v is not None}, **more)
+        self._benchmark.group = what
+        if rounds is None:
+            self._benchmark(action)
+        else:
+            self._benchmark.pedantic(action, rounds=rounds, iterations=1, warmup_rounds=int(rounds > 1))
+
+
+@pytest.fixture
+def speed(benchmark: Any) -> Speed:
+    """Times one action."""
+    return Speed(benchmark)

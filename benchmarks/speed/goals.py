@@ -1,0 +1,58 @@
+"""What is to be reached: one line for each goal of speed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+EVALUATION = "one evaluation of f in C"
+CALL = "call of f from Python"
+ROLLOUT = "closed-loop rollout, 240 s at 1 ms, PID"
+BATCH = "1000 rollouts"
+REGRESSION = "regression, 10^6 samples x 6 rows x 30 parameters"
+FIT = "output-error fit, 60 s at 20 Hz, 20 parameters"
+DIAGNOSIS = "whole-catalogue diagnosis, 6 DOF, 4 x 100 s at 20 Hz"
+COLD = "derive, generate and compile, nothing in the cache"
+WARM = "load, everything in the cache"
+OURS = "undertow"
+
+
+class Goal(NamedTuple):
+    """Something measured and what it may be.
+
+    Attributes
+    ----------
+    what : str
+        What is done.
+    peer : str
+        Beside whom; empty if seconds count.
+    at_least : float
+        How many times as fast as the peer, or how many seconds at most where there is none.
+    reach : str
+        What a prototype reached on another machine.
+    who : str
+        Which of our ways.
+    """
+
+    what: str
+    peer: str
+    at_least: float
+    reach: str = ""
+    who: str = OURS
+
+
+GOALS = (
+    Goal(COLD, "", 1.5, "0.74"),
+    Goal(WARM, "", 0.020, "0.004"),
+    Goal(EVALUATION, "hand-written C", 1.0, "1.1"),
+    Goal(ROLLOUT, "hand-written C", 1 / 0.95, "1.23"),
+    Goal(ROLLOUT, "CasADi mapaccum, compiled", 2, "2.5"),
+    Goal(ROLLOUT, "NumPy Runge-Kutta", 900),
+    Goal(BATCH, "hand-written C, one thread", 5, "7.1", "undertow, one thread"),
+    Goal(BATCH, "hand-written C, one thread", 9, "13.4", "undertow, two threads"),
+    Goal(REGRESSION, "NumPy and lstsq", 200, "335"),
+    Goal(REGRESSION, "one pass over the data", 1 / 5, "0.27"),
+    Goal(FIT, "IPOPT multiple shooting, virtual machine", 100, "193"),
+    Goal(FIT, "SciPy, finite differences on the same simulation", 4),
+    Goal(DIAGNOSIS, "", 15),
+    Goal(CALL, "", 0.5e-6, "", "undertow, buffer"),
+)
