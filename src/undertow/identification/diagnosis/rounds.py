@@ -11,6 +11,7 @@ import numpy as np
 
 from undertow.model.catalogue import Catalogue
 
+from ..parallel import mapped
 from .candidates import Candidate, candidates
 from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
@@ -103,13 +104,19 @@ class _Scouted(NamedTuple):
 
 def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[_Scouted]:
     """What every candidate promises, the most promising first."""
+    # Worked out here once, for all that look at it.
+    assert bench.base_on_test is not None
+    assert bench.base_score is not None
     found = []
-    for i, candidate in enumerate(possible):
-        report(0.5 * i / len(possible), f"trying {candidate.id}")
-        look = scout(candidate, bench)
-        chances = linear(look.start, bench, look.on_test)
-        found.append(_Scouted(candidate, look.cost, look.values, chances))
+    for i, look in enumerate(mapped(lambda i: _look(possible[i], bench), len(possible))):
+        report(0.5 * (i + 1) / len(possible), f"tried {possible[i].id}")
+        found.append(_Scouted(possible[i], *look))
     return sorted(found, key=lambda entry: entry.cost)
+
+
+def _look(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float], Linear]:
+    look = scout(candidate, bench)
+    return look.cost, look.values, linear(look.start, bench, look.on_test)
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:
