@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -24,9 +24,10 @@ _work: list[Callable[[int], Any]] = []
 def jobs() -> int:
     """Processes to use: the cores that this process may use, or what UNDERTOW_JOBS says.
 
-    One where processes cannot share what is in memory (all systems but Linux), and within a child.
+    One where processes cannot share what is in memory (all systems but Linux), and where this process is a
+    helper itself.
     """
-    if sys.platform != "linux" or _work:
+    if sys.platform != "linux" or _work or multiprocessing.current_process().daemon:
         return 1
     stated = os.environ.get(_LIMIT, "")
     return max(1, int(stated)) if stated.isdecimal() else len(os.sched_getaffinity(0))
@@ -48,8 +49,8 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
         return
     done = 0
     try:
-        with _pool(work, processes) as pool:
-            for future in [pool.submit(_one, i) for i in range(count)]:
+        with _submitted(work, count, processes) as futures:
+            for future in futures:
                 yield future.result()
                 done += 1
     except BrokenProcessPool:
@@ -58,21 +59,48 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
         yield from map(work, range(done, count))
 
 
+@contextmanager
+def aside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+    """Do something on another core while the block runs; what is handed out waits for the result.
+
+    Parameters
+    ----------
+    work : callable
+        What is done; its result has to be plain data. It is done at once where there is one process only.
+    """
+    if jobs() < 2:
+        found = work()
+        yield lambda: found
+        return
+    with _submitted(lambda _: work(), 1, 1) as (future,):
+        yield lambda: _of(future, work)
+
+
+def _of(future: Future[T], work: Callable[[], T]) -> T:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return work()
+
+
 def _one(number: int) -> Any:
     return _work[-1](number)
 
 
 @contextmanager
-def _pool(work: Callable[[int], Any], processes: int) -> Iterator[ProcessPoolExecutor]:
-    _work.append(work)
+def _submitted(work: Callable[[int], T], count: int, processes: int) -> Iterator[list[Future[T]]]:
     pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _begin)
+    _work.append(work)
     try:
         with warnings.catch_warnings():
             # Other threads of this process only draw a progress bar; children do not touch it.
             warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-            yield pool
+            futures = [pool.submit(_one, i) for i in range(count)]
     finally:
         _work.pop()
+    try:
+        yield futures
+    finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
@@ -82,4 +110,4 @@ def _begin() -> None:
     logging.disable()
 
 
-__all__ = ["jobs", "mapped"]
+__all__ = ["aside", "jobs", "mapped"]
