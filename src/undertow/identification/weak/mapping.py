@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.tape import tape_of
+from undertow.codegen.blockwise import blockwise
 
 Array = NDArray[np.float64]
 # Making a map costs time in proportion to its length; one of this length serves segments of any length.
@@ -38,8 +38,8 @@ def nonzeros(function: ca.Function, arguments: list[Array], count: int) -> list[
     count : int
         Number of samples.
     """
-    tape = tape_of(function)
-    return _in_chunks(function, arguments, count) if tape is None else tape(arguments, count)
+    run = blockwise(function)
+    return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
 
 
 def _in_chunks(function: ca.Function, arguments: list[Array], count: int) -> list[Array]:

@@ -28,7 +28,7 @@ _BLOCK = 64
 _SPECIAL = {"INPUT": ca.OP_INPUT, "OUTPUT": ca.OP_OUTPUT, "CONSTANT": ca.OP_CONST}
 
 
-class Tape:
+class Blockwise:
     """The instructions of a CasADi function of scalars, ready to run.
 
     Parameters
@@ -110,12 +110,12 @@ def _table(arrays: Sequence[Array], strides: Sequence[int]) -> tuple[ctypes.Arra
 
 
 @lru_cache(maxsize=256)
-def tape_of(function: ca.Function) -> Tape | None:
-    """The function's tape; None where there is no compiler, or where it is no function of scalars."""
+def blockwise(function: ca.Function) -> Blockwise | None:
+    """The function block by block; None where there is no compiler, or where it is no function of scalars."""
     if not function.is_a("SXFunction"):
         return None
     run = compiled_or_virtual(None, _compiled, lambda: None)
-    return None if run is None else Tape(function, run)
+    return None if run is None else Blockwise(function, run)
 
 
 @cache
@@ -134,7 +134,7 @@ def loop_source() -> tuple[str, str]:
         f"case {code}: for (int l = 0; l < BLOCK; l++) r[l] = {form.format('a[l]', 'b[l]')}; break;"
         for code, form in forms.items()
     )
-    loop = (files("undertow.codegen") / "tape.c").read_text(encoding="utf-8")
+    loop = (files("undertow.codegen") / "blockwise.c").read_text(encoding="utf-8")
     text = "\n".join([*defines, f"#define CASES {cases}", loop])
-    name = f"undertow_{digest(text)[:16]}_tape"
+    name = f"undertow_{digest(text)[:16]}_blockwise"
     return f"#define RUN {name}\n{text}", name
