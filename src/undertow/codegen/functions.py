@@ -13,6 +13,7 @@ from undertow.model.symbols import symbol
 from undertow.model.vehicle import Vehicle
 
 from .convert import Converter
+from .prepared import Prepared, prepared
 
 
 class Functions:
@@ -214,6 +215,11 @@ class Functions:
     def dynamics(self) -> ca.Function:
         """`x_dot = dynamics(x, u, p, t)`."""
         return self._function("dynamics", [self.x_dot], ["x_dot"])
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """`q = prepare(p)` once, then `x_dot = dynamics(x, u, q, t)` with few operations."""
+        return prepared(self.x, self.u, self.p, self.t, self.x_dot)
 
     def tangents(self, *with_respect_to: str) -> ca.Function:
         """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p; the R are sparse.
