@@ -4,14 +4,16 @@
      NX, NU, NS, NR   numbers of states, commands, states of the controller, desired values
      NY, NT           numbers of reported values and of the forces that the law asks for
      NP, NK           numbers of parameters and gains
-     NQ, NW           numbers of what follows from parameters alone, and from them and held commands
-   and the functions
-     prepare(p, q), hold(u, p, q, t, w), rates(x, u, p, q, w, t, x_dot), outputs(x, u, p, t, y),
+     NQ, NW           numbers of what follows from parameters alone, and from that and held commands
+   (none of the arrays is empty: what has no entry counts one) and the functions
+     prepare(p, q), hold(u, q, w), held_dynamics(x, w, q, t, x_dot), outputs(x, u, p, t, y),
      control(y, r, s, k, dt, u, s_next, tau), law(y, r, s, k, u, s_dot, tau)
    and RUN, the name under which the entry point is exported.
 
    Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Everything
    a call changes is in the groups that it is told: calls for different groups may run in parallel. */
+
+#include <string.h>
 
 #if defined(_WIN32)
 #define EXPORTED __declspec(dllexport)
@@ -28,7 +30,7 @@ typedef struct {
   int64_t input_delay;         /* samples from a command to its thrust */
   int64_t report_ring;         /* largest output_delay + 1 */
   const int64_t *output_delay; /* samples from a motion to its report, NY */
-  int64_t stride, rows;        /* samples from one recorded row to the next, rows of a group */
+  int64_t stride, rows;        /* samples from one recorded row to the next, rows of a group in this call */
   /* Parameters, desired values, gains; the first distances are those from group to group. */
   int64_t p_step, r_step, k_step;
   const double *p, *r, *k;
@@ -42,7 +44,7 @@ typedef struct {
 /* One run, or several in lanes. */
 typedef struct {
   const Loop *loop;
-  Real x[NX], s[NS], p[NP], q[NQ + 1], r[NR], k[NK];
+  Real x[NX], s[NS], p[NP], q[NQ], r[NR], k[NK];
   double *commands, *reports;
 } Group;
 
@@ -50,22 +52,22 @@ INLINE void take(Real *to, const double *from, int64_t n) { memcpy(to, from, (si
 INLINE void put(double *to, const Real *from, int64_t n) { memcpy(to, from, (size_t)n * sizeof(Real)); }
 
 /* One step of the vehicle with its commands held. */
-static void held_step(Group *group, const Real *u, const Real *w, double t, double h) {
+static void held_step(Group *group, const Real *w, double t, double h) {
   Real stage[NX], total[NX], f[NX], *x = group->x;
-  rates(x, u, group->p, group->q, w, t, f);
+  held_dynamics(x, w, group->q, t, f);
   for (int i = 0; i < NX; i++) total[i] = f[i], stage[i] = x[i] + 0.5 * h * f[i];
-  rates(stage, u, group->p, group->q, w, t + 0.5 * h, f);
+  held_dynamics(stage, w, group->q, t + 0.5 * h, f);
   for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + 0.5 * h * f[i];
-  rates(stage, u, group->p, group->q, w, t + 0.5 * h, f);
+  held_dynamics(stage, w, group->q, t + 0.5 * h, f);
   for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + h * f[i];
-  rates(stage, u, group->p, group->q, w, t + h, f);
+  held_dynamics(stage, w, group->q, t + h, f);
   for (int i = 0; i < NX; i++) x[i] += h / 6.0 * (total[i] + f[i]);
 }
 
 /* One step of vehicle and law together. */
 static void joint_step(Group *group, const double *extra, double t, double h) {
   static const double reach[4] = {0, 0.5, 0.5, 1}, weight[4] = {1, 2, 2, 1};
-  Real z[NX], v[NS], total[NX], total_s[NS], f[NX], g[NS], u[NU], w[NW + 1], y[NY], tau[NT];
+  Real z[NX], v[NS], total[NX], total_s[NS], f[NX], g[NS], u[NU], w[NW], y[NY], tau[NT];
   for (int i = 0; i < NX; i++) z[i] = group->x[i], total[i] = real(0);
   for (int i = 0; i < NS; i++) v[i] = group->s[i], total_s[i] = real(0);
   for (int i = 0; i < NU; i++) u[i] = real(0);
@@ -73,8 +75,8 @@ static void joint_step(Group *group, const double *extra, double t, double h) {
     outputs(z, u, group->p, t + reach[k] * h, y);
     law(y, group->r, v, group->k, u, g, tau);
     for (int i = 0; i < NU; i++) u[i] += extra ? extra[i] : 0.0;
-    hold(u, group->p, group->q, w);
-    rates(z, u, group->p, group->q, w, t + reach[k] * h, f);
+    hold(u, group->q, w);
+    held_dynamics(z, w, group->q, t + reach[k] * h, f);
     const double next = k < 3 ? reach[k + 1] * h : 0;
     for (int i = 0; i < NX; i++) total[i] += weight[k] * f[i], z[i] = group->x[i] + next * f[i];
     for (int i = 0; i < NS; i++) total_s[i] += weight[k] * g[i], v[i] = group->s[i] + next * g[i];
@@ -106,21 +108,21 @@ INLINE void one_sample(Group *group, int64_t g, int64_t n, int64_t samples, int6
   const Loop *loop = group->loop;
   const int64_t ring = loop->input_delay + 1;
   const double t = (double)sample * loop->dt, h = loop->dt / (double)loop->substeps;
+  const double hold_for = loop->continuous ? 0 : loop->dt;
   const double *extra = loop->extra ? loop->extra + n * NU : 0;
   const Real *kept[5];
-  Real u[NU], command[NU], next[NS], y[NY], told[NY], tau[NT], w[NW + 1], before[NX];
+  Real u[NU], command[NU], next[NS], y[NY], told[NY], tau[NT], w[NW];
   const int64_t sizes[5] = {NX, NY, NU, NS, NT};
 
   take(u, group->commands + (sample + ring - 1) % ring * NU * LANES, NU);
   outputs(group->x, u, group->p, t, y);
   report(group, sample, y, loop->noise ? loop->noise + (g * samples + n) * NY * LANES : 0, told);
-  control(told, group->r, group->s, group->k, loop->continuous ? 0.0 : loop->dt, command, next, tau);
+  control(told, group->r, group->s, group->k, &hold_for, command, next, tau);
   if (row >= 0) {
     kept[0] = group->x, kept[1] = told, kept[2] = command, kept[3] = next, kept[4] = tau;
     for (int j = 0; j < 5; j++)
       if (loop->record[j]) put(loop->record[j] + (g * loop->rows + row) * sizes[j] * LANES, kept[j], sizes[j]);
   }
-  (void)before;
   for (int i = 0; i < NS; i++) group->s[i] = next[i];
   put(group->commands + sample % ring * NU * LANES, command, NU);
   if (ring > 1) {
@@ -134,8 +136,8 @@ INLINE void one_sample(Group *group, int64_t g, int64_t n, int64_t samples, int6
     for (int64_t k = 0; k < loop->substeps; k++) joint_step(group, extra, t + (double)k * h, h);
     return;
   }
-  hold(u, group->p, group->q, w);
-  for (int64_t k = 0; k < loop->substeps; k++) held_step(group, u, w, t + (double)k * h, h);
+  hold(u, group->q, w);
+  for (int64_t k = 0; k < loop->substeps; k++) held_step(group, w, t + (double)k * h, h);
 }
 
 EXPORTED void RUN(const Loop *loop, int64_t begin, int64_t end, int64_t first, int64_t samples);
@@ -154,7 +156,7 @@ void RUN(const Loop *loop, int64_t begin, int64_t end, int64_t first, int64_t sa
     group.commands = loop->commands + g * (loop->input_delay + 1) * NU * LANES;
     group.reports = loop->reports + g * loop->report_ring * NY * LANES;
     prepare(group.p, group.q);
-    int64_t row = (first + stride - 1) / stride, next = row * stride;
+    int64_t row = 0, next = (first + stride - 1) / stride * stride;
     for (int64_t n = 0; n < samples; n++) {
       const int now = first + n == next;
       one_sample(&group, g, n, samples, first + n, now ? row : -1);
