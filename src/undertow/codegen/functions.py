@@ -14,6 +14,7 @@ from undertow.model.vehicle import Vehicle
 
 from .convert import Converter
 from .prepared import Prepared, prepared
+from .solving import solve_symmetric
 
 
 class Functions:
@@ -110,10 +111,14 @@ class Functions:
     def wrenches(self) -> dict[str, ca.SX]:
         """Wrench of every effect by id in the vehicle's degrees of freedom, from `actuation` and `nu_dot`."""
         rows = list(self.vehicle.dof_indices)
-        effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
+        return {i: self.convert.matrix(w.extract(rows, [0])) for i, w in self.stated.items()}
+
+    @cached_property
+    def stated(self) -> dict[str, sm.Matrix]:
+        """Wrench of every effect by id as it states it, shape (6, 1)."""
         s = self.vehicle.composition.signals
-        stated = {e.id: e.spelled_out(e.wrench(s), s) for e in effects}
-        return {i: self.convert.matrix(w.extract(rows, [0])) for i, w in stated.items()}
+        effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
+        return {e.id: e.spelled_out(e.wrench(s), s) for e in effects}
 
     @cached_property
     def residual(self) -> ca.SX:
@@ -178,9 +183,12 @@ class Functions:
     def x_dot(self) -> ca.SX:
         """Time derivative of the state, from x, u, p, t; M is solved for, never inverted symbolically."""
         driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
+        return ca.cse(self.with_acceleration(solve_symmetric(self.mass_matrix, driven)))
+
+    def with_acceleration(self, rows: ca.SX) -> ca.SX:
+        """x_dot with these in the rows of the acceleration."""
         memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        acceleration = solve_symmetric(self.mass_matrix, driven)
-        return ca.cse(ca.vertcat(self.pose_rate, acceleration, memory, self.chain_rates))
+        return ca.vertcat(self.pose_rate, rows, memory, self.chain_rates)
 
     @property
     def acceleration_rows(self) -> slice:
@@ -191,8 +199,7 @@ class Functions:
     @cached_property
     def balance(self) -> ca.SX:
         """x_dot with the residual in the rows of the acceleration: one equation for each state."""
-        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        return ca.vertcat(self.pose_rate, self.driven_residual, memory, self.chain_rates)
+        return self.with_acceleration(self.driven_residual)
 
     @cached_property
     def own_slopes(self) -> ca.SX:
@@ -219,7 +226,7 @@ class Functions:
     @cached_property
     def prepared(self) -> Prepared:
         """`q = prepare(p)` once, then `x_dot = dynamics(x, u, q, t)` with few operations."""
-        return prepared(self.x, self.u, self.p, self.t, self.x_dot)
+        return prepared(self)
 
     def tangents(self, *with_respect_to: str) -> ca.Function:
         """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p; the R are sparse.
@@ -288,11 +295,3 @@ class Functions:
 
 def _vector(name: str, symbols: sm.Matrix | list[sm.Symbol]) -> ca.SX:
     return ca.SX.sym(name, len(symbols))
-
-
-def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solution of a symmetric positive definite system by L D L', keeping structural zeros."""
-    if matrix.shape == (1, 1):
-        return right / matrix
-    d, lt, permutation = ca.ldl(matrix)
-    return ca.ldl_solve(right, d, lt, permutation)
