@@ -9,7 +9,7 @@ import casadi as ca
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.symbols import symbol
+from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
 
 from .convert import Converter
@@ -103,7 +103,10 @@ class Functions:
         kept = {*self._memory, *self._chain_rates, *known, *directional}
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
-        self.convert.define(composition.relative_motion)
+        water, rate = column(["water_x", "water_y", "water_z"]), column(["rate_x", "rate_y", "rate_z"])
+        moving = sm.Matrix.vstack(*composition.water)
+        self.convert.define(dict(zip([*water, *rate], moving, strict=True)))
+        self.convert.define(composition.relative_to(water, rate))
         self.convert.define(directional)
 
     # --- expressions --------------------------------------------------------------------------
