@@ -1,23 +1,15 @@
-"""Expressions with like terms collected, and all that depends on parameters alone taken out of them.
-
-Every value is a sum of terms, each a coefficient that depends on parameters alone times a product of atoms
-(inputs, functions of other values, sums that are used more than once). Coefficients of like terms add up
-before the motion is known, so what is left to be done for each evaluation is little.
-"""
+"""Expressions rewritten with like terms collected, and what is fixed taken out of them as coefficients."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
 from functools import reduce
+from itertools import combinations
 from operator import add
 
 import casadi as ca
 
-Product = tuple[int, ...]
-Sum = dict[Product, ca.SX]
-_ONE: Product = ()
-_UNIT = ca.SX(1)
+from .terms import Atom, Atoms, Product, Reading, Sum, apply
 
 
 class Collector:
@@ -38,11 +30,7 @@ class Collector:
     def __init__(self, fixed: ca.SX, moving: ca.SX, *, ready: ca.SX, name: str) -> None:
         self._fixed, self._moving, self._name = fixed, moving, name
         self._ready = {e.element_hash() for e in ca.vertsplit(ready)}
-        self._atoms: list[ca.SX] = []
-        self._atom_of: dict[object, int] = {}
-        self._products: dict[Product, ca.SX] = {}
         self._place: dict[int, int] = {}
-        self._kept: list[ca.SX] = []
         self._symbols: list[ca.SX] = []
         self._coefficients: list[ca.SX] = []
 
@@ -59,99 +47,22 @@ class Collector:
     def rewrite(self, expression: ca.SX) -> ca.SX:
         """The same in terms of the coefficients."""
         function = ca.Function("it", [self._fixed, self._moving], [ca.cse(expression)])
+        atoms = Atoms(self._fixed, self._moving)
+        results = Reading(function, atoms).results
+        writing = _Writing(self, atoms.listed, list(results.values()))
         entries = [ca.SX(0)] * expression.numel()
         places = function.sparsity_out(0).find()
-        for entry, terms in _Reading(function, self).results.items():
-            entries[places[entry]] = self.written(terms)
+        for entry, terms in results.items():
+            entries[places[entry]] = writing.sum(terms)
         return ca.cse(ca.reshape(ca.vertcat(*entries), *expression.shape))
 
-    # --- what values are made of ----------------------------------------------------------------
-    def input(self, group: int, entry: int) -> Sum:
-        """A fixed symbol (group 0) or a moving one."""
-        if group == 0:
-            return {_ONE: self._fixed[entry]}
-        return self._atom(("input", entry), lambda: self._moving[entry])
-
-    def function(self, operation: int, *arguments: Sum) -> Sum:
-        """A function of one or two values."""
-        if all(map(is_fixed, arguments)):
-            return {_ONE: _apply(operation, [a.get(_ONE, ca.SX(0)) for a in arguments])}
-        key = (operation, *map(self._signature, arguments))
-        return self._atom(key, lambda: _apply(operation, [self.written(a) for a in arguments]))
-
-    def whole(self, terms: Sum) -> Sum:
-        """A sum as one atom; a single term stays what it is."""
-        if len(terms) <= 1:
-            return terms
-        key = ("sum", self._signature(terms))
-        return self._atom(key, lambda: self.written(terms))
-
-    def _atom(self, key: object, make: Callable[[], ca.SX]) -> Sum:
-        if key not in self._atom_of:
-            made = make()
-            self._atom_of[key] = len(self._atoms)
-            self._atoms.append(made)
-        return {(self._atom_of[key],): _UNIT}
-
-    def _signature(self, terms: Sum) -> object:
-        return tuple(sorted((product, self._identity(c)) for product, c in terms.items()))
-
-    def _identity(self, coefficient: ca.SX) -> float:
-        if coefficient.is_constant():
-            return float(coefficient)
-        self._kept.append(coefficient)  # a hash belongs to a node only while the node lives
-        return coefficient.element_hash()
-
-    # --- arithmetic -------------------------------------------------------------------------------
-    def times(self, a: Sum, b: Sum, *, shared: bool) -> Sum:
-        """Product of two values; `shared` sums stay whole, so that they are computed once."""
-        if not a or not b:
-            return {}
-        a, b = (a, b) if len(a) <= len(b) else (b, a)
-        one = self.whole(a)
-        ((product, coefficient),) = one.items()
-        if product == _ONE:
-            return self._scaled(b, coefficient, shared=shared)
-        ((other, factor),) = self.whole(b).items()
-        return {tuple(sorted((*product, *other))): coefficient * factor}
-
-    def _scaled(self, terms: Sum, by: ca.SX, *, shared: bool) -> Sum:
-        if len(terms) == 1 or by.is_constant():
-            return {product: by * c for product, c in terms.items()}
-        plain = {product: c for product, c in terms.items() if c.is_constant()}
-        rest = {product: c for product, c in terms.items() if product not in plain}
-        if shared:
-            plain, rest = terms, {}
-        # A coefficient goes to terms that have one already; to the others it goes once, as to a sum.
-        return total(self._scaled(self.whole(plain), by, shared=False) if plain else {}, scaled(rest, by))
-
-    def over(self, a: Sum, b: Sum, *, shared: bool) -> Sum:
-        """Quotient of two values."""
-        return self.times(a, self.inverse(b), shared=shared)
-
-    def inverse(self, a: Sum) -> Sum:
-        """One over a value; what is fixed is divided by in advance."""
-        ((product, coefficient),) = self.whole(a).items() or {_ONE: ca.SX(0)}.items()
-        under: Sum = {_ONE: 1 / coefficient}
-        for atom in product:
-            under = self.times(under, self.function(ca.OP_INV, {(atom,): _UNIT}), shared=False)
-        return under
-
-    # --- writing ----------------------------------------------------------------------------------
-    def written(self, terms: Sum) -> ca.SX:
-        """The sum as an expression."""
-        return reduce(add, [self._term(*t) for t in terms.items()]) if terms else ca.SX(0)
-
-    def _term(self, product: Product, coefficient: ca.SX) -> ca.SX:
-        stored = self._stored(coefficient)
-        return stored * self._multiplied(product) if product else stored
-
-    def _stored(self, coefficient: ca.SX) -> ca.SX:
+    def stored(self, coefficient: ca.SX) -> ca.SX:
+        """What stands for a coefficient; the negative of one that is there already is not kept again."""
         if coefficient.is_constant() or coefficient.element_hash() in self._ready:
             return coefficient
         negative = coefficient.dep(0) if coefficient.is_op(ca.OP_NEG) else None
         if negative is not None and negative.element_hash() in {*self._ready, *self._place}:
-            return -self._stored(negative)
+            return -self.stored(negative)
         key = coefficient.element_hash()
         if key not in self._place:
             self._place[key] = len(self._symbols)
@@ -159,108 +70,77 @@ class Collector:
             self._coefficients.append(coefficient)
         return self._symbols[self._place[key]]
 
-    def _multiplied(self, product: Product) -> ca.SX:
-        """A product of atoms; those that begin alike share their beginning."""
+
+class _Writing:
+    """Sums of terms written out; a factor that several terms have is multiplied by once.
+
+    That is only done with products that nobody else needs.
+    """
+
+    def __init__(self, collector: Collector, atoms: list[Atom], results: list[Sum]) -> None:
+        self._collector, self._atoms = collector, atoms
+        self._written: dict[int, ca.SX] = {}
+        self._products: dict[Product, ca.SX] = {}
+        self._uses: Counter[Product] = Counter()
+        self._seen: set[int] = set()
+        for terms in results:
+            self._count(terms)
+        # Products are short; of long ones only the longest parts are looked at.
+        self._parts = Counter(part for p in self._uses for n in (2, 3) for part in combinations(p, n))
+
+    def _count(self, terms: Sum) -> None:
+        self._uses.update(terms.keys())
+        for number in {a for product in terms for a in product} - self._seen:
+            self._seen.add(number)
+            for argument in self._atoms[number].arguments:
+                self._count(argument)
+
+    def sum(self, terms: Sum) -> ca.SX:
+        """A sum of terms."""
+        factor = self._common_factor(terms)
+        if factor is None:
+            return reduce(add, [self._term(*t) for t in terms.items()]) if terms else ca.SX(0)
+        inner = {_less(p, factor): c for p, c in terms.items() if self._divisible(p, factor)}
+        outer = {p: c for p, c in terms.items() if not self._divisible(p, factor)}
+        product = self.sum(inner) * self._atom(factor)
+        return self.sum(outer) + product if outer else product
+
+    def _common_factor(self, terms: Sum) -> int | None:
+        """The atom that the most terms of their own have."""
+        found = Counter(a for product in terms for a in set(product) if self._divisible(product, a))
+        longer = {a for product in terms if len(product) > 1 for a in product if self._divisible(product, a)}
+        often = [(n, -a) for a, n in found.items() if n > 1 and a in longer]
+        return -max(often)[1] if often else None
+
+    def _divisible(self, product: Product, atom: int) -> bool:
+        return atom in product and (len(product) == 1 or self._uses[product] <= 1)
+
+    def _term(self, product: Product, coefficient: ca.SX) -> ca.SX:
+        stored = self._collector.stored(coefficient)
+        return stored * self._product(product) if product else stored
+
+    def _product(self, product: Product) -> ca.SX:
+        """A product of atoms, from the partial product that the most products have."""
         if len(product) == 1:
-            return self._atoms[product[0]]
+            return self._atom(product[0])
         if product not in self._products:
-            self._products[product] = self._multiplied(product[:-1]) * self._atoms[product[-1]]
+            last = max(product, key=lambda a: self._parts[_less(product, a)])
+            self._products[product] = self._product(_less(product, last)) * self._atom(last)
         return self._products[product]
 
+    def _atom(self, number: int) -> ca.SX:
+        if number not in self._written:
+            self._written[number] = self._new(self._atoms[number])
+        return self._written[number]
 
-def is_fixed(terms: Sum) -> bool:
-    """Whether a value depends on fixed symbols alone."""
-    return all(product == _ONE for product in terms)
-
-
-def scaled(terms: Sum, by: ca.SX | float) -> Sum:
-    """Every coefficient multiplied."""
-    return {product: by * c for product, c in terms.items()}
-
-
-def total(*sums: Sum) -> Sum:
-    """Sum of values, like terms collected."""
-    result: Sum = {}
-    for terms in sums:
-        for product, c in terms.items():
-            result[product] = result[product] + c if product in result else c
-    return {product: c for product, c in result.items() if not c.is_zero()}
+    def _new(self, atom: Atom) -> ca.SX:
+        if atom.symbol is not None:
+            return atom.symbol
+        values = [self.sum(a) for a in atom.arguments]
+        return values[0] if atom.operation is None else apply(atom.operation, values)
 
 
-def _apply(operation: int, arguments: Sequence[ca.SX]) -> ca.SX:
-    return (ca.SX.unary if len(arguments) == 1 else ca.SX.binary)(operation, *arguments)
-
-
-class _Reading:
-    """A function read instruction by instruction, every value as a sum of terms."""
-
-    def __init__(self, function: ca.Function, to: Collector) -> None:
-        self._function, self._to = function, to
-        self._register: dict[int, int] = {}
-        self._values: list[Sum] = []
-        self._steps = [self._step(k) for k in range(function.n_instructions())]
-        self._uses = Counter(v for _, _, operands in self._steps for v in operands)
-        self._angles = self._sines_and_cosines()
-        self.results: dict[int, Sum] = {}
-        for k, (operation, _, operands) in enumerate(self._steps):
-            self._values.append(self._value(k, operation, operands))
-
-    def _step(self, k: int) -> tuple[int, int, list[int]]:
-        """Operation, its own number, and the numbers of the instructions that made its operands."""
-        f, operation = self._function, self._function.instruction_id(k)
-        into = f.instruction_output(k)
-        made = operation in (ca.OP_INPUT, ca.OP_CONST)
-        operands = [] if made else [self._register[i] for i in f.instruction_input(k)]
-        if operation != ca.OP_OUTPUT:
-            self._register[into[0]] = k
-        return operation, k, operands
-
-    def _sines_and_cosines(self) -> set[int]:
-        """Instructions of which both the sine and the cosine are needed."""
-        found = {o: {v[0] for q, _, v in self._steps if q == o} for o in (ca.OP_SIN, ca.OP_COS)}
-        return found[ca.OP_SIN] & found[ca.OP_COS]
-
-    def _value(self, k: int, operation: int, operands: list[int]) -> Sum:
-        to, f = self._to, self._function
-        if operation == ca.OP_INPUT:
-            return to.input(*f.instruction_input(k))
-        if operation == ca.OP_CONST:
-            value = f.instruction_constant(k)
-            return {_ONE: ca.SX(value)} if value else {}
-        if operation == ca.OP_OUTPUT:
-            self.results[f.instruction_output(k)[1]] = self._values[operands[0]]
-            return {}
-        values = [self._operand(v) for v in operands]
-        if operation in _LINEAR:
-            return _LINEAR[operation](*values)
-        shared = any(self._uses[v] > 1 for v in operands)
-        return self._nonlinear(operation, operands, values, shared=shared)
-
-    def _operand(self, v: int) -> Sum:
-        """A value that others use, too, is one atom; what is fixed never is."""
-        terms = self._values[v]
-        return self._to.whole(terms) if self._uses[v] > 1 and not is_fixed(terms) else terms
-
-    def _nonlinear(self, operation: int, operands: list[int], values: list[Sum], *, shared: bool) -> Sum:
-        to = self._to
-        if operation == ca.OP_MUL:
-            return to.times(*values, shared=shared)
-        if operation == ca.OP_SQ:
-            return to.times(values[0], values[0], shared=True)
-        if operation == ca.OP_DIV:
-            return to.over(*values, shared=shared)
-        if operation == ca.OP_INV:
-            return to.inverse(values[0])
-        if operation == ca.OP_TAN and operands[0] in self._angles:
-            sine, cosine = (to.function(o, values[0]) for o in (ca.OP_SIN, ca.OP_COS))
-            return to.over(sine, cosine, shared=False)
-        return to.function(operation, *values)
-
-
-_LINEAR: dict[int, Callable[..., Sum]] = {
-    ca.OP_ASSIGN: lambda a: a,
-    ca.OP_ADD: total,
-    ca.OP_SUB: lambda a, b: total(a, scaled(b, -1)),
-    ca.OP_NEG: lambda a: scaled(a, -1),
-    ca.OP_TWICE: lambda a: scaled(a, 2),
-}
+def _less(product: Product, atom: int) -> Product:
+    """A product without one of its factors."""
+    place = product.index(atom)
+    return (*product[:place], *product[place + 1 :])
