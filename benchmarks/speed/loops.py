@@ -73,7 +73,7 @@ class HandLoop:
     """hand_rollout.c, compiled."""
 
     def __init__(self, folder: Path) -> None:
-        self._library = hand.library(SOURCE.read_text(encoding="utf-8"), folder, "hand_rollout", "-fopenmp")
+        self._library = hand.library(SOURCE.read_text(encoding="utf-8"), folder, "hand_rollout", "-std=gnu99", "-fopenmp")
         self._gains, self._start, self._desired = hand_gains(), np.zeros(12), np.array(TO)
 
     def run(self, duration: float, masses: np.ndarray, threads: int = 1) -> np.ndarray:

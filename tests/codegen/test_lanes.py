@@ -19,7 +19,21 @@ from undertow.codegen.plain import LANES, plain_c
 
 COUNTS = (1, 4, 8)
 # What a kink, a comparison or a root may take another way.
-AWKWARD = [0.0, -0.0, math.inf, -math.inf, math.nan, 1.0, -1.0, 0.5, -2.5, 1e-310, 3e15, -4503599627370497.5, 1e300]
+AWKWARD = [
+    0.0,
+    -0.0,
+    math.inf,
+    -math.inf,
+    math.nan,
+    1.0,
+    -1.0,
+    0.5,
+    -2.5,
+    1e-310,
+    3e15,
+    -4503599627370497.5,
+    1e300,
+]
 KINKS = ca.vertcat(
     ca.fabs(A), ca.sign(A), ca.fmin(A, B), ca.fmax(A, B), ca.floor(A), ca.sqrt(A), A < B, A <= B, A == B, A != B,
     ca.logic_and(A, B), ca.logic_or(A, B), ca.logic_not(A), ca.if_else(A, B, 2), ca.if_else(A > 0, A, -B), 1 / A, -A,
@@ -39,7 +53,9 @@ __attribute__((visibility("default"))) void over(int n, const double *x, double 
 """
 
 
-def over(function: ca.Function, lanes: int, columns: np.ndarray, compiler: Compiler, folder: Path) -> np.ndarray:
+def over(
+    function: ca.Function, lanes: int, columns: np.ndarray, compiler: Compiler, folder: Path
+) -> np.ndarray:
     """A function of one vector over the columns of an array, by compiled code of so many lanes."""
     nx, ny, n = function.size1_in(0), function.size1_out(0), columns.shape[1]
     assert n % lanes == 0
@@ -105,7 +121,9 @@ def exact(angle: np.ndarray) -> tuple[list[mpmath.mpf], list[mpmath.mpf]]:
 
 
 @pytest.mark.parametrize("lanes", COUNTS)
-def test_sines_are_right_to_two_units_in_the_last_place(lanes: int, c_compiler: Compiler, tmp_path: Path) -> None:
+def test_sines_are_right_to_two_units_in_the_last_place(
+    lanes: int, c_compiler: Compiler, tmp_path: Path
+) -> None:
     function = ca.Function("f", [A], [ca.vertcat(ca.sin(A), ca.cos(A), ca.tan(A))], ["x"], ["y"])
     x = angles()
     sine, cosine, _ = over(function, lanes, x, c_compiler, tmp_path)

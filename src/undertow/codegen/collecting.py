@@ -81,6 +81,7 @@ class _Writing:
         self._collector, self._atoms = collector, atoms
         self._written: dict[int, ca.SX] = {}
         self._products: dict[Product, ca.SX] = {}
+        self._depths: dict[int, int] = {}
         self._uses: Counter[Product] = Counter()
         self._seen: set[int] = set()
         for terms in results:
@@ -99,7 +100,9 @@ class _Writing:
         """A sum of terms."""
         factor = self._common_factor(terms)
         if factor is None:
-            return reduce(add, [self._term(*t) for t in terms.items()]) if terms else ca.SX(0)
+            # What is ready early is added first: less to wait for.
+            ordered = sorted(terms.items(), key=lambda t: max(map(self._depth, t[0]), default=0))
+            return reduce(add, [self._term(*t) for t in ordered]) if terms else ca.SX(0)
         inner = {_less(p, factor): c for p, c in terms.items() if self._divisible(p, factor)}
         outer = {p: c for p, c in terms.items() if not self._divisible(p, factor)}
         product = self.sum(inner) * self._atom(factor)
@@ -114,6 +117,13 @@ class _Writing:
 
     def _divisible(self, product: Product, atom: int) -> bool:
         return atom in product and (len(product) == 1 or self._uses[product] <= 1)
+
+    def _depth(self, number: int) -> int:
+        """How many atoms one after the other have to be known before this one."""
+        if number not in self._depths:
+            before = (a for terms in self._atoms[number].arguments for product in terms for a in product)
+            self._depths[number] = 1 + max(map(self._depth, before), default=0)
+        return self._depths[number]
 
     def _term(self, product: Product, coefficient: ca.SX) -> ca.SX:
         stored = self._collector.stored(coefficient)

@@ -80,9 +80,7 @@ LANES = Words(
 """The words of lanes.h: the same text for any number of lanes."""
 
 
-def signature(
-    function: ca.Function, name: str, *, words: Words = PLAIN, shared: Collection[str] = ()
-) -> str:
+def signature(function: ca.Function, name: str, *, words: Words = PLAIN, shared: Collection[str] = ()) -> str:
     """`void name(const double *x, ..., double t, double *out)`; matrices are stored row by row."""
     types = {n: "double" if n in shared else words.real for n in function.name_in()}
     inputs = [f"{of} {n}" if n == "t" else f"const {of} *{n}" for n, of in types.items()]
@@ -161,7 +159,9 @@ class _Body:
         """Outputs with entries that are always zero are zeroed first."""
         sizes = zip(self._outputs, self._place, strict=True)
         partly = {n: size for n, (size, _) in sizes if self._written[n] < size}
-        return [f"for (int i = 0; i < {size}; i++) {n}[i] = {self._spread('0')};" for n, size in partly.items()]
+        return [
+            f"for (int i = 0; i < {size}; i++) {n}[i] = {self._spread('0')};" for n, size in partly.items()
+        ]
 
     def _instruction(self, k: int) -> None:
         f = self._function

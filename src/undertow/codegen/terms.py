@@ -115,6 +115,7 @@ class Atoms:
             under = self.times(under, self.function(ca.OP_INV, {(atom,): _UNIT}), shared=False)
         return under
 
+
 def is_fixed(terms: Sum) -> bool:
     """Whether a value depends on fixed symbols alone."""
     return all(product == _ONE for product in terms)
