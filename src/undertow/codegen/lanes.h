@@ -66,7 +66,7 @@ INLINE void wide_sincos(Wide angle, Wide *sine, Wide *cosine) {
 /* --- one lane ------------------------------------------------------------------------------------ */
 
 #if LANES == 1
-typedef double Real;
+typedef double Real, Stored;
 typedef int Truth;
 #define LANE(a, i) (a)
 
@@ -93,6 +93,7 @@ INLINE void real_sincos(int n, const Real *angle, Real *sine, Real *cosine) {
 #else
 typedef Wide Real;
 typedef WideBits Truth;
+typedef Wide Stored __attribute__((aligned(8), may_alias)); /* as it lies in an array of doubles */
 #define LANE(a, i) ((a)[i])
 
 #if LANES == 4

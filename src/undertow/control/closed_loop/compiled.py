@@ -22,7 +22,7 @@ from .problem import ALL, Block, LoopProblem, Rows
 
 _POINTER = ctypes.c_void_p
 _PER_RUN = ("p", "r", "k")
-_CHANGED = ("x", "s", "commands", "reports")
+_CHANGED = ("x", "s", "command", "commands", "reports")
 
 
 class _Loop(ctypes.Structure):

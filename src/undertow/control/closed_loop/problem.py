@@ -11,7 +11,7 @@ from undertow.errors import UndertowError
 
 from .parts import Parts
 
-_OF_RUNS = ("p", "r", "k", "x", "s", "commands", "reports")
+_OF_RUNS = ("p", "r", "k", "x", "s", "command", "commands", "reports")
 
 
 @dataclass
@@ -34,6 +34,8 @@ class LoopProblem:
         Parameters, desired pose of the controller, gains.
     x, s : ndarray, shape (b, n)
         States of vehicle and controller; the first ones are given.
+    command : ndarray, shape (b, nu)
+        The last command.
     commands, reports : ndarray, shape (b, ring, n)
         Those of the last samples, one row for each, in a ring.
     """
@@ -48,6 +50,7 @@ class LoopProblem:
     k: np.ndarray
     x: np.ndarray
     s: np.ndarray
+    command: np.ndarray
     commands: np.ndarray
     reports: np.ndarray
 
@@ -192,6 +195,7 @@ def problem_of(
         k,
         _at_rest(parts, start, p),
         np.tile(np.array(parts.controller.initial_states()), (runs, 1)),
+        np.zeros((runs, parts.functions.u.numel())),
         np.zeros((runs, delay + 1, parts.functions.u.numel())),
         np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),
     )
