@@ -9,10 +9,12 @@ import casadi as ca
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.symbols import symbol
+from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
 
 from .convert import Converter
+from .prepared import Prepared, prepared
+from .solving import solve_symmetric
 
 
 class Functions:
@@ -101,7 +103,10 @@ class Functions:
         kept = {*self._memory, *self._chain_rates, *known, *directional}
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
-        self.convert.define(composition.relative_motion)
+        water, rate = column(["water_x", "water_y", "water_z"]), column(["rate_x", "rate_y", "rate_z"])
+        moving = sm.Matrix.vstack(*composition.water)
+        self.convert.define(dict(zip([*water, *rate], moving, strict=True)))
+        self.convert.define(composition.relative_to(water, rate))
         self.convert.define(directional)
 
     # --- expressions --------------------------------------------------------------------------
@@ -109,10 +114,14 @@ class Functions:
     def wrenches(self) -> dict[str, ca.SX]:
         """Wrench of every effect by id in the vehicle's degrees of freedom, from `actuation` and `nu_dot`."""
         rows = list(self.vehicle.dof_indices)
-        effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
+        return {i: self.convert.matrix(w.extract(rows, [0])) for i, w in self.stated.items()}
+
+    @cached_property
+    def stated(self) -> dict[str, sm.Matrix]:
+        """Wrench of every effect by id as it states it, shape (6, 1)."""
         s = self.vehicle.composition.signals
-        stated = {e.id: e.spelled_out(e.wrench(s), s) for e in effects}
-        return {i: self.convert.matrix(w.extract(rows, [0])) for i, w in stated.items()}
+        effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
+        return {e.id: e.spelled_out(e.wrench(s), s) for e in effects}
 
     @cached_property
     def residual(self) -> ca.SX:
@@ -177,9 +186,12 @@ class Functions:
     def x_dot(self) -> ca.SX:
         """Time derivative of the state, from x, u, p, t; M is solved for, never inverted symbolically."""
         driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
+        return ca.cse(self.with_acceleration(solve_symmetric(self.mass_matrix, driven)))
+
+    def with_acceleration(self, rows: ca.SX) -> ca.SX:
+        """x_dot with these in the rows of the acceleration."""
         memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        acceleration = solve_symmetric(self.mass_matrix, driven)
-        return ca.cse(ca.vertcat(self.pose_rate, acceleration, memory, self.chain_rates))
+        return ca.vertcat(self.pose_rate, rows, memory, self.chain_rates)
 
     @property
     def acceleration_rows(self) -> slice:
@@ -190,8 +202,7 @@ class Functions:
     @cached_property
     def balance(self) -> ca.SX:
         """x_dot with the residual in the rows of the acceleration: one equation for each state."""
-        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        return ca.vertcat(self.pose_rate, self.driven_residual, memory, self.chain_rates)
+        return self.with_acceleration(self.driven_residual)
 
     @cached_property
     def own_slopes(self) -> ca.SX:
@@ -214,6 +225,11 @@ class Functions:
     def dynamics(self) -> ca.Function:
         """`x_dot = dynamics(x, u, p, t)`."""
         return self._function("dynamics", [self.x_dot], ["x_dot"])
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """`q = prepare(p)` once, then `x_dot = dynamics(x, u, q, t)` with few operations."""
+        return prepared(self)
 
     def tangents(self, *with_respect_to: str) -> ca.Function:
         """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p; the R are sparse.
@@ -282,11 +298,3 @@ class Functions:
 
 def _vector(name: str, symbols: sm.Matrix | list[sm.Symbol]) -> ca.SX:
     return ca.SX.sym(name, len(symbols))
-
-
-def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solution of a symmetric positive definite system by L D L', keeping structural zeros."""
-    if matrix.shape == (1, 1):
-        return right / matrix
-    d, lt, permutation = ca.ldl(matrix)
-    return ca.ldl_solve(right, d, lt, permutation)

@@ -89,17 +89,27 @@ class Composition:
         return [symbol(p.name) for i in absent for p in catalogue()[i](self.thrusters).parameters]
 
     @cached_property
+    def water(self) -> tuple[sm.Matrix, sm.Matrix]:
+        """Velocity of the water where the vehicle is, m/s, and its rate along the path, m/s^2; body axes."""
+        s = self.signals
+        back = rotation(sm.Matrix(s.eta[3:])).T
+        flows = [e for e in self.effects if isinstance(e, Flow)]
+        velocity = sum((f.spelled_out(f.velocity(s), s) for f in flows), sm.zeros(3, 1))
+        rate = sum((f.spelled_out(f.acceleration(s), s) for f in flows), sm.zeros(3, 1))
+        return back * velocity, back * rate
+
+    @cached_property
     def relative_motion(self) -> dict[sm.Symbol, sm.Expr]:
-        """Velocity through the water and its rate, in terms of motion over ground and the flow effects.
+        """Velocity through the water and its rate, in terms of motion over ground and the flow effects."""
+        return self.relative_to(*self.water)
+
+    def relative_to(self, water: sm.Matrix, rate: sm.Matrix) -> dict[sm.Symbol, sm.Expr]:
+        """Velocity through water that moves like this (shapes (3, 1), body axes), and its rate.
 
         A motion that the vehicle does not have is none through the water either: a ship whose heave is left
         out would otherwise feel a beam current differently from its own sway when it rolls.
         """
         s = self.signals
-        back = rotation(sm.Matrix(s.eta[3:])).T
-        flows = [e for e in self.effects if isinstance(e, Flow)]
-        water = back * sum((f.spelled_out(f.velocity(s), s) for f in flows), sm.zeros(3, 1))
-        rate = back * sum((f.spelled_out(f.acceleration(s), s) for f in flows), sm.zeros(3, 1))
         omega = sm.Matrix(s.nu[3:])
         velocity = sm.Matrix(s.nu[:3]) - water
         acceleration = sm.Matrix(s.nu_dot[:3]) + skew(omega) * water - rate

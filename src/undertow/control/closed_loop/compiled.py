@@ -1,85 +1,110 @@
-"""A closed loop in compiled code: one call for many samples."""
+"""Closed loops in compiled code: one call for many samples of many runs."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from importlib.resources import files
+from threading import Lock
+from typing import Any
 
 import numpy as np
 
 from undertow.codegen.cache import library_for
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.driver import SEPARATE, loaded
-from undertow.codegen.plain import plain_c
+from undertow.codegen.driver import loaded
+from undertow.codegen.lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
+from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.source import digest
 
 from .parts import Parts
-from .problem import LoopProblem, Rows
+from .problem import ALL, Block, LoopProblem, Rows
 
 _POINTER = ctypes.c_void_p
+_PER_RUN = ("p", "r", "k")
+_CHANGED = ("x", "s", "command", "commands", "reports")
 
 
 class _Loop(ctypes.Structure):
     _fields_ = (
         ("dt", ctypes.c_double),
-        *((name, ctypes.c_int64) for name in ("substeps", "continuous", "input_delay")),
-        *((name, _POINTER) for name in ("output_delay", "p", "r", "k", "x", "s", "commands", "reports")),
-        ("report_ring", ctypes.c_int64),
+        *((name, ctypes.c_int64) for name in ("substeps", "continuous", "input_delay", "report_ring")),
+        ("output_delay", _POINTER),
+        *((name, ctypes.c_int64) for name in ("stride", "rows", *(f"{n}_step" for n in _PER_RUN))),
+        *((name, _POINTER) for name in (*_PER_RUN, *_CHANGED, "noise", "extra")),
+        ("record", _POINTER * len(ALL)),
     )
-
-
-class _Record(ctypes.Structure):
-    _fields_ = tuple((name, _POINTER) for name in ("x", "y", "u", "s", "tau"))
 
 
 class CompiledLoop:
-    """Model, sensors, controller, allocation, schedule and integrator in one library."""
+    """Model, sensors, controller, allocation, schedule and integrator in one library for each number of lanes."""
+
+    parallel = True
 
     def __init__(self, parts: Parts, compiler: Compiler) -> None:
-        self._parts = parts
-        source, name = loop_source(parts)
-        self._run = getattr(loaded(library_for(source, compiler)), name)
-        self._run.restype = None
+        self._parts, self._compiler = parts, compiler.for_this_machine()
+        self.lanes = compiler.lanes
+        self._entries: dict[int, Callable[..., None]] = {}
+        self._building = Lock()
+        self._entry(1)
 
-    def run(self, problem: LoopProblem, first: int, noise: np.ndarray, extra: np.ndarray) -> Rows:
-        rows = Rows.empty(self._parts, len(noise))
-        loop, record = _loop(problem), _Record(*map(_address, vars(rows).values()))
-        counts = map(ctypes.c_int64, (first, len(noise)))
-        self._run(ctypes.byref(loop), ctypes.byref(record), *counts, _address(noise), _address(extra))
-        return rows
+    def _entry(self, lanes: int) -> Callable[..., None]:
+        with self._building:
+            if lanes not in self._entries:
+                source, name = loop_source(self._parts, lanes)
+                entry: Any = getattr(loaded(library_for(source, self._compiler)), name)
+                entry.restype = None
+                self._entries[lanes] = entry
+        return self._entries[lanes]
+
+    def run(self, problem: LoopProblem, block: Block) -> Rows:
+        lanes = lanes_for(problem.runs, self.lanes)
+        arrays = {name: packed(getattr(problem, name), lanes) for name in (*_PER_RUN, *_CHANGED)}
+        noise = None if block.noise is None else packed(block.noise, lanes)
+        groups, rows = len(arrays["x"]), block.rows(self._parts, problem.runs)
+        record = [packed(array, lanes) for array in vars(rows).values()]
+        loop = _Loop(
+            *(problem.dt, problem.substeps, problem.continuous, problem.input_delay),
+            *(problem.reports.shape[1], _address(problem.output_delay), block.stride, len(block.recorded)),
+            *(arrays[name][0].size for name in _PER_RUN),
+            *map(_address, [*arrays.values(), noise, block.extra]),
+            (_POINTER * len(ALL))(*(_address(array if array.size else None) for array in record)),
+        )
+        span = map(ctypes.c_int64, (0, groups, block.first, block.samples))
+        self._entry(lanes)(ctypes.byref(loop), *span)
+        for name in _CHANGED:
+            getattr(problem, name)[:] = unpacked(arrays[name], problem.runs)
+        return Rows(*(unpacked(array, problem.runs) for array in record))
 
 
-def _loop(problem: LoopProblem) -> _Loop:
-    arrays = ("output_delay", "p", "r", "k", "x", "s", "commands", "reports")
-    return _Loop(
-        problem.dt,
-        problem.substeps,
-        problem.continuous,
-        problem.input_delay,
-        *(_address(getattr(problem, name)) for name in arrays),
-        len(problem.reports),
-    )
-
-
-def _address(array: np.ndarray) -> ctypes.c_void_p:
+def _address(array: np.ndarray | None) -> ctypes.c_void_p:
+    if array is None:
+        return ctypes.c_void_p(None)
     assert array.flags.c_contiguous
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def loop_source(parts: Parts) -> tuple[str, str]:
-    """C source of a closed loop and the name of its entry point, which carries the hash of the source."""
-    functions = [parts.dynamics, parts.outputs, parts.control, parts.law]
+def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
+    """C source of closed loops and the name of the entry point, which carries the hash of the source."""
+    form = parts.functions.prepared
+    functions = [form.prepare, form.hold, form.held_dynamics, parts.outputs, parts.control, parts.law]
     sizes = {
+        "LANES": lanes,
         "NX": parts.dynamics.size1_in("x"),
         "NU": parts.dynamics.size1_in("u"),
+        "NP": parts.dynamics.size1_in("p"),
+        "NQ": form.prepare.size1_out("q"),
+        "NW": form.hold.size1_out("w"),
         "NS": parts.control.size1_in("s"),
         "NR": parts.control.size1_in("r"),
+        "NK": parts.control.size1_in("k"),
         "NY": parts.control.size1_in("y"),
         "NT": parts.control.size1_out("tau"),
     }
-    defines = [f"#define {name} {size}" for name, size in sizes.items()]
-    model = [plain_c(f, f.name(), prefix="static SEPARATE ") for f in functions]
+    model = [
+        plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES, shared=("t", "dt")) for f in functions
+    ]
     loop = (files("undertow.control.closed_loop") / "loop.c").read_text(encoding="utf-8")
-    text = "\n".join([*defines, SEPARATE, "#include <math.h>", "", *model, loop])
+    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
     name = f"undertow_{digest(text)[:16]}_run"
     return f"#define RUN {name}\n{text}", name

@@ -5,6 +5,8 @@ The steps are those of loop.c, in the same order.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from undertow.codegen.instructions import ready, tape_of
@@ -13,7 +15,7 @@ from undertow.codegen.interpreter import call, put
 from undertow.codegen.numba_code import by_numba, tried
 
 from .parts import Parts
-from .problem import LoopProblem, Rows
+from .problem import ALL, Block, LoopProblem, Rows, problem_of
 
 Array = np.ndarray
 Tuple = tuple[Array, ...]
@@ -21,7 +23,7 @@ Tapes = tuple[Tuple, ...]
 
 
 class InterpretedLoop:
-    """Model, sensors, controller and integrator in one call for many samples.
+    """Model, sensors, controller and integrator in one call for many samples of a run.
 
     Raises
     ------
@@ -29,37 +31,49 @@ class InterpretedLoop:
         If a function has an operation that the interpreter does not know, or there is no room for its cache.
     """
 
+    lanes, parallel = 1, False
+
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
         functions = (parts.dynamics, parts.outputs, parts.control, parts.law)
         self._tapes = tuple(map(tape_of, functions))
         tried(self._compile)
 
-    def run(self, problem: LoopProblem, first: int, noise: Array, extra: Array) -> Rows:
-        rows = Rows.empty(self._parts, len(noise))
+    def run(self, problem: LoopProblem, block: Block) -> Rows:
+        rows = block.rows(self._parts, problem.runs)
+        whole = replace(block, stride=1, wanted=ALL)
+        chosen = np.array(block.recorded, dtype=np.int64) - block.first
+        for run in range(problem.runs):
+            found = self._one(problem, run, whole)
+            for name in block.wanted:
+                getattr(rows, name)[run] = getattr(found, name)[chosen]
+        return rows
+
+    def _one(self, problem: LoopProblem, run: int, block: Block) -> Rows:
+        """All samples of one run; its state moves on."""
         dynamics, outputs, control, law = tapes = tuple(map(ready, self._tapes))
         for tape in (dynamics, outputs):
-            put(tape, 2, problem.p)
+            put(tape, 2, problem.p[run])
         for tape in (control, law):
-            put(tape, 1, problem.r)
-            put(tape, 3, problem.k)
+            put(tape, 1, problem.r[run])
+            put(tape, 3, problem.k[run])
+        rows, nu, ny = block.rows(self._parts, 1).of(0), problem.command.shape[1], problem.reports.shape[2]
+        noise = np.zeros((block.samples, ny)) if block.noise is None else block.noise[run]
+        extra = np.zeros((block.samples, nu)) if block.extra is None else block.extra
         found = tuple(np.zeros(len(tape[2])) for tape in tapes)
-        space = (*found, *(np.zeros(len(a)) for a in (problem.x, problem.s, extra[0], extra[0])))
+        state = tuple(a[run] for a in (problem.x, problem.s, problem.commands, problem.reports))
+        space = (*found, *(np.zeros(len(a)) for a in (*state[:2], extra[0], extra[0])))
         delays = (problem.input_delay, problem.output_delay)
         steps = (problem.dt, problem.substeps, bool(problem.continuous))
-        state = (problem.x, problem.s, problem.commands, problem.reports)
-        _run(tapes, space, steps, delays, state, tuple(vars(rows).values()), first, noise, extra)
+        _run(tapes, space, steps, delays, state, tuple(vars(rows).values()), block.first, noise, extra)
+        problem.command[run] = rows.u[-1]
         return rows
 
     def _compile(self) -> None:
-        parts = self._parts
-        nx, nu = parts.functions.x.numel(), parts.functions.u.numel()
-        p, (r, s, k) = parts.parameters, (np.zeros(parts.control.size1_in(n)) for n in "rsk")
-        ny = len(parts.reported_names)
-        late = np.zeros(ny, dtype=np.int64)
-        rings = np.zeros((1, nu)), np.zeros((1, ny))
-        nothing = LoopProblem(1.0, 1, False, p, r, k, np.zeros(nx), s, 0, late, *rings)
-        self.run(nothing, 0, np.zeros((1, ny)), np.zeros((1, nu)))
+        size = 2 * len(self._parts.vehicle.dof_indices)
+        desired = np.zeros(self._parts.control.size1_in("r"))
+        nothing = problem_of(self._parts, np.zeros((1, size)), desired, 1.0, 1, False)
+        self.run(nothing, Block(0, 1))
 
 
 @by_numba

@@ -1,17 +1,17 @@
-/* A vehicle under a controller: sample, compute, hold, integrate.
+/* Vehicles under a controller: sample, compute, hold, integrate; LANES of them side by side (lanes.h).
 
    Compiled together with the generated functions. What stands before this defines
      NX, NU, NS, NR   numbers of states, commands, states of the controller, desired values
      NY, NT           numbers of reported values and of the forces that the law asks for
-   and the functions
-     dynamics(x, u, p, t, x_dot), outputs(x, u, p, t, y),
+     NP, NK           numbers of parameters and gains
+     NQ, NW           numbers of what follows from parameters alone, and from that and held commands
+   (none of the arrays is empty: what has no entry counts one) and the functions
+     prepare(p, q), hold(u, q, w), held_dynamics(x, w, q, t, x_dot), outputs(x, u, p, t, y),
      control(y, r, s, k, dt, u, s_next, tau), law(y, r, s, k, u, s_dot, tau)
    and RUN, the name under which the entry point is exported.
 
-   Everything a call changes is in the block that it is handed: calls may run in parallel. */
-
-#include <math.h>
-#include <stdint.h>
+   Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Everything
+   a call changes is in the groups that it is told: calls for different groups may run in parallel. */
 
 #if defined(_WIN32)
 #define EXPORTED __declspec(dllexport)
@@ -26,93 +26,161 @@ typedef struct {
   int64_t substeps;            /* Runge-Kutta steps in it */
   int64_t continuous;          /* 1: the law acts at every stage and is not sampled */
   int64_t input_delay;         /* samples from a command to its thrust */
-  const int64_t *output_delay; /* samples from a motion to its report, NY */
-  const double *p, *r, *k;     /* parameters, desired values, gains */
-  double *x, *s;               /* states of vehicle and controller; the first ones are given */
-  double *commands, *reports;  /* rings of (input_delay + 1) x NU and (largest output_delay + 1) x NY */
   int64_t report_ring;         /* largest output_delay + 1 */
+  const int64_t *output_delay; /* samples from a motion to its report, NY */
+  int64_t stride, rows;        /* samples from one recorded row to the next, rows of a group in this call */
+  /* Parameters, desired values, gains; the first distances are those from group to group. */
+  int64_t p_step, r_step, k_step;
+  const double *p, *r, *k;
+  double *x, *s;               /* states of vehicle and controller; the first ones are given */
+  double *command;             /* the last one, NU */
+  double *commands, *reports;  /* rings of (input_delay + 1) x NU and of report_ring x NY */
+  const double *noise;         /* of every sample of a call, NY; or none */
+  const double *extra;         /* commands beside those of the controller, of every sample, NU; or none */
+  double *record[5];           /* x, reports, commands, s, tau: a row for every stride samples; or none */
 } Loop;
 
+/* One run, or several in lanes. */
 typedef struct {
-  double *x, *y, *u, *s, *tau; /* a row for every sample */
-} Record;
+  const Loop *loop;
+  Real x[NX], s[NS], p[NP], q[NQ], r[NR], k[NK];
+  Real command[NU]; /* the last one */
+  double *commands, *reports;
+} Group;
 
-static void copy(double *to, const double *from, int64_t n) {
-  for (int64_t i = 0; i < n; i++) to[i] = from[i];
+INLINE void take(Real *to, const double *from, int n) {
+  for (int i = 0; i < n; i++) to[i] = ((const Stored *)from)[i];
+}
+
+INLINE void put(double *to, const Real *from, int n) {
+  for (int i = 0; i < n; i++) ((Stored *)to)[i] = from[i];
 }
 
 /* One step of the vehicle with its commands held. */
-static void held_step(const Loop *loop, const double *u, double t, double h) {
-  static const double reach[4] = {0, 0.5, 0.5, 1}, weight[4] = {1, 2, 2, 1};
-  double stage[NX], total[NX], f[NX];
-  for (int64_t i = 0; i < NX; i++) stage[i] = loop->x[i], total[i] = 0;
-  for (int k = 0; k < 4; k++) {
-    dynamics(stage, u, loop->p, t + reach[k] * h, f);
-    const double next = k < 3 ? reach[k + 1] * h : 0;
-    for (int64_t i = 0; i < NX; i++) total[i] += weight[k] * f[i], stage[i] = loop->x[i] + next * f[i];
-  }
-  for (int64_t i = 0; i < NX; i++) loop->x[i] += h / 6 * total[i];
+static void held_step(Group *group, const Real *w, double t, double h) {
+  Real stage[NX], total[NX], f[NX], *x = group->x;
+  held_dynamics(x, w, group->q, t, f);
+  for (int i = 0; i < NX; i++) total[i] = f[i], stage[i] = x[i] + 0.5 * h * f[i];
+  held_dynamics(stage, w, group->q, t + 0.5 * h, f);
+  for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + 0.5 * h * f[i];
+  held_dynamics(stage, w, group->q, t + 0.5 * h, f);
+  for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + h * f[i];
+  held_dynamics(stage, w, group->q, t + h, f);
+  for (int i = 0; i < NX; i++) x[i] += h / 6.0 * (total[i] + f[i]);
 }
 
 /* One step of vehicle and law together. */
-static void joint_step(const Loop *loop, const double *extra, double t, double h) {
+static void joint_step(Group *group, const double *extra, double t, double h) {
   static const double reach[4] = {0, 0.5, 0.5, 1}, weight[4] = {1, 2, 2, 1};
-  double z[NX], w[NS], total[NX], total_s[NS], f[NX], g[NS], u[NU], y[NY], tau[NT];
-  for (int64_t i = 0; i < NX; i++) z[i] = loop->x[i], total[i] = 0;
-  for (int64_t i = 0; i < NS; i++) w[i] = loop->s[i], total_s[i] = 0;
-  for (int64_t i = 0; i < NU; i++) u[i] = 0;
+  Real z[NX], v[NS], total[NX], total_s[NS], f[NX], g[NS], u[NU], w[NW], y[NY], tau[NT];
+  for (int i = 0; i < NX; i++) z[i] = group->x[i], total[i] = real(0);
+  for (int i = 0; i < NS; i++) v[i] = group->s[i], total_s[i] = real(0);
+  for (int i = 0; i < NU; i++) u[i] = real(0);
   for (int k = 0; k < 4; k++) {
-    outputs(z, u, loop->p, t + reach[k] * h, y);
-    law(y, loop->r, w, loop->k, u, g, tau);
-    for (int64_t i = 0; i < NU; i++) u[i] += extra[i];
-    dynamics(z, u, loop->p, t + reach[k] * h, f);
+    outputs(z, u, group->p, t + reach[k] * h, y);
+    law(y, group->r, v, group->k, u, g, tau);
+    for (int i = 0; i < NU; i++) u[i] += extra ? extra[i] : 0.0;
+    hold(u, group->q, w);
+    held_dynamics(z, w, group->q, t + reach[k] * h, f);
     const double next = k < 3 ? reach[k + 1] * h : 0;
-    for (int64_t i = 0; i < NX; i++) total[i] += weight[k] * f[i], z[i] = loop->x[i] + next * f[i];
-    for (int64_t i = 0; i < NS; i++) total_s[i] += weight[k] * g[i], w[i] = loop->s[i] + next * g[i];
+    for (int i = 0; i < NX; i++) total[i] += weight[k] * f[i], z[i] = group->x[i] + next * f[i];
+    for (int i = 0; i < NS; i++) total_s[i] += weight[k] * g[i], v[i] = group->s[i] + next * g[i];
   }
-  for (int64_t i = 0; i < NX; i++) loop->x[i] += h / 6 * total[i];
-  for (int64_t i = 0; i < NS; i++) loop->s[i] += h / 6 * total_s[i];
+  for (int i = 0; i < NX; i++) group->x[i] += h / 6 * total[i];
+  for (int i = 0; i < NS; i++) group->s[i] += h / 6 * total_s[i];
 }
 
 /* What the controller is told at a sample: the reports, each as old as its sensor is late, and noise. */
-static void report(const Loop *loop, int64_t sample, const double *y, const double *noise, double *told) {
-  copy(loop->reports + sample % loop->report_ring * NY, y, NY);
-  for (int64_t i = 0; i < NY; i++) {
-    const int64_t from = sample > loop->output_delay[i] ? sample - loop->output_delay[i] : 0;
-    told[i] = loop->reports[from % loop->report_ring * NY + i] + noise[i];
+INLINE void report(const Group *group, int64_t sample, const Real *y, const double *noise, Real *told) {
+  const int64_t ring = group->loop->report_ring;
+  if (ring == 1) {
+    for (int i = 0; i < NY; i++) told[i] = y[i];
+  } else {
+    put(group->reports + sample % ring * NY * LANES, y, NY);
+    for (int i = 0; i < NY; i++) {
+      const int64_t late = group->loop->output_delay[i], from = sample > late ? sample - late : 0;
+      take(told + i, group->reports + (from % ring * NY + i) * LANES, 1);
+    }
   }
+  if (!noise) return;
+  Real added[NY];
+  take(added, noise, NY);
+  for (int i = 0; i < NY; i++) told[i] += added[i];
 }
 
-EXPORTED void RUN(const Loop *loop, const Record *record, int64_t first, int64_t samples, const double *noise,
-                  const double *extra);
+/* What the thrusters are sent at a sample: the command of now or, where they are late, of then. */
+INLINE void send(const Group *group, int64_t sample, Real *u) {
+  const int64_t delay = group->loop->input_delay, ring = delay + 1;
+  if (!delay) {
+    for (int i = 0; i < NU; i++) u[i] = group->command[i];
+    return;
+  }
+  put(group->commands + sample % ring * NU * LANES, group->command, NU);
+  if (sample >= delay) take(u, group->commands + (sample + 1) % ring * NU * LANES, NU);
+  else
+    for (int i = 0; i < NU; i++) u[i] = real(0);
+}
 
-/* Samples first .. first + samples - 1; noise and extra commands have a row for each of them. */
-void RUN(const Loop *loop, const Record *record, int64_t first, int64_t samples, const double *noise,
-         const double *extra) {
-  const int64_t ring = loop->input_delay + 1;
-  const double h = loop->dt / (double)loop->substeps;
-  for (int64_t n = 0; n < samples; n++) {
-    const int64_t sample = first + n;
-    const double t = (double)sample * loop->dt;
-    double y[NY], next[NS], u[NU];
-    double *told = record->y + n * NY, *command = record->u + n * NU;
-    copy(record->x + n * NX, loop->x, NX);
-    copy(u, loop->commands + (sample + ring - 1) % ring * NU, NU);
-    outputs(loop->x, u, loop->p, t, y);
-    report(loop, sample, y, noise + n * NY, told);
-    const double hold = loop->continuous ? 0 : loop->dt;
-    control(told, loop->r, loop->s, loop->k, &hold, command, next, record->tau + n * NT);
-    copy(loop->s, next, NS);
-    copy(record->s + n * NS, next, NS);
-    copy(loop->commands + sample % ring * NU, command, NU);
-    for (int64_t i = 0; i < NU; i++) {
-      const double sent = sample >= loop->input_delay ? loop->commands[(sample + 1) % ring * NU + i] : 0;
-      u[i] = sent + extra[n * NU + i];
+INLINE void record(const Loop *loop, int64_t row, int what, const Real *from, int n) {
+  if (loop->record[what]) put(loop->record[what] + row * n * LANES, from, n);
+}
+
+/* One sample of the controller and the motion up to the next; recorded in a row, unless that is below zero. */
+INLINE void one_sample(Group *group, int64_t sample, const double *noise, const double *extra, int64_t row) {
+  const Loop *loop = group->loop;
+  const double t = (double)sample * loop->dt, h = loop->dt / (double)loop->substeps;
+  const double hold_for = loop->continuous ? 0 : loop->dt;
+  Real u[NU], next[NS], y[NY], told[NY], tau[NT], w[NW];
+  outputs(group->x, group->command, group->p, t, y);
+  report(group, sample, y, noise, told);
+  control(told, group->r, group->s, group->k, &hold_for, group->command, next, tau);
+  if (row >= 0) {
+    record(loop, row, 0, group->x, NX), record(loop, row, 1, told, NY), record(loop, row, 2, group->command, NU);
+    record(loop, row, 3, next, NS), record(loop, row, 4, tau, NT);
+  }
+  for (int i = 0; i < NS; i++) group->s[i] = next[i];
+  if (loop->continuous) {
+    for (int64_t k = 0; k < loop->substeps; k++) joint_step(group, extra, t + (double)k * h, h);
+    return;
+  }
+  send(group, sample, u);
+  if (extra)
+    for (int i = 0; i < NU; i++) u[i] += extra[i];
+  hold(u, group->q, w);
+  for (int64_t k = 0; k < loop->substeps; k++) held_step(group, w, t + (double)k * h, h);
+}
+
+EXPORTED void RUN(const Loop *loop, int64_t begin, int64_t end, int64_t first, int64_t samples);
+
+/* Samples first .. first + samples - 1 of the groups begin .. end - 1. */
+void RUN(const Loop *loop, int64_t begin, int64_t end, int64_t first, int64_t samples) {
+  const int64_t stride = loop->stride;
+  for (int64_t g = begin; g < end; g++) {
+    Group group;
+    group.loop = loop;
+    take(group.x, loop->x + g * NX * LANES, NX);
+    take(group.s, loop->s + g * NS * LANES, NS);
+    take(group.p, loop->p + g * loop->p_step, NP);
+    take(group.r, loop->r + g * loop->r_step, NR);
+    take(group.k, loop->k + g * loop->k_step, NK);
+    group.commands = loop->commands + g * (loop->input_delay + 1) * NU * LANES;
+    group.reports = loop->reports + g * loop->report_ring * NY * LANES;
+    take(group.command, loop->command + g * NU * LANES, NU);
+    prepare(group.p, group.q);
+    int64_t row = 0, next = (first + stride - 1) / stride * stride;
+    for (int64_t n = 0; n < samples; n++) {
+      const int64_t sample = first + n;
+      const double *noise = loop->noise ? loop->noise + (g * samples + n) * NY * LANES : 0;
+      const double *extra = loop->extra ? loop->extra + n * NU : 0;
+      if (sample == next) {
+        one_sample(&group, sample, noise, extra, g * loop->rows + row);
+        row++, next += stride;
+      } else {
+        one_sample(&group, sample, noise, extra, -1);
+      }
     }
-    for (int64_t k = 0; k < loop->substeps; k++) {
-      const double at = t + (double)k * h;
-      if (loop->continuous) joint_step(loop, extra + n * NU, at, h);
-      else held_step(loop, u, at, h);
-    }
+    put(loop->x + g * NX * LANES, group.x, NX);
+    put(loop->s + g * NS * LANES, group.s, NS);
+    put(loop->command + g * NU * LANES, group.command, NU);
   }
 }

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 
 from undertow.codegen.functions import Functions
-from undertow.codegen.manifest import dead_time, output_delay
 from undertow.control.controller import Controller
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
@@ -124,8 +123,15 @@ class Parts:
     @cached_property
     def late(self) -> tuple[float, np.ndarray]:
         """Dead time of the commands and of each report, s."""
-        reports = output_delay(self.functions)
-        return dead_time(self.functions), np.array([reports.get(n, 0.0) for n in self.reported_names])
+        commands, reports = self.lateness(self.parameters[None])
+        return float(commands[0]), reports[0]
+
+    def lateness(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Dead time of the commands, shape (b,), and of each report, shape (b, ny), for parameters (b, np)."""
+        f, b = self.functions, len(p)
+        ages = ca.Function("report_age", [f.p], [ca.densify(f.report_age)])
+        commands, reports = (np.asarray(g.map(b)(p.T)).T for g in (f.dead_time, ages))
+        return np.broadcast_to(commands, (b, 1))[:, 0], reports
 
 
 def _pushes(vehicle: Vehicle) -> dict[str, np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,20 +10,18 @@ import numpy as np
 from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
-from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
+from .blocks import blocks
 from .compiled import CompiledLoop
+from .many import NONE, Differences, Report, Runs, Varied, run_many
 from .measures import Measures
 from .parts import Parts
-from .problem import LoopStepper, problem_of
+from .problem import LoopProblem, LoopStepper, problem_of
 from .record import Record, Recorder
 from .sampling import SampledLoop, check_interval, check_steps, offsets
 from .scenario import Scenario, heading
 from .virtual import VirtualLoop
-
-_SAMPLES_PER_CALL = 20_000
-Report = Callable[[float, str], None]
 
 
 class ClosedLoop:
@@ -51,7 +49,8 @@ class ClosedLoop:
         known = gains.plant.vehicle
         self.vehicle = _with_forces(vehicle or known)
         self.parts = Parts(self.vehicle, Controller(gains))
-        self._stepper = self._best_stepper(compiled)
+        self.stepper = self._best_stepper(compiled)
+        self._known_substeps: dict[tuple[float, ...], int] = {}
 
     def _best_stepper(self, wish: bool | None) -> LoopStepper:
         def compiled(compiler: Compiler) -> LoopStepper:
@@ -114,51 +113,94 @@ class ClosedLoop:
             If the scenario does not fit the vehicle, or dt is too long for the law.
         """
         start, to = self.desired(scenario)
-        parts, known = self.parts, self.gains.plant.vehicle
-        moves = {name: to[name] - start[name] for name in known.pose_names}
-        goal, desired = np.array(list(to.values())), np.array([to[n] for n in known.pose_names])
-        linear = SampledLoop(parts, goal, desired)
-        if scenario.continuous:
-            check_steps(linear, parts, scenario.dt, scenario.samples)
-        else:
-            check_interval(linear, parts, scenario.dt, moves)
-        substeps = linear.substeps(scenario.dt, scenario.continuous)
-        first = np.array([*start.values(), *scenario.velocity(self.vehicle.velocity_names)])
-        problem = problem_of(parts, first, desired, scenario.dt, substeps, scenario.continuous)
-        left = {} if scenario.continuous else offsets(parts, scenario.dt)
+        problem = self.problem(scenario, start, to, self.first(scenario, start)[None])
+        left = {} if scenario.continuous else offsets(self.parts, scenario.dt)
         measures, recorder = Measures(self, scenario, start, to, left), Recorder(self, scenario)
-        for begin, noise, extra in self._blocks(scenario):
-            rows = self._stepper.run(problem, begin, noise, extra)
-            measures.add(begin, rows)
-            recorder.add(begin, rows)
+        for block in blocks(self.parts, scenario, range(1)):
+            rows = self.stepper.run(problem, block).of(0)
+            measures.add(block.first, rows)
+            recorder.add(block.first, rows)
             if progress is not None:
-                progress((begin + len(noise)) * scenario.dt, self.gains.name)
+                progress((block.first + block.samples) * scenario.dt, self.gains.name)
             if not np.isfinite(rows.x).all():
                 break
         return recorder.record(start, to, measures)
 
-    def _blocks(self, scenario: Scenario) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """First sample, noise and disturbing forces of one call after the other."""
-        random = np.random.default_rng(scenario.seed)
-        spread = scenario.noise_of(self.parts.reported_names)
-        for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
-            count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
-            noise = random.standard_normal((count, len(spread))) * spread
-            yield begin, noise, self._extra(scenario, begin, count)
+    def run_many(
+        self,
+        scenario: Scenario,
+        *,
+        parameters: Varied = NONE,
+        gains: Varied = NONE,
+        starts: Varied = NONE,
+        threads: int | None = None,
+        progress: Report | None = None,
+    ) -> Runs:
+        """Simulate many runs that differ, side by side in the lanes of vectors and in threads.
 
-    def _extra(self, scenario: Scenario, begin: int, count: int) -> np.ndarray:
-        commands = self.vehicle.command_names
-        extra = np.zeros((count, len(commands)))
-        t = (begin + np.arange(count)) * scenario.dt
-        for push in scenario.pushes:
-            name = f"tau_{push.axis}"
-            if name not in commands:
-                raise UndertowError(
-                    f"force {push.axis} pushes where '{self.vehicle.name}' does not move: it has "
-                    f"{', '.join(self.vehicle.degrees_of_freedom)}"
-                )
-            extra[(t >= push.begin) & (t < push.end), commands.index(name)] += push.value
-        return extra
+        Parameters
+        ----------
+        scenario : Scenario
+            What is asked of all. Run i has the noise of seed + i, so that it is what `run` with that seed is.
+        parameters, gains, starts : mapping, optional
+            What differs, an array of a value for each run by name: parameters of the vehicle that moves (m,
+            X_udot ..., SNAME signs), gains (K_P_x ...), and first pose and velocity (x ... psi, u ... r), SI.
+        threads : int, optional
+            How many; by default as many as there are processors.
+        progress : callable, optional
+            Called with the number of runs that are done and a few words.
+
+        Returns
+        -------
+        Runs
+            The rows of all runs.
+
+        Raises
+        ------
+        UndertowError
+            As for `run`, and if a name is not known, numbers of values differ, or dead times do.
+        """
+        return run_many(self, scenario, Differences(parameters, gains, starts), threads, progress)
+
+    # --- preparing ------------------------------------------------------------------------------
+    def first(self, scenario: Scenario, start: Mapping[str, float]) -> np.ndarray:
+        """First pose and velocity of a scenario."""
+        return np.array([*start.values(), *scenario.velocity(self.vehicle.velocity_names)])
+
+    def problem(
+        self,
+        scenario: Scenario,
+        start: Mapping[str, float],
+        to: Mapping[str, float],
+        first: np.ndarray,
+        p: np.ndarray | None = None,
+        k: np.ndarray | None = None,
+    ) -> LoopProblem:
+        """Runs of a scenario from the states `first` on, with parameters and gains of their own if given.
+
+        Raises
+        ------
+        UndertowError
+            If dt is too long for the law and the vehicle as the files have them, or dead times differ.
+        """
+        desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
+        substeps = self._substeps(scenario, start, to, desired)
+        return problem_of(self.parts, first, desired, scenario.dt, substeps, scenario.continuous, p, k)
+
+    def _substeps(
+        self, scenario: Scenario, start: Mapping[str, float], to: Mapping[str, float], desired: np.ndarray
+    ) -> int:
+        """Runge-Kutta steps in an interval; refuses one that is too long. Known for the last one asked for."""
+        key = (scenario.dt, scenario.continuous, scenario.samples, *start.values(), *to.values())
+        if key not in self._known_substeps:
+            linear = SampledLoop(self.parts, np.array(list(to.values())), desired)
+            if scenario.continuous:
+                check_steps(linear, self.parts, scenario.dt, scenario.samples)
+            else:
+                moves = {n: to[n] - start[n] for n in self.gains.plant.vehicle.pose_names}
+                check_interval(linear, self.parts, scenario.dt, moves)
+            self._known_substeps = {key: linear.substeps(scenario.dt, scenario.continuous)}
+        return self._known_substeps[key]
 
 
 def _with_forces(vehicle: Vehicle) -> Vehicle:

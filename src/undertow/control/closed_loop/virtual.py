@@ -1,4 +1,4 @@
-"""A closed loop by CasADi's virtual machine, sample by sample like the compiled one, without a compiler."""
+"""Closed loops by CasADi's virtual machine, sample by sample like compiled ones, without a compiler."""
 
 from __future__ import annotations
 
@@ -8,48 +8,67 @@ import numpy as np
 from undertow.codegen.buffers import Evaluator
 
 from .parts import Parts
-from .problem import LoopProblem, Rows
+from .problem import Block, LoopProblem, Rows
 
 _STAGES = ((1, 0.5), (2, 0.5), (2, 1.0), (1, 0.0))
 _REACH = (0.0, 0.5, 0.5, 1.0)
 
 
 class VirtualLoop:
-    """The steps of loop.c in Python; the functions are evaluated by CasADi."""
+    """The steps of loop.c in NumPy; CasADi evaluates a function for all runs at once."""
+
+    lanes, parallel = 1, False
 
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
-        self._outputs, self._control = Evaluator(parts.outputs), Evaluator(parts.control)
-        self._held, self._joint = Evaluator(_held_step(parts)), Evaluator(_joint_step(parts))
+        self._functions = {
+            "outputs": parts.outputs,
+            "control": parts.control,
+            "held": _held_step(parts),
+            "joint": _joint_step(parts),
+        }
+        self._evaluators: dict[tuple[str, int], Evaluator] = {}
 
-    def run(self, problem: LoopProblem, first: int, noise: np.ndarray, extra: np.ndarray) -> Rows:
-        rows = Rows.empty(self._parts, len(noise))
+    def run(self, problem: LoopProblem, block: Block) -> Rows:
+        rows, row = block.rows(self._parts, problem.runs), 0
         with np.errstate(all="ignore"):
-            for i in range(len(noise)):
-                self._sample(problem, rows, i, first + i, noise[i], extra[i])
+            for i in range(block.samples):
+                values = self._sample(problem, block, i)
+                if block.first + i in block.recorded:
+                    for name in block.wanted:
+                        getattr(rows, name)[:, row] = values[name]
+                    row += 1
         return rows
 
-    def _sample(
-        self, problem: LoopProblem, rows: Rows, i: int, sample: int, noise: np.ndarray, extra: np.ndarray
-    ) -> None:
-        ring, t = problem.input_delay + 1, sample * problem.dt
-        rows.x[i] = problem.x
-        last = problem.commands[(sample + ring - 1) % ring]
-        rows.y[i] = self._told(problem, sample, last, t) + noise
-        hold = 0.0 if problem.continuous else problem.dt
-        found = self._control(rows.y[i], problem.r, problem.s, problem.k, hold)
-        rows.u[i], rows.s[i], rows.tau[i] = (column[0, :, 0] for column in found)
-        problem.s[:] = rows.s[i]
-        problem.commands[sample % ring] = rows.u[i]
-        sent = problem.commands[(sample + 1) % ring] if sample >= problem.input_delay else 0.0
-        self._advance(problem, sent + extra, extra, t)
+    def _evaluate(self, name: str, *inputs: np.ndarray | float) -> list[np.ndarray]:
+        """Outputs of shape (b, n) for inputs of shape (b, n)."""
+        runs = len(inputs[0]) if isinstance(inputs[0], np.ndarray) else 1
+        key = name, runs
+        if key not in self._evaluators:
+            self._evaluators[key] = Evaluator(self._functions[name], runs)
+        return [column[:, :, 0] for column in self._evaluators[key](*inputs)]
 
-    def _told(self, problem: LoopProblem, sample: int, last: np.ndarray, t: float) -> np.ndarray:
-        (y,) = self._outputs(problem.x, last, problem.p, t)
-        size = len(problem.reports)
-        problem.reports[sample % size] = y[0, :, 0]
+    def _sample(self, problem: LoopProblem, block: Block, i: int) -> dict[str, np.ndarray]:
+        sample, ring = block.first + i, problem.input_delay + 1
+        t, x = sample * problem.dt, problem.x.copy()
+        told = self._told(problem, sample, t)
+        if block.noise is not None:
+            told = told + block.noise[:, i]
+        hold = 0.0 if problem.continuous else problem.dt
+        u, s, tau = self._evaluate("control", told, problem.r, problem.s, problem.k, hold)
+        problem.s[:] = s
+        problem.command[:] = problem.commands[:, sample % ring] = u
+        sent = problem.commands[:, (sample + 1) % ring] if sample >= problem.input_delay else np.zeros_like(u)
+        extra = np.zeros(u.shape[1]) if block.extra is None else block.extra[i]
+        self._advance(problem, sent + extra, extra, t)
+        return {"x": x, "y": told, "u": u, "s": s, "tau": tau}
+
+    def _told(self, problem: LoopProblem, sample: int, t: float) -> np.ndarray:
+        (y,) = self._evaluate("outputs", problem.x, problem.command, problem.p, t)
+        size = problem.reports.shape[1]
+        problem.reports[:, sample % size] = y
         since = np.maximum(sample - problem.output_delay, 0)
-        return problem.reports[since % size, np.arange(len(since))]
+        return problem.reports[:, since % size, np.arange(len(since))]
 
     def _advance(self, problem: LoopProblem, u: np.ndarray, extra: np.ndarray, t: float) -> None:
         h = problem.dt / problem.substeps
@@ -57,11 +76,10 @@ class VirtualLoop:
             at = t + k * h
             if problem.continuous:
                 others = (problem.r, problem.k, extra, problem.p, at, h)
-                x, s = self._joint(problem.x, problem.s, *others)
-                problem.s[:] = s[0, :, 0]
+                x, problem.s[:] = self._evaluate("joint", problem.x, problem.s, *others)
             else:
-                (x,) = self._held(problem.x, u, problem.p, at, h)
-            problem.x[:] = x[0, :, 0]
+                (x,) = self._evaluate("held", problem.x, u, problem.p, at, h)
+            problem.x[:] = x
 
 
 def _held_step(parts: Parts) -> ca.Function:

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions, solve_symmetric
+from undertow.codegen.functions import Functions
+from undertow.codegen.solving import solve_symmetric
 
 from .mapping import call
 

@@ -1,0 +1,169 @@
+"""Many runs of a closed loop that differ in parameters, gains or first states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from undertow.codegen.lanes import in_threads, shares
+from undertow.errors import UndertowError
+from undertow.model.catalogue import nearest
+
+from .blocks import blocks
+
+if TYPE_CHECKING:
+    from .problem import LoopProblem
+    from .scenario import Scenario
+    from .simulate import ClosedLoop
+
+Report = Callable[[float, str], None]
+Varied = Mapping[str, np.ndarray]
+NONE: Varied = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Differences:
+    """What differs from run to run, an array of a value for each run by name.
+
+    Attributes
+    ----------
+    parameters, gains, starts : mapping
+        Parameters of the vehicle, gains of the controller, first pose and velocity.
+
+    Raises
+    ------
+    UndertowError
+        If there is none, or they are of different numbers of runs, or not finite.
+    """
+
+    parameters: Varied
+    gains: Varied
+    starts: Varied
+
+    def __post_init__(self) -> None:
+        sizes = {name: np.shape(v) for name, v in self._all().items()}
+        if not sizes:
+            raise UndertowError("runs do not differ: give arrays of parameters, gains or starts")
+        first, shape = next(iter(sizes.items()))
+        odd = [n for n, s in sizes.items() if len(s) != 1 or s != shape or not s[0]]
+        if odd:
+            raise UndertowError(
+                f"'{odd[0]}' has shape {sizes[odd[0]]} where '{first}' has {shape}: give each one value for "
+                "every run"
+            )
+        for name, values in self._all().items():
+            if not np.isfinite(np.asarray(values, dtype=float)).all():
+                raise UndertowError(f"'{name}' has values that are not finite: leave those runs out")
+
+    def _all(self) -> dict[str, np.ndarray]:
+        return {**self.parameters, **self.gains, **self.starts}
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return len(next(iter(self._all().values())))
+
+    def put_into(self, what: str, varied: Varied, names: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+        """A row of values for each run, those that differ put in, shape (b, n)."""
+        rows = np.tile(values, (self.runs, 1))
+        for name, column in varied.items():
+            if name not in names:
+                raise UndertowError(
+                    f"{what} '{name}' is not known{nearest(name, names)}: they are {', '.join(names)}"
+                )
+            rows[:, names.index(name)] = column
+        return rows
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Many runs.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times of the rows, s.
+    states : ndarray, shape (b, n, nx)
+        True states; NaN from the first row on at which a run is no number any more.
+    commands : ndarray, shape (b, n, nu)
+        Commands that the controller gives at the rows.
+    state_names, command_names : tuple of str
+        Names of the last axes.
+    """
+
+    t: np.ndarray
+    states: np.ndarray
+    commands: np.ndarray
+    state_names: tuple[str, ...]
+    command_names: tuple[str, ...]
+
+    def state(self, name: str) -> np.ndarray:
+        """One state of all runs, shape (b, n)."""
+        return self.states[:, :, self.state_names.index(name)]
+
+    def command(self, name: str) -> np.ndarray:
+        """One command of all runs, shape (b, n)."""
+        return self.commands[:, :, self.command_names.index(name)]
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """Which runs are no number at the end, shape (b,)."""
+        return np.isnan(self.states[:, -1]).any(axis=1)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # runs that diverge are NaN
+def run_many(
+    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Report | None
+) -> Runs:
+    """What `ClosedLoop.run_many` does."""
+    parts = loop.parts
+    start, to = loop.desired(scenario)
+    named = (*loop.vehicle.pose_names, *loop.vehicle.velocity_names)
+    problem = loop.problem(
+        scenario,
+        start,
+        to,
+        by.put_into("start of", by.starts, named, loop.first(scenario, start)),
+        by.put_into("parameter", by.parameters, parts.functions.parameter_names, parts.parameters),
+        by.put_into("gain", by.gains, parts.controller.gain_names, parts.gains),
+    )
+    t = np.arange(0, scenario.samples, scenario.stride) * scenario.dt
+    runs = Runs(
+        t,
+        np.full((by.runs, len(t), problem.x.shape[1]), np.nan),
+        np.full((by.runs, len(t), len(parts.commanded)), np.nan),
+        parts.functions.state_names,
+        parts.controller.command_names,
+    )
+
+    def simulate(share: slice) -> None:
+        _simulate(loop, scenario, problem.part(share), share, runs)
+
+    def tell(share: slice) -> None:
+        nonlocal done
+        done += share.stop - share.start
+        if progress is not None:
+            progress(done, loop.gains.name)
+
+    done, steps = 0, scenario.samples * problem.substeps
+    threads = threads if loop.stepper.parallel else 1
+    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, tell)
+    return runs
+
+
+def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share: slice, runs: Runs) -> None:
+    """Fill in the rows of some of the runs."""
+    row, numbers = 0, range(share.start, share.stop)
+    for block in blocks(loop.parts, scenario, numbers, scenario.stride, ("x", "u")):
+        found = loop.stepper.run(problem, block)
+        rows = slice(row, row + len(block.recorded))
+        runs.states[share, rows] = found.x
+        runs.commands[share, rows] = found.u[:, :, loop.parts.commanded]
+        row = rows.stop
+    gone = np.maximum.accumulate(~np.isfinite(runs.states[share]).all(axis=2), axis=1)
+    runs.states[share][gone] = np.nan
+    runs.commands[share][gone] = np.nan
