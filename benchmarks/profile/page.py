@@ -133,4 +133,6 @@ def _slope(growth: dict[int, float]) -> str:
     (few, short), *_, (many, long) = growth.items()
     each = (long - short) / (many - few)
     rest = short - few * each
-    return f"From {few} to {many} effects each one adds {each:.2f} s; {rest:.1f} s would be left with\nnone (the doctor, the model as it is, the judgement by simulation)."
+    parts = "the doctor, the model as it is, the judgement by simulation"
+    added = f"From {few} to {many} effects each one adds {each:.2f} s; {rest:.1f} s would be left with"
+    return f"{added}\nnone ({parts})."
