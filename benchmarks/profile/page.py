@@ -76,8 +76,8 @@ def by_module(profile: Profile) -> list[tuple[str, dict[str, float]]]:
 
 def _stages(profile: Profile) -> str:
     wall, cpu = sum(profile.wall.values()), sum(profile.cpu.values())
-    lines = ["| stage | wall, s | processor, s | share of the wall time |", "| --- | ---: | ---: | ---: |"]
-    lines += [f"| {s} | {w:.2f} | {profile.cpu[s]:.2f} | {w / wall:.0%} |" for s, w in profile.wall.items()]
+    lines = ["| stage | wall, s | processor, s | share of the processor |", "| --- | ---: | ---: | ---: |"]
+    lines += [f"| {s} | {profile.wall[s]:.2f} | {c:.2f} | {c / cpu:.0%} |" for s, c in profile.cpu.items()]
     return "\n".join([*lines, f"| **all** | **{wall:.2f}** | **{cpu:.2f}** | |"]) + "\n"
 
 
@@ -102,26 +102,21 @@ def _first_line(module: str) -> str:
 
 
 def _meaning(profile: Profile) -> str:
-    wall, cpu = sum(profile.wall.values()), sum(profile.cpu.values())
-    slow = sorted(profile.wall, key=lambda s: -profile.wall[s])
+    used, cpu = profile.cpu, sum(profile.cpu.values())
+    slow = sorted(used, key=lambda s: -used[s])
+    longest, next_ = (f"{used[stage] / cpu:.0%}" for stage in slow[:2])
     (first, first_stages), (second, second_stages) = by_module(profile)[:2]
     both = (sum(first_stages.values()) + sum(second_stages.values())) / sum(profile.modules.values())
-    searched = sum(w for s, w in profile.wall.items() if s.startswith("search"))
-    longest, next_ = (f"{profile.wall[stage] / wall:.0%}" for stage in slow[:2])
+    searched = sum(c for s, c in used.items() if s.startswith("search")) / cpu
+    busy = cpu / sum(profile.wall.values())
     return (
-        f"{searched / wall:.0%} of the time is the search for the effect, {1 - searched / wall:.0%} stands\n"
-        f"around it (examining the logs, simulating the result). The longest stage, *{slow[0]}*,\n"
+        f"{searched:.0%} of the work is the search for the effect, {1 - searched:.0%} stands around\n"
+        f"it (examining the logs, simulating the result). The longest stage, *{slow[0]}*,\n"
         f"takes {longest}, the next, *{slow[1]}*, {next_}. Without any one of the others the\n"
-        f"diagnosis would be at most {wall / (wall - profile.wall[slow[2]]):.2f} times as fast. The modules\n"
-        f"`{first}` and `{second}` use {both:.0%} of the processor.\n"
-        f"{_cores(cpu / wall)}"
+        f"diagnosis would be at most {cpu / (cpu - used[slow[2]]):.2f} times as fast. The modules\n"
+        f"`{first}` and `{second}` do {both:.0%} of the work.\n"
+        f"Processor over wall time is {busy:.2f}; more than 1 takes several cores."
     )
-
-
-def _cores(ratio: float) -> str:
-    if ratio < 1.2:
-        return f"Processor over wall time is {ratio:.2f}: no more than one core is at work at a time."
-    return f"Processor over wall time is {ratio:.2f}: so many cores work on average."
 
 
 def _growth(growth: dict[int, float]) -> str:
