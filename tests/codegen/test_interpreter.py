@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -135,10 +136,17 @@ def test_where_numba_fails_the_virtual_machine_runs_and_says_why(
     assert "The CasADi virtual machine runs" in caplog.text
 
 
-def test_the_interpreter_is_kept_in_the_users_own_folder(numba: None) -> None:
-    from undertow.codegen.cache import cache_folder
-    from undertow.codegen.interpreter import evaluate
+def _twice(value: float) -> float:
+    return value + value
 
-    folder = Path(evaluate.stats.cache_path)  # type: ignore[attr-defined]
-    assert folder.parent.parent == cache_folder()
-    assert list(folder.glob("interpreter.evaluate-*.nbi"))
+
+def test_what_numba_compiled_is_kept_in_the_users_own_folder(numba: None, own_cache: Path) -> None:
+    from numba import config
+
+    from undertow.codegen.numba_code import by_numba
+
+    before = config.CACHE_DIR
+    assert by_numba(_twice)(1.5) == 3.0
+    assert before == config.CACHE_DIR
+    (kept,) = own_cache.rglob("*.nbi")
+    assert re.fullmatch(r"numba-[0-9a-f]{16}", kept.relative_to(own_cache).parts[0])

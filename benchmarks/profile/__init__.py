@@ -1,0 +1,1 @@
+"""Where the time of a diagnosis goes: by stage, by module, and against the number of effects tried."""

@@ -1,0 +1,18 @@
+"""The diagnosis that is measured: six degrees of freedom, 4 x 100 s at 20 Hz, one effect hidden."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from benchmarks.hidden_effects import make_case
+from benchmarks.trust.material import written_to_memory
+from undertow.identification.logs import Run
+from undertow.model.vehicle import Vehicle
+
+VEHICLE, HIDDEN, SEED = "rov", "lift", 3
+
+
+@cache
+def material() -> tuple[Vehicle, list[Run], list[Run]]:
+    """The model as the user believes it, three runs to fit to, one to judge by."""
+    return written_to_memory(make_case(VEHICLE, (HIDDEN,), SEED))
