@@ -21,6 +21,8 @@ from undertow.fleet.store import Store
 
 _INCOMPLETE = 1
 _SHOWN = 20
+# Months that a terminal has room for; report.md has all.
+_MONTHS = 4
 
 
 def diagnosed(
@@ -64,8 +66,8 @@ def _job(
     mapping = Mapping() if map is None else read_mapping(map)
     if mapping.time.unit == "iso" or mapping.time.every > 1:
         raise UndertowError(
-            f"mapping {map}: dates in words and `every` need whole logs, which a fleet does not read: give the "
-            "time as a number"
+            f"mapping {map}: dates in words and `every` need whole logs, which a fleet does not read: give "
+            "the time as a number"
         )
     chosen = DAILY if daily is None else tuple(daily)
     return Job(seen, files, mapping.model_dump_json(), daily=chosen, fill=fill)
@@ -75,7 +77,8 @@ def show(found: Fleet) -> None:
     """Print what is said of every vehicle, then what is missing."""
     out = console()
     for of in found.vehicles:
-        section(of.vehicle, table(("month", "days", "hours", "misfit", "", "against the first"), _rows(of)))
+        section(of.vehicle, table(("parameter", *_heads(of)), _estimates(of)))
+        out.print(table(("month", "days", "hours", "misfit", "", "against the first month"), _rows(of)))
         for line in _lines(of):
             out.print(text(f"  {line}"), soft_wrap=True)
     out.print()
@@ -89,6 +92,17 @@ def show(found: Fleet) -> None:
         out.print(text(f"and {len(found.failed) - _SHOWN} more, all in report.json", "yellow"))
     for path, other in found.twins.items():
         out.print(text(f"left out: {path} has the content of {other}", "yellow"), soft_wrap=True)
+
+
+def _heads(of: Of) -> list[str]:
+    return [*(p.name for p in of.months[-_MONTHS:]), "all days"]
+
+
+def _estimates(of: Of) -> Iterator[tuple[str, ...]]:
+    """One line for each parameter: its last months, then all days."""
+    periods = [*of.months[-_MONTHS:], of.whole]
+    for i, one in enumerate(of.whole.parameters):
+        yield f"{one.name}, {one.unit}", *(_cell(p.parameters[i]) for p in periods)
 
 
 def _rows(of: Of) -> Iterator[tuple[str, ...]]:

@@ -63,7 +63,7 @@ def rolled(
 
 
 def shares(bands: Sequence[Band]) -> dict[str, float]:
-    """Share of the measurement that lies within the band, by channel; channels without measurement left out."""
+    """Share of the measurement that lies within the band, by channel that is measured."""
     found = {}
     for i, name in enumerate(bands[0].names):
         inside = [(b.low[1:, i] <= m) & (m <= b.high[1:, i]) for b in bands if _there(m := b.measured[1:, i])]
@@ -89,8 +89,8 @@ def _warn(bands: Sequence[Band], coverage: float) -> None:
     if low:
         console().print(
             text(
-                f"  {', '.join(low)}: the logs leave the band of {coverage:.0%} more than three times as often "
-                "as they should: the model lacks more than its parameters say (undertow diagnose)",
+                f"  {', '.join(low)}: the logs leave the band of {coverage:.0%} more than three times as "
+                "often as they should: the model lacks more than its parameters say (undertow diagnose)",
                 "yellow",
             ),
             soft_wrap=True,

@@ -196,8 +196,8 @@ class Changes:
         return [d for d in self.directions if d.kind in kinds]
 
     def suffices(self, span: Span, moving: Sequence[Direction], effect: str, limit: float) -> bool:
-        """Whether changes of these directions, or of an effect of the catalogue, explain all: nothing else
-        stands out beside them, one direction at a time.
+        """Whether changes of these directions, or of an effect of the catalogue, explain all: the effect
+        stands out, and nothing else does beside them, one direction or one kind at a time.
 
         Parameters
         ----------
@@ -208,11 +208,31 @@ class Changes:
         effect : str
             Id of an effect that may have changed; empty for none.
         limit : float
-            Chance from which a direction does not stand out.
+            Chance up to which something stands out.
         """
         own = self.panel.own.get(effect, ())
-        others = [d for d in self.directions if d not in moving]
-        return all(chance(*self._moved(span, [*moving, d], own)[d]) > limit for d in others)
+        if own and self._chance_of(span, own) > limit:
+            return False
+        kinds = {d.kind for d in moving}
+        beside = [[d] for d in self.directions if d not in moving]
+        # With all three kinds free, drag, thrust and inertia that all grow alike could not be seen.
+        beside += [self.of(k) for k in KINDS if k not in kinds and len(kinds) < 2]
+        return all(self._least(span, moving, group, own) > limit for group in beside)
+
+    def _least(
+        self, span: Span, moving: Sequence[Direction], group: Sequence[Direction], own: Sequence[str]
+    ) -> float:
+        """Chance of the clearest of some directions beside others, times how many they are."""
+        found = self._moved(span, [*moving, *group], own)
+        return len(group) * min((chance(*found[d]) for d in group), default=1.0)
+
+    def _chance_of(self, span: Span, own: Sequence[str]) -> float:
+        """Chance of the clearest parameter of an effect that changes by itself, times how many it has."""
+        solved = self._solved(span, [], own)
+        places = slice(len(self._constant), len(self._constant) + len(own))
+        free = span.freedom(solved, places)
+        numbers = zip(solved.theta[places], solved.errors[places], free, strict=True)
+        return len(own) * min(chance(*one) for one in numbers)
 
     def rivals(self) -> list[str]:
         """Effects of the catalogue whose change is neither drag nor thrust nor added mass by another name."""

@@ -137,7 +137,7 @@ def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> Solved
     wide = [_widened(design) for design in designs]
     rows = [day.factor @ w for day, w in zip(days, wide, strict=True)]
     known = np.column_stack([np.diag(prior.weight), prior.weight * prior.centre])
-    factor = np.linalg.qr(np.vstack([*rows, known]), mode="r")
+    factor = np.asarray(np.linalg.qr(np.vstack([*rows, known]), mode="r"))
     H, target = factor[:, :-1], factor[:, -1]
     size = np.linalg.norm(H, axis=0)
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs import Mapping as LogMapping
 from undertow.identification.weak.step import bounds_of, physical
 
 from .changes import Changes
 from .combine import Day, choosing, days_of, solve
 from .engine import Engine, Failure
 from .panel import Panel
-from .partitions import Partition, find, partition_of, twins
-from .reduction import Job, content_of, marked, panel_of, reduce_log
+from .partitions import Partition, find, twins
+from .reduction import Job, looked_at, marked, panel_of, reduce_log
 from .result import Fleet
 from .store import Store
 from .summary import Vehicles, summarised
@@ -107,7 +106,7 @@ def diagnose(
 def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Tell) -> _Known:
     known = _Known()
     items = [(str(p), job.mapping) for p in paths]
-    for count, (place, answer) in enumerate(engine.results(seen, items), start=1):
+    for count, (place, answer) in enumerate(engine.results(looked_at, items), start=1):
         tell(0.05 * count / len(paths), "looking at files")
         if isinstance(answer, Failure):
             known.failed[str(paths[place])] = answer.words
@@ -116,12 +115,6 @@ def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Tell) -> _
             known.partitions[partition] = sha256
     known.partitions = dict(sorted(known.partitions.items()))
     return known
-
-
-def seen(path: str, mapping: str) -> tuple[Partition, str]:
-    """Whose and which day's log a file is, and the hash of its bytes."""
-    sha256 = content_of(path)
-    return partition_of(Path(path), LogMapping.model_validate_json(mapping)), sha256
 
 
 def _jobs(job: Job, vehicles: Sequence[str]) -> dict[str, Job]:

@@ -113,7 +113,7 @@ class OnDask:
         if future.status in ("cancelled", "lost"):
             return Failure("the cluster dropped it")
         try:
-            return future.result(timeout=_REACH)
+            return future.result(timeout=self._patience)  # it may be worked out again if its worker died
         except Exception as error:  # the worker died with it, again and again
             return Failure(_told(error))
 

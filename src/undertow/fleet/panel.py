@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,22 +24,6 @@ from undertow.model.vehicle import Vehicle
 Array = NDArray[np.float64]
 #: Effects that differ from day to day and tell nothing of the vehicle: water, ballast, payload.
 DAILY = ("ocean_current", "net_buoyancy", "constant_force")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of one log, in units of their noise.
-
-    Attributes
-    ----------
-    J : (m, k) array
-        Derivative of the residual in the columns of the panel.
-    r : (m,) array
-        Residual of the stated model.
-    """
-
-    J: Array
-    r: Array
 
 
 class Panel:
@@ -121,16 +104,21 @@ class Panel:
         """The equations that the columns are made from, as text."""
         return "\n".join(str(m.functions.vehicle.residual) for m in (self.base, *self._extended))
 
-    def table(self, run: Run) -> Table | None:
-        """Rows of a log, columns that differ from day to day first; None where it is too short for any."""
+    def table(self, run: Run) -> Linearised:
+        """Rows of a log in units of their noise; the columns that differ from day to day come first.
+
+        Raises
+        ------
+        UndertowError
+            If a channel is missing, or no stretch is long enough.
+        """
         data = prepare([run], self.vehicle)
         p = _values(self.base)
         noise = self._noise(data, p)
         columns = self._columns(data)
         parts = self.base.linearise(data, p)
         wide = [Linearised(a.r, c, a.start, a.known) for a, c in zip(parts, columns, strict=True)]
-        at = whitened(wide, noise)
-        return Table(at.J, at.r)
+        return whitened(wide, noise)
 
     def _noise(self, data: WeakData, p: Array) -> list[Whitening]:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
@@ -162,7 +150,8 @@ def _has_a_score(effect: type[Effect]) -> bool:
     Not so for what has to be looked for (a delay, a dead band), and for states of its own.
     """
     own = effect.specimen()
-    return not own.states and all(p.linear or set(p.starts) == {0.0} for p in own.parameters)
+    sought = [p for p in own.parameters if p.default is None or p.default == p.neutral]
+    return not own.states and all(p.linear or set(p.starts) == {0.0} for p in sought)
 
 
 def _refuse_unknown(daily: Sequence[str], known: Catalogue, scored: Sequence[Candidate]) -> None:

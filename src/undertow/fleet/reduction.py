@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from undertow import __version__
 from undertow.errors import UndertowError
-from undertow.identification.least_squares.chain import Triangle
-from undertow.identification.least_squares.rows import Rows
 from undertow.identification.logs import Mapping, Run, velocities_from_pose
 from undertow.identification.logs.chunks import LongLog, hash_of
 from undertow.identification.logs.mapping import CommandPolicy
+from undertow.identification.triangle import Triangle
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.loading import load_vehicle
 
 from .panel import DAILY, Panel
+from .partitions import Partition, partition_of
 
 Array = NDArray[np.float64]
 ROWS = 20_000
@@ -162,12 +162,19 @@ def fingerprint(job: Job, panel: Panel) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def content_of(path: str) -> str:
-    """SHA-256 of a file, told in one line where it cannot be read."""
+def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
+    """Whose and which day's log a file is, and the SHA-256 of its bytes.
+
+    Raises
+    ------
+    UndertowError
+        If it cannot be read, or does not say whose and which day's log it is.
+    """
     try:
-        return hash_of(Path(path))
+        sha256 = hash_of(Path(path))
     except OSError as error:
         raise UndertowError(f"{path} cannot be read: {error.strerror or error}") from error
+    return partition_of(Path(path), Mapping.model_validate_json(mapping)), sha256
 
 
 def reduce_log(job: Job, path: str) -> Reduced:
@@ -200,7 +207,7 @@ def reduce_runs(runs: Iterable[Run], panel: Panel, where: str) -> Reduced:
         except UndertowError as error:  # the last few rows of a log may be too few
             refusal = str(error)
             continue
-        triangle.add(Rows(table.J, -table.r, np.zeros(len(table.r))))
+        triangle.add(table.J, -table.r)
     if not triangle.count:
         raise UndertowError(f"{where}: {refusal or 'it has fewer than two rows'}")
     factor = _without(triangle.factor, len(panel.daily))
@@ -216,6 +223,7 @@ def _without(factor: Array, daily: int) -> Array:
     loose = np.zeros((daily, width))
     loose[:, :daily] = np.diag(np.where(size > 0, _LOOSE * size, 1.0))
     square = np.zeros((width - daily, width - daily))
-    rest = np.linalg.qr(np.vstack([factor, loose]), mode="r")[daily:, daily:]
+    whole = np.asarray(np.linalg.qr(np.vstack([factor, loose]), mode="r"))
+    rest = whole[daily:, daily:]
     square[: len(rest)] = rest
     return square

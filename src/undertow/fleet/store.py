@@ -62,8 +62,14 @@ class Store:
     def put(self, fingerprint: str, sha256: str, reduced: Reduced) -> None:
         """Keep what was worked out of a log."""
         stream = io.BytesIO()
-        plain = {kind: np.array(getattr(reduced, kind)) for kind in _KINDS}
-        np.savez_compressed(stream, factor=reduced.factor, names=np.array(reduced.names), **plain)
+        np.savez_compressed(
+            stream,
+            factor=reduced.factor,
+            names=np.array(reduced.names),
+            samples=np.array(reduced.samples),
+            seconds=np.array(reduced.seconds),
+            entries=np.array(reduced.entries),
+        )
         write_whole(self._path(fingerprint, sha256), stream.getvalue())
 
     def missing(self, fingerprint: str, hashes: Iterable[str]) -> list[str]:

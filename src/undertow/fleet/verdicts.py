@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
@@ -18,6 +18,8 @@ ALPHA = 0.01
 _WORTH = 0.25
 # Share of the growth of drag in one motion below which another motion contradicts fouling.
 _CONTRADICTS = 0.3
+# Causes that a line has room for.
+_SHOWN = 4
 Answer = Literal["grew", "none seen", "cannot tell"]
 
 
@@ -82,26 +84,41 @@ def _statement(asked: Asked, limit: float) -> Statement:
     causes = _causes(asked, limit)
     if not causes:
         return Statement("cannot tell", (), "something changed, and no cause that was tried explains it all")
+    common = tuple(name for name in causes[0] if all(name in cause for cause in causes))
+    if not common:
+        return _open(causes)
+    said = _named(common, asked, limit)
+    rest = [tuple(n for n in cause if n not in common) for cause in causes]
+    if not all(rest):
+        return said
+    return replace(said, words=f"{said.words}; beside it {_listed(rest)}: cannot tell which")
+
+
+def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
     names = tuple(dict.fromkeys(_READING.get(name, name) for cause in causes for name in cause))
-    if len(causes) > 1:
-        told = " or ".join(" with ".join(_READING.get(n, n) for n in cause) for cause in causes)
-        return Statement("cannot tell", names, f"something changed; cannot tell which: {told}")
-    return _named(causes[0], asked, limit)
+    return Statement("cannot tell", names, f"something changed; cannot tell which: {_listed(causes)}")
+
+
+def _listed(causes: Sequence[tuple[str, ...]]) -> str:
+    told = [" with ".join(_READING.get(n, n) for n in cause) for cause in causes]
+    more = [f"{len(told) - _SHOWN} more"] if len(told) > _SHOWN else []
+    return " or ".join([*told[:_SHOWN], *more])
 
 
 def _causes(asked: Asked, limit: float) -> list[tuple[str, ...]]:
     """The fewest kinds, or the effects of the catalogue, whose change explains all; all that do so.
 
-    A single cause that explains all goes before two that happened to come together.
+    A single cause that explains all goes before two that happened to come together. A cause is out when
+    something stands out beside it that would do so in one of a hundred cases were it the true one.
     """
-    of, span = asked.of, asked.span
+    of, span, out = asked.of, asked.span, ALPHA / max(len(asked.changes), 1)
     kinds = [k for k in KINDS if any(c.alone <= limit for c in asked.changes if c.direction.kind == k)]
-    single: list[tuple[str, ...]] = [(k,) for k in kinds if of.suffices(span, of.of(k), "", limit)]
-    single += [(e,) for e in of.rivals() if of.suffices(span, [], e, limit)]
+    single: list[tuple[str, ...]] = [(k,) for k in kinds if of.suffices(span, of.of(k), "", out)]
+    single += [(e,) for e in of.rivals() if of.suffices(span, [], e, out)]
     if single:
         return single
     pairs = list(combinations(KINDS, 2))
-    return [pair for pair in pairs if of.suffices(span, of.of(*pair), "", limit)]
+    return [pair for pair in pairs if of.suffices(span, of.of(*pair), "", out)]
 
 
 def _lacking(span: Span) -> str:
