@@ -60,7 +60,7 @@ DRAG = ("X_u", "Y_v", "N_r", "X_uabsu")
 CHANNELS = ("x", "y", "psi", "u", "v", "r")
 THRUSTERS = ("port", "starboard", "bow")
 _NOISE = np.array([0.02, 0.02, 0.003, 0.01, 0.01, 0.002])
-_SECONDS, _RATE, _HELD, _CURRENT = 50, 10, 20, 0.05
+_SECONDS, _RATE, _HELD = 50, 10, 20
 # What the truth may have more than the model of the craft.
 _MORE = ("thruster_gain", "ocean_current", "entrained_water", "sensor_scale")
 
@@ -86,7 +86,9 @@ def _plant(path: Path) -> tuple[Functions, Simulator]:
     return functions, Simulator(functions)
 
 
-def log(path: Path, drift: Mapping[str, float], random: np.random.Generator) -> dict[str, np.ndarray]:
+def log(
+    path: Path, drift: Mapping[str, float], random: np.random.Generator, current: float = 0.05
+) -> dict[str, np.ndarray]:
     """Columns of one day's log.
 
     Parameters
@@ -97,13 +99,15 @@ def log(path: Path, drift: Mapping[str, float], random: np.random.Generator) -> 
         Relative change of coefficients that the file has; values of those that only the truth has.
     random : Generator
         Of the commands, the noise, and a current that differs from day to day.
+    current : float
+        Standard deviation of that, m/s.
     """
     functions, simulator = _plant(path)
     names, p = functions.parameter_names, np.array(functions.values(), dtype=float)
     for name, change in drift.items():
         place = names.index(name)
         p[place] = p[place] * (1 + change) if p[place] else change
-    p[[names.index("V_N"), names.index("V_E")]] = _CURRENT * random.standard_normal(2)
+    p[[names.index("V_N"), names.index("V_E")]] = current * random.standard_normal(2)
     t = np.arange(_SECONDS * _RATE + 1) / _RATE
     u = np.repeat(random.uniform(-8, 8, (len(t) // _HELD + 1, 3)), _HELD, axis=0)[: len(t)]
     start = np.zeros(6)

@@ -15,6 +15,7 @@ from undertow.fleet.diagnose import Question, diagnose
 from undertow.fleet.engine import Failure, Here, OnDask, engine
 from undertow.fleet.reduction import Job
 from undertow.fleet.result import Fleet
+from undertow.fleet.rollouts import Flights, rollouts
 from undertow.fleet.store import Store
 
 
@@ -141,3 +142,13 @@ def test_one_bad_item_stops_no_other() -> None:
 
 def _half(number: Any) -> Any:
     return number / 2
+
+
+def test_rollouts_on_a_cluster_are_those_of_one_process(fleet: Path, cluster: OnDask) -> None:
+    logs = [str(next((fleet / "logs").rglob("*.parquet")))]
+    flights = Flights(str(fleet / "craft.toml"), horizon=10.0)
+    here, there = (rollouts(flights, logs, 20, doing)[0] for doing in (Here(), cluster))
+    assert [b.window for b in there] == [0, 1, 2, 3, 4]
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_allclose(one.high, other.high, rtol=1e-10)
+        np.testing.assert_allclose(one.low, other.low, rtol=1e-10)
