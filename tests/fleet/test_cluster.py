@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.trust.cases import Planned
+from benchmarks.trust.run import records, run
 from undertow.errors import UndertowError
 from undertow.fleet.diagnose import Question, diagnose
 from undertow.fleet.engine import Failure, Here, OnDask, engine
@@ -152,3 +154,23 @@ def test_rollouts_on_a_cluster_are_those_of_one_process(fleet: Path, cluster: On
     for one, other in zip(here, there, strict=True):
         np.testing.assert_allclose(one.high, other.high, rtol=1e-10)
         np.testing.assert_allclose(one.low, other.low, rtol=1e-10)
+
+
+def _record(case: Planned) -> dict[str, Any]:
+    if case.seed == 3:
+        raise ValueError("no such case")
+    return {"id": case.id, "kind": case.kind, "where": os.getpid()}
+
+
+def test_the_benchmark_of_trust_runs_on_a_cluster(cluster: OnDask, tmp_path: Path) -> None:
+    cases = [Planned("usv", (), 1.0, 1.0, False, "plain", seed) for seed in range(4)]
+    out = tmp_path / "trust.jsonl"
+    assert run(cases, out, _record, engine=cluster) == 1
+    found = {r["id"]: r for r in records(out)}
+    assert set(found) == {c.id for c in cases}
+    assert found[cases[3].id]["failure"] == "ValueError: no such case"
+    assert found[cases[0].id]["where"] != os.getpid()
+    assert run(cases, out, _record, engine=cluster) == 0
+    late = [Planned("usv", (), 1.0, 1.0, False, "plain", 9)]
+    assert run(late, out, _record, engine=cluster, minutes=-1.0) == 0
+    assert len(records(out)) == 4
