@@ -76,11 +76,8 @@ def run(
     end = time.monotonic() + 60 * minutes if minutes is not None else float("inf")
     failed, left = 0, len(todo)
     commit = version()
-    if engine is None:
-        made = _results(todo, work, jobs, end, limit)
-    else:
-        made = _by(engine, todo, work, minutes)
-    for record in made:
+    there = engine and _by(engine, todo, work, minutes)
+    for record in there or _results(todo, work, jobs, end, limit):
         left -= 1
         append(out, record | {"commit": commit})
         failed += "failure" in record
