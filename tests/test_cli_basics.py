@@ -23,8 +23,8 @@ from undertow.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 SLOW = {
-    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pint", "plotly", "polars",
-    "pydantic", "rich", "scipy", "statsmodels", "sympy", "tomlkit",
+    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas", "pint", "plotly",
+    "polars", "pydantic", "rich", "scipy", "statsmodels", "sympy", "tomlkit",
 }  # fmt: skip
 MOST_MODULES = 220
 """`undertow --help` takes 150 modules on Python 3.11 (0.1 s); anything slow brings hundreds more."""
@@ -70,6 +70,47 @@ def test_help_imports_nothing_slow() -> None:
     modules = answer.stdout.splitlines()[-1].split()
     assert not {name.partition(".")[0] for name in modules} & SLOW
     assert len(modules) <= MOST_MODULES, f"{len(modules)} modules are imported for --help"
+
+
+def _imported(code: str, words: str, folder: Path) -> set[str]:
+    """Which modules Python has after a piece of code."""
+    command = [sys.executable, "-c", f"import sys; {code}; print(); print(*sys.modules)", *words.split()]
+    done = subprocess.run(command, cwd=folder, env=_environment(), capture_output=True, text=True, check=True)
+    return {*done.stdout.splitlines()[-1].split()}
+
+
+def test_help_of_no_command_imports_anything_slow(tmp_path: Path) -> None:
+    code = "from undertow.cli.main import main; [main([word, '--help']) for word in sys.argv[1:]]"
+    # Typer looks for pydantic by itself.
+    assert not _imported(code, " ".join(commands()), tmp_path) & (SLOW - {"pydantic"})
+
+
+AUV = ROOT / "src" / "undertow" / "demo_data" / "auv"
+NO_PICTURES = {"control", "matplotlib", "plotly", "scipy.signal"}
+NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
+
+
+@pytest.mark.parametrize(
+    ("words", "spared"),
+    [
+        ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
+        ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+        ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+        ("effects show lift", NO_NUMBERS),
+        ("vehicles show mini-auv", NO_NUMBERS),
+        ("audit mini-auv", NO_NUMBERS),
+        ("gains mini-auv paper-pd", NO_NUMBERS),
+        ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
+        ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
+        ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
+        (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+        (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+        ("linearize mini-auv", {"polars", "plotly", "numba", "undertow.identification"}),
+    ],
+)
+def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:
+    code = "from undertow.cli.main import main; assert main(sys.argv[1:]) in (0, 1)"
+    assert not _imported(code, words, tmp_path) & spared
 
 
 def test_help_lists_every_command_with_its_first_line(

@@ -12,6 +12,7 @@ from benchmarks.results.summary import SPEED, with_part
 from undertow.files import write_whole
 
 from . import report
+from .history import with_history
 
 HERE = Path(__file__).parent
 _TOLD = """\
@@ -28,10 +29,10 @@ def main(arguments: list[str] | None = None) -> int:
         code = 0 if options.from_stored else _measure(stored, options.only)
         if not stored.exists():
             return code or 1
-        page = _page(stored)
+        known = options.out.read_text(encoding="utf-8") if options.out else ""
+        page = _page(stored, known)
     print(page)
     if options.out:
-        known = options.out.read_text(encoding="utf-8")
         write_whole(options.out, with_part(known, SPEED, f"{_TOLD}\n{page}"))
     return code
 
@@ -56,15 +57,11 @@ def _measure(stored: Path, only: str | None) -> int:
     ).returncode
 
 
-def _page(stored: Path) -> str:
+def _page(stored: Path, known: str) -> str:
     timings, info = report.read(stored)
-    parts = [
-        report.machine(info) + ".\n",
-        report.goals(timings),
-        report.times(timings),
-        report.growth(timings),
-    ]
-    return "\n".join(parts)
+    cpu = report.machine(info)
+    tables = (report.goals(timings), report.times(timings), report.growth(timings))
+    return "\n".join([f"{cpu}.\n", *tables, with_history(known, timings, cpu.partition(",")[0])])
 
 
 if __name__ == "__main__":

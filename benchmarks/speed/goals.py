@@ -26,7 +26,7 @@ class Goal(NamedTuple):
     peer : str
         Beside whom; empty if seconds count.
     at_least : float
-        How many times as fast as the peer, or how many seconds at most where there is none.
+        How many times as fast as the peer; how many seconds at most where there is no peer.
     reach : str
         What a prototype reached on another machine.
     who : str

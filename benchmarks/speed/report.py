@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from .goals import GOALS, Goal
+from .goals import GOALS, OURS, Goal
 
 
 @dataclass(frozen=True)
@@ -47,25 +46,33 @@ def _timing(stored: dict[str, Any]) -> Timing:
 def goals(timings: list[Timing]) -> str:
     """Every goal with what was measured."""
     lines = [
-        "| what | beside | goal | measured | | prototype |",
-        "| --- | --- | ---: | ---: | --- | ---: |",
-        *(_goal(goal, timings) for goal in GOALS),
+        "| | what | beside | goal | measured | | prototype |",
+        "| ---: | --- | --- | ---: | ---: | --- | ---: |",
+        *(f"| {k} {_goal(goal, timings)}" for k, goal in enumerate(GOALS, start=1)),
     ]
     return "\n".join(lines) + "\n"
 
 
 def _goal(goal: Goal, timings: list[Timing]) -> str:
+    wanted = f"≥ {goal.at_least:.3g} ×" if goal.peer else f"≤ {duration(goal.at_least)}"
+    value = measured(goal, timings)
+    verdict = "not measured" if value == "–" else "met" if _met(goal, timings) else "**not met**"
+    what = goal.what if goal.who == OURS else f"{goal.what}: {goal.who}"
+    return f"| {what} | {goal.peer or '–'} | {wanted} | {value} | {verdict} | {goal.reach or '–'} |"
+
+
+def _met(goal: Goal, timings: list[Timing]) -> bool:
     ours, peer = _of(goal.what, goal.who, timings), _of(goal.what, goal.peer, timings)
-    if not goal.peer:
-        wanted, value = f"≤ {duration(goal.at_least)}", ours and duration(ours.seconds)
-        met = ours is not None and ours.seconds <= goal.at_least
-    else:
-        wanted = f"≥ {goal.at_least:.3g} ×"
-        ratio = peer.seconds / ours.seconds if ours and peer else math.nan
-        value, met = None if math.isnan(ratio) else f"{ratio:.3g} ×", ratio >= goal.at_least
-    verdict = "not measured" if value is None else "met" if met else "**not met**"
-    what = goal.what if goal.who == "undertow" else f"{goal.what}: {goal.who}"
-    return f"| {what} | {goal.peer or '–'} | {wanted} | {value or '–'} | {verdict} | {goal.reach or '–'} |"
+    assert ours is not None
+    return ours.seconds * goal.at_least <= peer.seconds if peer else ours.seconds <= goal.at_least
+
+
+def measured(goal: Goal, timings: list[Timing]) -> str:
+    """Seconds, or how many times as fast as the peer; a dash where that was not measured."""
+    ours, peer = _of(goal.what, goal.who, timings), _of(goal.what, goal.peer, timings)
+    if ours is None or (goal.peer and peer is None):
+        return "–"
+    return f"{peer.seconds / ours.seconds:.3g} ×" if peer else duration(ours.seconds)
 
 
 def _of(what: str, who: str, timings: list[Timing]) -> Timing | None:

@@ -285,8 +285,9 @@ def no_compiler(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
-    no_compiler: None, caplog: pytest.LogCaptureFixture
+    no_compiler: None, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)  # as if it were not installed
     functions = functions_of("box-hull")
     for _ in range(2):
         simulator = Simulator(functions)
@@ -298,7 +299,8 @@ def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
     assert x[2, 1] > 0
     assert [r.levelno for r in caplog.records] == [logging.WARNING]
     assert "no C compiler" in caplog.text
-    assert "CasADi virtual machine" in caplog.text
+    assert "The CasADi virtual machine runs" in caplog.text
+    assert "pip install 'undertow[numba]'" in caplog.text
 
 
 def test_who_insists_on_compiled_code_is_told(no_compiler: None) -> None:

@@ -19,10 +19,14 @@ from undertow.model.symbols import Signals
 from undertow.model.vehicle import Thruster, Vehicle
 
 
-@pytest.fixture(params=["compiled", "virtual"])
-def compiled(request: pytest.FixtureRequest) -> bool:
+@pytest.fixture(params=["compiled", "virtual", "numba"])
+def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool | None:
     if request.param == "compiled" and find_compiler() is None:
         pytest.skip("no C compiler on this machine")
+    if request.param == "numba":
+        pytest.importorskip("numba", reason="numba is not installed")
+        monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
+        return None
     return request.param == "compiled"
 
 
@@ -40,7 +44,7 @@ def parameters(functions: Functions, **values: float) -> np.ndarray:
 # --- closed forms -------------------------------------------------------------------------------
 
 
-def test_coasting_against_linear_drag_is_exponential(compiled: bool) -> None:
+def test_coasting_against_linear_drag_is_exponential(compiled: bool | None) -> None:
     functions = surge()
     p = parameters(functions, m=8.0, X_udot=-2.0, X_u=-5.0)
     t = np.linspace(0, 4, 9)
@@ -51,7 +55,7 @@ def test_coasting_against_linear_drag_is_exponential(compiled: bool) -> None:
     np.testing.assert_allclose(x[:, 0], 3.0 * (1 - np.exp(-t / 2)), rtol=1e-10)
 
 
-def test_inputs_are_held_from_their_sample_to_the_next(compiled: bool) -> None:
+def test_inputs_are_held_from_their_sample_to_the_next(compiled: bool | None) -> None:
     functions = surge()
     p = parameters(functions, m=2.0)
     t = np.array([0.0, 0.3, 1.0, 1.1, 2.0])
@@ -72,7 +76,7 @@ class Tide(Wrench):
         return sm.Matrix([sm.sin(3 * s.t), 0, 0, 0, 0, 0])
 
 
-def test_time_runs_on_within_a_step(compiled: bool) -> None:
+def test_time_runs_on_within_a_step(compiled: bool | None) -> None:
     base = surge().vehicle
     functions = Functions(
         Vehicle("tide", base.degrees_of_freedom, (*base.effects, Tide(())), {}, (), ("tau_X",))
@@ -83,7 +87,7 @@ def test_time_runs_on_within_a_step(compiled: bool) -> None:
     np.testing.assert_allclose(x[:, 1], (math.cos(3.0) - np.cos(3 * t)) / 6, atol=1e-10)
 
 
-def test_the_method_is_of_fourth_order(compiled: bool) -> None:
+def test_the_method_is_of_fourth_order(compiled: bool | None) -> None:
     functions = functions_of("full")
     p = random_parameters(functions, 3)
     # Memory and lag are smooth; dead band and asymmetries have kinks, at which every method loses its order.
@@ -130,7 +134,7 @@ def test_compiled_and_virtual_agree(name: str, c_compiler: Compiler) -> None:
     np.testing.assert_allclose(x, runs[0][0], rtol=1e-12, atol=1e-12 * np.abs(x).max())
 
 
-def test_a_batch_is_its_runs_one_by_one(compiled: bool) -> None:
+def test_a_batch_is_its_runs_one_by_one(compiled: bool | None) -> None:
     functions = functions_of("mini-auv")
     p = np.array([random_parameters(functions, k) for k in range(3)])
     x0, t, u = _batch(functions, 3, 20)
@@ -165,7 +169,7 @@ def _difference(run, step: float) -> np.ndarray:
     return (8 * (run(step) - run(-step)) - (run(2 * step) - run(-2 * step))) / (12 * step)
 
 
-def test_sensitivities_are_the_derivatives_of_the_simulation(compiled: bool) -> None:
+def test_sensitivities_are_the_derivatives_of_the_simulation(compiled: bool | None) -> None:
     functions = functions_of("cybership2")
     p = np.array(functions.values())
     t = np.cumsum(np.random.default_rng(1).uniform(0.02, 0.2, 40))
@@ -190,7 +194,7 @@ def _moved(values: np.ndarray, index: int, by: float) -> np.ndarray:
     return moved
 
 
-def test_columns_follow_the_order_that_is_asked_for(compiled: bool) -> None:
+def test_columns_follow_the_order_that_is_asked_for(compiled: bool | None) -> None:
     functions = functions_of("mini-auv")
     p = np.array(functions.values())
     x0, t, u = (a[0] for a in _batch(functions, 1, 10))
@@ -205,7 +209,7 @@ def test_columns_follow_the_order_that_is_asked_for(compiled: bool) -> None:
 # --- what may go wrong --------------------------------------------------------------------------
 
 
-def test_a_run_that_diverges_is_nan_from_there_on(compiled: bool) -> None:
+def test_a_run_that_diverges_is_nan_from_there_on(compiled: bool | None) -> None:
     functions = surge("cubic_damping")
     p = parameters(functions, m=1.0, X_uuu=50.0)
     x0 = np.array([[0.0, 2.0], [0.0, 0.0]])
@@ -220,7 +224,7 @@ def test_a_run_that_diverges_is_nan_from_there_on(compiled: bool) -> None:
     assert np.array_equal(x[1], np.zeros((21, 2)))
 
 
-def test_a_gap_in_the_inputs_loses_what_comes_after(compiled: bool) -> None:
+def test_a_gap_in_the_inputs_loses_what_comes_after(compiled: bool | None) -> None:
     functions = surge()
     p = parameters(functions, m=1.0)
     force = np.array([[1.0], [1.0], [np.nan], [1.0], [1.0]])
@@ -229,14 +233,14 @@ def test_a_gap_in_the_inputs_loses_what_comes_after(compiled: bool) -> None:
     assert np.isnan(x[3:]).all()
 
 
-def test_one_sample_is_its_initial_state(compiled: bool) -> None:
+def test_one_sample_is_its_initial_state(compiled: bool | None) -> None:
     functions = surge()
     p = parameters(functions, m=1.0)
     x = Simulator(functions, compiled=compiled).run(np.array([1.0, 2.0]), np.zeros(1), np.zeros((1, 1)), p)
     assert np.array_equal(x, [[1.0, 2.0]])
 
 
-def test_samples_at_the_same_time_have_the_same_state(compiled: bool) -> None:
+def test_samples_at_the_same_time_have_the_same_state(compiled: bool | None) -> None:
     functions = surge()
     p = parameters(functions, m=1.0)
     t = np.array([0.0, 1.0, 1.0, 2.0])
@@ -276,7 +280,7 @@ def test_indices_that_do_not_exist_are_told(wrt: Sequence[int], initial: Sequenc
         )
 
 
-def test_a_lag_faster_than_the_samples_is_followed(compiled: bool) -> None:
+def test_a_lag_faster_than_the_samples_is_followed(compiled: bool | None) -> None:
     """Commands change every 0.05 s, the thrust follows in 0.02 s: steps of 0.05 s would slur it."""
     stern = Thruster("f1", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     effects = (catalogue()["rigid_body"](("f1",)), catalogue()["thruster_lag"](("f1",)))

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._adding import target_of
 from undertow.errors import UndertowError
 
 if TYPE_CHECKING:
@@ -93,6 +92,8 @@ class Target:
     @property
     def path(self) -> Path | None:
         """The file to be written, or None."""
+        from undertow.cli._adding import target_of
+
         return None if self.into is None else target_of(self.into, self.out, self.in_place)
 
 

@@ -5,6 +5,9 @@ data that was kept aside: the logs given with --holdout, or stretches of the log
 answer is one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that
 these data cannot tell apart, or unexplained.
 
+On Linux all cores share the work, which changes no result; UNDERTOW_JOBS=1 in the environment keeps it to
+one.
+
     undertow diagnose rov.toml run1.csv run2.csv --holdout run3.csv --report report.html --apply better.toml
 """
 

@@ -23,7 +23,7 @@ from .compiler import Compiler
 from .source import digest
 
 _LOG = logging.getLogger("undertow")
-_OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+|numba-[0-9a-f]{16}")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")

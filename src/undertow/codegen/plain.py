@@ -34,6 +34,11 @@ _FORM: dict[str, str] = {
 _OPERATION = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
 
+def operation_forms() -> dict[int, str]:
+    """C expression of every operation by CasADi's code for it, with {0} and {1} for the operands."""
+    return {code: _FORM[name] for code, name in _OPERATION.items() if name in _FORM}
+
+
 def signature(function: ca.Function, name: str) -> str:
     """`void name(const double *x, ..., double t, double *out)`; matrices are stored row by row."""
     inputs = [f"double {n}" if n == "t" else f"const double *{n}" for n in function.name_in()]

@@ -34,7 +34,8 @@ class Simulator:
         The model.
     compiled : bool, optional
         True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
-        compiled code is used where a compiler is found, and one logged line says so where none is.
+        compiled code is used where a compiler is found, else numba where it is installed, else the virtual
+        machine, and one logged line says so.
 
     Raises
     ------
@@ -60,7 +61,12 @@ class Simulator:
         def virtual() -> Stepper:
             return VirtualStepper(self._functions, sensitivities=sensitivities)
 
-        return compiled_or_virtual(self._wish, compiled, virtual)
+        def interpreted() -> Stepper:
+            from .interpreted import InterpretedStepper
+
+            return InterpretedStepper(self._functions, sensitivities=sensitivities)
+
+        return compiled_or_virtual(self._wish, compiled, virtual, interpreted)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05) -> Array:

@@ -93,6 +93,8 @@ def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, flo
     UndertowError
         If a unit is not understood, or the two have different dimensions.
     """
+    if unit_from.strip() == unit_to.strip():
+        return 1.0, 0.0
     source, target = _unit(unit_from), _unit(unit_to)
     if source.dimensionality != target.dimensionality:
         found = "no unit" if source.dimensionless else f"the dimension {source.dimensionality}"

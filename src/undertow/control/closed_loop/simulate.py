@@ -37,7 +37,7 @@ class ClosedLoop:
         The vehicle that moves; by default the one that the controller knows.
     compiled : bool, optional
         True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
-        compiled code is used where a compiler is found.
+        compiled code is used where a compiler is found, else numba where it is installed.
 
     Raises
     ------
@@ -60,7 +60,12 @@ class ClosedLoop:
         def virtual() -> LoopStepper:
             return VirtualLoop(self.parts)
 
-        return compiled_or_virtual(wish, compiled, virtual)
+        def interpreted() -> LoopStepper:
+            from .interpreted import InterpretedLoop
+
+            return InterpretedLoop(self.parts)
+
+        return compiled_or_virtual(wish, compiled, virtual, interpreted)
 
     @property
     def gains(self) -> GainSet:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import sympy as sm
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from undertow.model.evaluation import function_of
 from undertow.model.symbols import symbol
@@ -66,7 +66,7 @@ def _row(problem: Problem, one: SignSet, i: int, weight: float, uncertainty: Unc
 
 def _reach(uncertainty: Uncertainty, names: tuple[str, ...]) -> Array:
     spread = np.sqrt(np.diag(uncertainty.covariance(names))) if names else np.zeros(0)
-    return norm.ppf(0.5 + uncertainty.confidence / 2) * spread
+    return ndtri(0.5 + uncertainty.confidence / 2) * spread
 
 
 def _weight_error(problem: Problem, uncertainty: Uncertainty) -> Array:

@@ -8,7 +8,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from undertow.model.parameter import bare_name, printed
 from undertow.model.vehicle import Vehicle
@@ -92,7 +92,7 @@ class Uncertainty:
         """
         if np.count_nonzero(matters) > _MOST_CORNERS:
             return self._range(margins(one.theta[None]), one.theta[None], one, settled=False)
-        corners = self._corners(one, matters, float(norm.ppf(0.5 + self.confidence / 2)))
+        corners = self._corners(one, matters, float(ndtri(0.5 + self.confidence / 2)))
         return self._range(margins(corners), corners, one, margins(one.theta[None])[0])
 
     def over_ellipsoid(self, margins: Margins, one: SignSet, features: Array) -> Range:
@@ -112,7 +112,7 @@ class Uncertainty:
         count = int(np.count_nonzero(np.diag(covariance)))
         if count == 0:
             return self._range(margins(one.theta[None]), one.theta[None], one)
-        reach = float(np.sqrt(chi2.ppf(self.confidence, count)))
+        reach = float(np.sqrt(chdtri(count, 1 - self.confidence)))
         seen = features @ covariance @ features.T
         values, vectors = np.linalg.eigh(seen)
         kept = values > 1e-14 * max(values[-1], 1e-300)

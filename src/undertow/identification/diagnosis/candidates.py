@@ -125,7 +125,12 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
 
 
 def candidates(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
-    """All effects of the catalogue that could be added to a vehicle.
+    """All effects of the catalogue that would add something to a vehicle (see `possible`)."""
+    return [c for c in possible(vehicle, known, derived=derived) if not c.adds_nothing]
+
+
+def possible(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
+    """All effects of the catalogue that could be added to a vehicle, those that add nothing to it among them.
 
     Parameters
     ----------
@@ -136,10 +141,9 @@ def candidates(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> 
     derived : bool
         Whether velocities were taken from the pose, so that no velocity sensor can be wrong.
     """
-    possible = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
-    possible = [c for c in possible if c.suits(vehicle.degrees_of_freedom)]
-    found = [Candidate(c, vehicle) for c in possible if not (derived and _of_velocity_sensor(c))]
-    return [c for c in found if not c.adds_nothing]
+    fitting = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
+    fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
+    return [Candidate(c, vehicle) for c in fitting if not (derived and _of_velocity_sensor(c))]
 
 
 def _of_velocity_sensor(effect: type[Effect]) -> bool:

@@ -13,6 +13,7 @@ from undertow.model.vehicle import Vehicle
 from ..doctor import Examination, examine
 from ..fitted import Fitted
 from ..logs import Run
+from ..parallel import aside
 from ..weak.data import prepare
 from .excitation import check_excitation
 from .referee import DECIDING, Referee
@@ -82,18 +83,18 @@ def diagnose(
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
     check_excitation(vehicle, train_runs, train.sigma)
-    examined = examine(vehicle, [*runs, *holdout]).result
-    test = prepare(test_runs, vehicle, sigma=train.sigma)
-    referee = Referee(vehicle, train_runs, test_runs, train.sigma)
-    effects = known or catalogue()
-    found = search(
-        vehicle, train, test, effects, lambda done, words: report(0.9 * done, words), referee.quiet
-    )
-    report(0.9, "judging the result by simulation")
-    story = Story(vehicle, found, referee, effects)
-    roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
-    infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
-    diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined)
+    with aside(lambda: examine(vehicle, [*runs, *holdout]).result) as examined:
+        test = prepare(test_runs, vehicle, sigma=train.sigma)
+        referee = Referee(vehicle, train_runs, test_runs, train.sigma)
+        effects = known or catalogue()
+        found = search(
+            vehicle, train, test, effects, lambda done, words: report(0.9 * done, words), referee.quiet
+        )
+        report(0.9, "judging the result by simulation")
+        story = Story(vehicle, found, referee, effects)
+        roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
+        infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
+        diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
     return Outcome(diagnosis, story.base.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
 
 

@@ -11,12 +11,14 @@ import numpy as np
 
 from undertow.model.catalogue import Catalogue
 
-from .candidates import Candidate, candidates
+from ..parallel import mapped
+from .candidates import Candidate, possible
 from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
 from .finding import Finding
 from .linear import linear
 from .scouting import scout
+from .sending import Sent, received, sent
 from .trial import Bench, Score, Trial, rejected, told_apart, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
@@ -72,21 +74,18 @@ def try_all(bench: Bench, known: Catalogue, report: Report) -> Round:
     report : callable
         Told the share done and what is going on.
     """
-    possible = candidates(bench.base.model.functions.vehicle, known, derived=bench.train.velocities_derived)
-    _log.info("error so far %.3f; %d effects to try", bench.base_score.error, len(possible))
-    scouted = _scouted(possible, bench, report)
+    vehicle = bench.base.model.functions.vehicle
+    scouted = _scouted(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
+    _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(scouted))
     by_chance = best_by_chance([s.linear for s in scouted])
     worth = [s for s in scouted if bench.base.cost - s.cost > _WORTH_A_FIT][:_FULL_FITS]
-    trials = []
-    for i, s in enumerate(worth):
-        report(0.5 + 0.3 * i / len(worth), f"fitting {s.candidate.id}")
-        trials.append(try_candidate(s.candidate, bench, s.values, _FIRST_LOOK))
+    trials = _tried(worth, bench, report)
     chances = {t.id: p_value(_fall(bench.base_score, t.score), by_chance) for t in trials}
     able = (t for t in trials if t.kept or not t.candidate.removable)
     finalists = sorted(able, key=lambda t: t.score.error)
     bench, finalists = _final(bench, finalists[:_FINALISTS], report)
     tried = {t.id for t in finalists}
-    others = [rejected(c, bench) for c in possible if c.id not in tried]
+    others = [rejected(s.candidate, bench) for s in scouted if s.candidate.id not in tried]
     return _judged(bench, finalists, others, chances)
 
 
@@ -101,15 +100,35 @@ class _Scouted(NamedTuple):
     linear: Linear
 
 
-def _scouted(possible: Sequence[Candidate], bench: Bench, report: Report) -> list[_Scouted]:
-    """What every candidate promises, the most promising first."""
+def _scouted(listed: Sequence[Candidate], bench: Bench, report: Report) -> list[_Scouted]:
+    """What every candidate promises that adds anything, the most promising first."""
+    bench.work_out()
     found = []
-    for i, candidate in enumerate(possible):
-        report(0.5 * i / len(possible), f"trying {candidate.id}")
-        look = scout(candidate, bench)
-        chances = linear(look.start, bench, look.on_test)
-        found.append(_Scouted(candidate, look.cost, look.values, chances))
+    for i, look in enumerate(mapped(lambda i: _look(listed[i], bench), len(listed))):
+        report(0.5 * (i + 1) / len(listed), f"tried {listed[i].id}")
+        if look is not None:
+            found.append(_Scouted(listed[i], *look))
     return sorted(found, key=lambda entry: entry.cost)
+
+
+def _tried(worth: Sequence[_Scouted], bench: Bench, report: Report) -> list[Trial]:
+    """Fits of the candidates that promise something."""
+
+    def one(i: int) -> Sent:
+        return sent(try_candidate(worth[i].candidate, bench, worth[i].values, _FIRST_LOOK), bench)
+
+    found = []
+    for i, trial in enumerate(mapped(one, len(worth))):
+        report(0.5 + 0.3 * (i + 1) / len(worth), f"fitted {worth[i].candidate.id}")
+        found.append(received(trial, worth[i].candidate, bench))
+    return found
+
+
+def _look(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float], Linear] | None:
+    if candidate.adds_nothing:
+        return None
+    look = scout(candidate, bench)
+    return look.cost, look.values, linear(look.start, bench, look.on_test)
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:

@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 
 from ..fitted import Fitted
 from ..planning.suggest import suggest
-from .candidates import candidates
+from .candidates import possible
 from .chain import Chain, fitted, with_effects
 from .compensation import Relief, absorbing, reliefs
 from .equivalents import equivalents
@@ -104,7 +104,7 @@ class Story:
         if self.judgement.verdict != "adequate":
             return []
         derived = self.bench.train.velocities_derived
-        return equivalents(self.vehicle, self.bench, candidates(self.vehicle, self._known, derived=derived))
+        return equivalents(self.vehicle, self.bench, possible(self.vehicle, self._known, derived=derived))
 
     def _by_heart(self) -> list[str]:
         return [

@@ -136,6 +136,11 @@ class Bench:
         """The model without any candidate on the kept-aside data."""
         return self.on_test(self.base)
 
+    def work_out(self) -> None:
+        """What all candidates look at, once; processes that share this bench then need not."""
+        for name in ("base_score", "base_on_test", "seen"):
+            getattr(self, name)
+
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the kept-aside data."""
         return scored(fit, self.test, self.test_whitening, self.base_score.r)

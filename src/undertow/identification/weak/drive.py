@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 
-from .mapping import call, map_over
+from .mapping import call, nonzeros
 
 Array = NDArray[np.float64]
 _SUBSTEPS = 4
@@ -76,7 +76,7 @@ class Chain:
         """A chain without states: its output in the middle of every interval."""
         function, count = self._output, len(u)
         middle = t + np.append(np.diff(t), 0.0) / 2
-        value, slope = call(map_over(function, count), [u, np.tile(p, (count, 1)), middle])
+        value, slope = nonzeros(function, [u, p, middle[:, None]], count)
         size = self.functions.actuation.shape[0]
         table = np.concatenate([value.reshape(count, size), slope.reshape(count, -1)], axis=1)
         return _spread(table, size, self._felt, len(self.free))

@@ -1,4 +1,4 @@
-"""CasADi functions at many samples: evaluated in chunks through their buffers."""
+"""CasADi functions at many samples: block by block in compiled code, or in chunks through their buffers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+
+from undertow.codegen.blockwise import blockwise
 
 Array = NDArray[np.float64]
 # Making a map costs time in proportion to its length; one of this length serves segments of any length.
@@ -36,6 +38,12 @@ def nonzeros(function: ca.Function, arguments: list[Array], count: int) -> list[
     count : int
         Number of samples.
     """
+    run = blockwise(function)
+    return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
+
+
+def _in_chunks(function: ca.Function, arguments: list[Array], count: int) -> list[Array]:
+    """The same by CasADi's virtual machine, where there is no compiler."""
     chunks = -(-count // _CHUNK)
     inputs = [_padded(a, chunks) if a.ndim > 1 else np.tile(a, (_CHUNK, 1)) for a in arguments]
     results = [np.zeros((chunks * _CHUNK, function.nnz_out(i))) for i in range(function.n_out())]

@@ -39,6 +39,8 @@ class Pointwise:
         self.functions, self.free = functions, free
         self.size = len(functions.vehicle.dof_indices)
         self.measured = ca.SX.sym("measured", 2 * self.size)
+        # Every segment of a log asks for the same one.
+        self._inverted: tuple[bytes, Array] = (b"", np.zeros(0))
 
     @cached_property
     def inverse(self) -> ca.SX:
@@ -66,9 +68,12 @@ class Pointwise:
         """Nonzeros of `inverse` at parameters p; empty where it varies from sample to sample."""
         if not self.mass_is_constant:
             return np.zeros(0)
-        (mass,) = call(self._mass, [p])
-        inverse = np.linalg.inv(mass.reshape(self.size, self.size))
-        return np.asarray(inverse[self._coupled.row(), self._coupled.get_col()], dtype=float)
+        key = p.tobytes()
+        if self._inverted[0] != key:
+            (mass,) = call(self._mass, [p])
+            inverse = np.linalg.inv(mass.reshape(self.size, self.size))
+            self._inverted = key, inverse[self._coupled.row(), self._coupled.get_col()]
+        return self._inverted[1]
 
     @cached_property
     def _mass(self) -> ca.Function:

@@ -1,0 +1,113 @@
+"""Independent pieces of work on all cores, with the same results in the same order as one after the other."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+_log = logging.getLogger("undertow")
+_LIMIT = "UNDERTOW_JOBS"
+# What the children of this process work on: they inherit it, for models cannot be sent.
+_work: list[Callable[[int], Any]] = []
+
+
+def jobs() -> int:
+    """Processes to use: the cores that this process may use, or what UNDERTOW_JOBS says.
+
+    One where processes cannot share what is in memory (all systems but Linux), and where this process is a
+    helper itself.
+    """
+    if sys.platform != "linux" or _work or multiprocessing.current_process().daemon:
+        return 1
+    stated = os.environ.get(_LIMIT, "")
+    return max(1, int(stated)) if stated.isdecimal() else len(os.sched_getaffinity(0))
+
+
+def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
+    """`work(0)` to `work(count - 1)` in this order; results travel between processes.
+
+    Parameters
+    ----------
+    work : callable
+        What is done with a number. It may refer to anything; what it returns has to be plain data.
+    count : int
+        How many.
+    """
+    processes = min(jobs(), count)
+    if processes < 2:
+        yield from map(work, range(count))
+        return
+    done = 0
+    try:
+        with _submitted(work, count, processes) as futures:
+            for future in futures:
+                yield future.result()
+                done += 1
+    except BrokenProcessPool:
+        # Killed from outside, for want of memory perhaps: one at a time needs less.
+        _log.warning("a helper process was killed; going on with one process (%s=1 starts with one)", _LIMIT)
+        yield from map(work, range(done, count))
+
+
+@contextmanager
+def aside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+    """Do something on another core while the block runs; what is handed out waits for the result.
+
+    Parameters
+    ----------
+    work : callable
+        What is done; its result has to be plain data. It is done at once where there is one process only.
+    """
+    if jobs() < 2:
+        found = work()
+        yield lambda: found
+        return
+    with _submitted(lambda _: work(), 1, 1) as (future,):
+        yield lambda: _of(future, work)
+
+
+def _of(future: Future[T], work: Callable[[], T]) -> T:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return work()
+
+
+def _one(number: int) -> Any:
+    return _work[-1](number)
+
+
+@contextmanager
+def _submitted(work: Callable[[int], T], count: int, processes: int) -> Iterator[list[Future[T]]]:
+    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _begin)
+    _work.append(work)
+    try:
+        with warnings.catch_warnings():
+            # Other threads of this process only draw a progress bar; children do not touch it.
+            warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
+            futures = [pool.submit(_one, i) for i in range(count)]
+    finally:
+        _work.pop()
+    try:
+        yield futures
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    """In a child: it says nothing, and an interruption is for the parent to hear."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.disable()
+
+
+__all__ = ["aside", "jobs", "mapped"]

@@ -1,0 +1,85 @@
+"""Work on several processes: the same results in the same order, whatever happens to a process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.hidden_effects import make_case, write_case
+from undertow.errors import UndertowError
+from undertow.identification import read_log
+from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.parallel import aside, jobs, mapped
+from undertow.model.loading import load_vehicle
+
+shared_memory = pytest.mark.skipif(sys.platform != "linux", reason="processes share memory on Linux only")
+
+
+@pytest.fixture
+def two(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERTOW_JOBS", "2")
+
+
+@shared_memory
+def test_results_come_in_order_from_other_processes(two: None) -> None:
+    found = list(mapped(lambda i: (i * i, os.getpid(), jobs()), 20))
+    assert [square for square, _, _ in found] == [i * i for i in range(20)]
+    assert os.getpid() not in {pid for _, pid, _ in found}
+    assert {inner for _, _, inner in found} == {1}
+
+
+def test_one_job_is_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERTOW_JOBS", "1")
+    assert list(mapped(lambda i: os.getpid(), 3)) == [os.getpid()] * 3
+    with aside(os.getpid) as found:
+        assert found() == os.getpid()
+
+
+@shared_memory
+def test_a_killed_process_costs_no_result(two: None, caplog: pytest.LogCaptureFixture) -> None:
+    parent = os.getpid()
+
+    def work(i: int) -> int:
+        if i == 3 and os.getpid() != parent:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 10 * i
+
+    assert list(mapped(work, 6)) == [0, 10, 20, 30, 40, 50]
+    assert "a helper process was killed" in caplog.text
+
+
+@shared_memory
+def test_an_error_is_the_error_of_the_work(two: None) -> None:
+    def work(i: int) -> int:
+        raise UndertowError(f"no {i}")
+
+    with pytest.raises(UndertowError, match="no 0"):
+        list(mapped(work, 2))
+    with aside(lambda: work(7)) as found, pytest.raises(UndertowError, match="no 7"):
+        found()
+
+
+@shared_memory
+def test_something_is_done_aside_while_other_work_uses_all_cores(two: None) -> None:
+    with aside(os.getpid) as found:
+        others = set(mapped(lambda i: os.getpid(), 4))
+        assert found() not in {os.getpid(), *others}
+
+
+@shared_memory
+def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_case(make_case("usv", ("lift",), 11, duration=30.0), tmp_path)
+    model = load_vehicle(tmp_path / "vehicle.toml")
+    runs = [read_log(tmp_path / f"{n}.csv", channels=model.command_names) for n in ("train_1", "holdout")]
+    answers = []
+    for number in ("1", "2"):
+        monkeypatch.setenv("UNDERTOW_JOBS", number)
+        answers.append(diagnose(model, runs[:1], runs[1:]).diagnosis.model_dump(exclude={"seconds"}))
+    assert answers[0] == answers[1]
+    assert answers[0]["effects"] == ["lift"]
