@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fleet.made import days, folder_with_vehicle, fouling, write
+from benchmarks.fleet.made import days, folder_with_vehicle, fouling, write
 from undertow.fleet.engine import OnDask, engine
 
 

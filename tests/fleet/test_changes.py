@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fleet.made import days, folder_with_vehicle, fouling, run
+from benchmarks.fleet.made import days, folder_with_vehicle, fouling, run
 from undertow.fleet.changes import Changes, shift, trend
 from undertow.fleet.combine import Day, by_month, days_of
 from undertow.fleet.panel import Panel

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fleet.made import fouling, run
+from benchmarks.fleet.made import fouling, run
 from undertow.errors import UndertowError
 from undertow.fleet.combine import choosing, days_of, no_prior, solve
 from undertow.fleet.panel import Panel

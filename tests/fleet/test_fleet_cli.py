@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.fleet.made import log
+from benchmarks.fleet.made import log
 from undertow.cli.main import main
 
 Capture = pytest.CaptureFixture[str]

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from undertow.identification.weak.step import prior_of
 from undertow.model.parameter import bare_name
@@ -275,4 +275,4 @@ def chance(value: float, error: float, freedom: float) -> float:
     """Two-sided chance of a value by its standard error."""
     if not (np.isfinite(error) and error > 0 and freedom > 0):
         return 1.0
-    return float(2 * student.sf(abs(value) / error, freedom))
+    return float(2 * stdtr(freedom, -abs(value) / error))

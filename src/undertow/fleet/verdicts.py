@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from .changes import FEWEST_DAYS, KINDS, Change, Changes, Span
 
@@ -197,4 +197,4 @@ def _half(change: Change, limit: float) -> float:
     """Half the width of the interval that goes with a chance."""
     if not (np.isfinite(change.error) and change.freedom > 0):
         return np.inf
-    return float(student.isf(max(limit, 1e-300) / 2, change.freedom) * change.error)
+    return float(-stdtrit(change.freedom, max(limit, 1e-300) / 2) * change.error)

@@ -60,7 +60,7 @@ DRAG = ("X_u", "Y_v", "N_r", "X_uabsu")
 CHANNELS = ("x", "y", "psi", "u", "v", "r")
 THRUSTERS = ("port", "starboard", "bow")
 _NOISE = np.array([0.02, 0.02, 0.003, 0.01, 0.01, 0.002])
-_SECONDS, _RATE, _HELD = 50, 10, 20
+_RATE, _HELD = 10, 20
 # What the truth may have more than the model of the craft.
 _MORE = ("thruster_gain", "ocean_current", "entrained_water", "sensor_scale")
 
@@ -87,7 +87,11 @@ def _plant(path: Path) -> tuple[Functions, Simulator]:
 
 
 def log(
-    path: Path, drift: Mapping[str, float], random: np.random.Generator, current: float = 0.05
+    path: Path,
+    drift: Mapping[str, float],
+    random: np.random.Generator,
+    current: float = 0.05,
+    seconds: int = 50,
 ) -> dict[str, np.ndarray]:
     """Columns of one day's log.
 
@@ -101,6 +105,8 @@ def log(
         Of the commands, the noise, and a current that differs from day to day.
     current : float
         Standard deviation of that, m/s.
+    seconds : int
+        Length, at 10 Hz.
     """
     functions, simulator = _plant(path)
     names, p = functions.parameter_names, np.array(functions.values(), dtype=float)
@@ -108,7 +114,7 @@ def log(
         place = names.index(name)
         p[place] = p[place] * (1 + change) if p[place] else change
     p[[names.index("V_N"), names.index("V_E")]] = current * random.standard_normal(2)
-    t = np.arange(_SECONDS * _RATE + 1) / _RATE
+    t = np.arange(seconds * _RATE + 1) / _RATE
     u = np.repeat(random.uniform(-8, 8, (len(t) // _HELD + 1, 3)), _HELD, axis=0)[: len(t)]
     start = np.zeros(6)
     start[2] = random.uniform(-3, 3)
@@ -129,10 +135,17 @@ def fouling(share: float) -> dict[str, float]:
     return dict.fromkeys(DRAG, share)
 
 
-def write(folder: Path, path: Path, vehicle: str, drifts: Sequence[tuple[date, Mapping[str, float]]]) -> None:
+def write(
+    folder: Path,
+    path: Path,
+    vehicle: str,
+    drifts: Sequence[tuple[date, Mapping[str, float]]],
+    seconds: int = 50,
+) -> None:
     """Logs of one vehicle as `vehicle=V/day=D/part.parquet`."""
     for day, drift in drifts:
         target = folder / f"vehicle={vehicle}" / f"day={day}"
         target.mkdir(parents=True)
         random = np.random.default_rng([day.toordinal(), len(vehicle), ord(vehicle[0])])
-        pl.DataFrame(log(path, drift, random)).write_parquet(target / "part.parquet")
+        columns = log(path, drift, random, seconds=seconds)
+        pl.DataFrame(columns).write_parquet(target / "part.parquet")
