@@ -116,7 +116,7 @@ def _paper(costs: Costs) -> str:
         "and it is divided by any number of them. Reading and hashing are small beside it; the scheduler has "
         "two tasks for each day and never more than three for each worker at a time. What is left in the "
         "process that started the run is loading results and putting them together, vehicle by vehicle: "
-        "minutes for a hundred vehicles and a year, hours for 10⁶ days. It is what would have to be spread "
-        "next; vehicles are independent of each other but for Holm's rule.\n",
+        f"hours, and {partitions * _FACTOR / 1e9:.0f} GB of its memory, for all of these days. It is what "
+        "would have to be spread next; vehicles are independent of each other but for Holm's rule.\n",
     ]
     return "\n".join(lines)

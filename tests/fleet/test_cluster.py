@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,11 @@ class _Deaf:
     def __init__(self, workers: int) -> None:
         self._workers, self.cancelled = workers, 0
 
-    def nthreads(self) -> dict[str, int]:
+    @property
+    def scheduler(self) -> SimpleNamespace:
+        return SimpleNamespace(ncores=None)
+
+    def sync(self, function: Any, callback_timeout: float) -> dict[str, int]:
         return dict.fromkeys(map(str, range(self._workers)), 1)
 
     def submit(self, function: Any, *arguments: Any, **options: Any) -> object:

@@ -104,9 +104,11 @@ class OnDask:
         return _AHEAD * max(self._workers(), 1)
 
     def _workers(self) -> int:
+        if self.client.status != "running":
+            return 0
         try:
-            return len(self.client.nthreads()) if self.client.status == "running" else 0
-        except (OSError, TimeoutError):
+            return len(self.client.sync(self.client.scheduler.ncores, callback_timeout=_REACH))
+        except (OSError, TimeoutError):  # client.nthreads() would wait for a scheduler that is stuck
             return 0
 
     def _answer(self, future: Any) -> Any:
@@ -179,6 +181,7 @@ def engine(
 @contextmanager
 def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     import dask
+    import distributed  # noqa: F401  # first: it adds settings, which would go when ours are put back
 
     with dask.config.set({"distributed.comm.timeouts.connect": f"{_REACH:g}s"}):
         if scheduler is None:
@@ -196,13 +199,20 @@ def _local(workers: int | None) -> Iterator[Any]:
     from distributed import LocalCluster
 
     count = workers or os.cpu_count() or 1
-    with LocalCluster(
-        n_workers=count,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address=None,
-        silence_logs=logging.CRITICAL,
-    ) as cluster:
+    try:
+        cluster = LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        )
+    except (OSError, RuntimeError, TimeoutError) as error:
+        raise UndertowError(
+            f"no cluster of {count} processes can be started here ({' '.join(str(error).split())[:200]}): "
+            "take fewer (--workers), or --workers 0 for this process"
+        ) from error
+    with cluster:
         yield cluster
 
 

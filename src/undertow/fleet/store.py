@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +70,3 @@ class Store:
             entries=np.array(reduced.entries),
         )
         write_whole(self._path(fingerprint, sha256), stream.getvalue())
-
-    def missing(self, fingerprint: str, hashes: Iterable[str]) -> list[str]:
-        """Hashes of logs of which nothing is known yet."""
-        return [h for h in dict.fromkeys(hashes) if self.get(fingerprint, h) is None]
