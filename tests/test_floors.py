@@ -59,6 +59,9 @@ def test_every_module_stands_on_a_floor() -> None:
             "undertow.identification is not allowed to import undertow.control",
         ),
         ("cli", "import control", "not allowed to import control"),
+        ("cli", "import distributed", "not allowed to import distributed"),
+        ("fleet", "import undertow.cli", "undertow.fleet is not allowed to import undertow.cli"),
+        ("control", "import undertow.fleet", "undertow.control is not allowed to import undertow.fleet"),
         ("attic", "", "undertow.attic"),
     ],
 )

@@ -11,11 +11,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import json
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from benchmarks.results.summary import with_summary
 from undertow.errors import UndertowError
 from undertow.files import write_whole
+from undertow.fleet.engine import Engine, engine
 
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
@@ -27,6 +29,8 @@ EXAMPLES = """\
 examples:
   # twenty minutes on two cores; the same command goes on where it was cut off
   python -m benchmarks.trust run --out trust.jsonl --minutes 20 --jobs 2
+  # the same on a cluster of Dask; every worker needs this checkout
+  python -m benchmarks.trust run --out trust.jsonl --scheduler tcp://10.0.0.1:8786
   python -m benchmarks.trust report trust.jsonl --out docs/trust.md --summary docs/results.md
   # one case with all that is known of it, its files kept
   python -m benchmarks.trust one usv:lift:x1:n1:open:plain:17 --keep cases/lift
@@ -56,6 +60,9 @@ def _parser() -> argparse.ArgumentParser:
     doing.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
     doing.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
     doing.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    doing.add_argument(
+        "--scheduler", metavar="ADDRESS", help="on Dask; 'local': on a cluster of --jobs processes"
+    )
     doing.add_argument("--no-peers", action="store_true", help="leave the other methods out")
     listing = commands.add_parser("list", help="the cases of the plan")
     for command in (doing, listing):
@@ -95,16 +102,25 @@ def _planned(options: argparse.Namespace) -> list[Planned]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    failed = run(
-        _planned(options),
-        options.out,
-        worker(not options.no_peers),
-        jobs=options.jobs,
-        minutes=options.minutes,
-        limit=options.limit,
-        tell=_tell,
-    )
+    with _engine(options) as doing:
+        failed = run(
+            _planned(options),
+            options.out,
+            worker(not options.no_peers),
+            jobs=options.jobs,
+            minutes=options.minutes,
+            limit=options.limit,
+            tell=_tell,
+            engine=doing,
+        )
     return int(failed > 0)
+
+
+def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine | None]:
+    if options.scheduler is None:
+        return nullcontext()
+    address = None if options.scheduler == "local" else options.scheduler
+    return engine(address, max(options.jobs, 1), options.limit)
 
 
 def _tell(record: Record, left: int) -> None:

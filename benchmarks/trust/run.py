@@ -14,6 +14,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from undertow.fleet.engine import Engine, Failure
+
 from .cases import Planned
 from .measure import Record, measured
 
@@ -41,6 +43,7 @@ def run(
     minutes: float | None = None,
     limit: float = LIMIT,
     tell: Tell = lambda record, left: None,
+    engine: Engine | None = None,
 ) -> int:
     """Measure cases that are not yet in a file, and append each as one line when it is done.
 
@@ -60,6 +63,9 @@ def run(
         Seconds that a case may take.
     tell : callable
         Told each record, and how many cases are left.
+    engine : Engine, optional
+        Who does the work instead of processes of this machine, a cluster of Dask for instance; `jobs` and
+        `limit` are its own affair then.
 
     Returns
     -------
@@ -70,7 +76,8 @@ def run(
     end = time.monotonic() + 60 * minutes if minutes is not None else float("inf")
     failed, left = 0, len(todo)
     commit = version()
-    for record in _results(todo, work, jobs, end, limit):
+    there = engine and _by(engine, todo, work, minutes)
+    for record in there or _results(todo, work, jobs, end, limit):
         left -= 1
         append(out, record | {"commit": commit})
         failed += "failure" in record
@@ -121,6 +128,27 @@ def worker(peers: bool) -> Work:
         return measured(case, peers=peers)[0]
 
     return work
+
+
+# --- a cluster --------------------------------------------------------------------------------
+def _by(engine: Engine, todo: Sequence[Planned], work: Work, minutes: float | None) -> Iterator[Record]:
+    """Records of cases that a cluster works on; what nobody answers for is a failure."""
+    until = time.time() + 60 * minutes if minutes is not None else float("inf")
+    for place, answer in engine.results(_in_time, [(work, case, until) for case in todo]):
+        if isinstance(answer, Failure):
+            yield failure(todo[place], answer.words)
+        elif answer is not None:
+            yield answer
+
+
+def _in_time(work: Work, case: Planned, until: float) -> Record | None:
+    """The record of a case; None where the time is over before it is begun."""
+    if time.time() > until:
+        return None
+    try:
+        return work(case)
+    except Exception as error:
+        return failure(case, f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
 # --- processes --------------------------------------------------------------------------------

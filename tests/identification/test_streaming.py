@@ -13,11 +13,10 @@ import pytest
 from tests.identification.surge import surge_vehicle
 from undertow.errors import UndertowError
 from undertow.identification.least_squares import CASES, estimate, experiments
-from undertow.identification.least_squares.chain import Triangle
-from undertow.identification.least_squares.rows import Rows
 from undertow.identification.least_squares.streaming import estimate_streaming
 from undertow.identification.logs import Mapping, read_log
 from undertow.identification.logs.chunks import LongLog
+from undertow.identification.triangle import Triangle
 
 VEHICLE = surge_vehicle()
 STEP = 0.2
@@ -162,7 +161,7 @@ def test_a_triangle_holds_no_more_than_its_factor() -> None:
     for _ in range(50):
         H.append(rng.standard_normal((40, 3)) * [1.0, 1e4, 1e-3])
         y.append(rng.standard_normal(40))
-        triangle.add(Rows(H[-1], y[-1], np.zeros(40)))
+        triangle.add(H[-1], y[-1])
         assert triangle.factor.shape == (4, 4)
     left, right = triangle.split()
     exact = np.linalg.lstsq(np.vstack(H), np.concatenate(y), rcond=None)[0]

@@ -11,8 +11,9 @@ from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
 from ..logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
+from ..triangle import Triangle
 from .cases import Case, Edges
-from .chain import Estimation, Experiment, Triangle, estimated_by, experiments
+from .chain import Estimation, Experiment, estimated_by, experiments
 
 Report = Callable[[float, str], None]
 ROWS = 50_000
@@ -103,6 +104,6 @@ def _reduce(
         following = next(parts, None)
         until = np.inf if following is None else part.border
         for case in cases:
-            found = experiment.regression.rows_if_any(part.run, case, edges)
-            triangles[case.name].add(found.between(after, until))
+            found = experiment.regression.rows_if_any(part.run, case, edges).between(after, until)
+            triangles[case.name].add(found.H, found.target)
         after, part = until, following

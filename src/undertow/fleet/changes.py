@@ -1,0 +1,278 @@
+"""Which effect grew: changes of groups of parameters from day to day, held against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from undertow.identification.weak.step import prior_of
+from undertow.model.parameter import bare_name
+
+from .combine import Day, Prior, Solved, choosing, joined, no_prior, solve
+from .panel import Panel
+
+Array = NDArray[np.float64]
+Profile = Callable[[Day], float]
+Kind = Literal["drag", "thrust", "inertia"]
+KINDS: tuple[Kind, ...] = ("drag", "thrust", "inertia")
+#: Days on either side of a comparison that scatter can be told from at all.
+FEWEST_DAYS = 3
+_MOTIONS = {"X": "surge", "Y": "sway", "Z": "heave", "K": "roll", "M": "pitch", "N": "yaw"}
+_DRAG = frozenset(
+    {"linear_damping", "linear_damping_coupling", "quadratic_damping", "cubic_damping", "crossflow_drag"}
+    | {"drag_asymmetry"}
+)
+_GAIN = "gain_error_"
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """One way in which a vehicle may change.
+
+    Attributes
+    ----------
+    kind : str
+        "drag", "thrust" or "inertia".
+    of : str
+        Motion, or thruster.
+    coefficients : (k,) array
+        Change of the columns' parameters for a change of one: drag or added mass as a whole by 100 %.
+    """
+
+    kind: Kind
+    of: str
+    coefficients: Array
+
+    @property
+    def name(self) -> str:
+        """What reports call it."""
+        return {"thrust": "thrust of", "drag": "drag in", "inertia": "added mass in"}[
+            self.kind
+        ] + f" {self.of}"
+
+
+@dataclass(frozen=True)
+class Change:
+    """How much something changed.
+
+    Attributes
+    ----------
+    direction : Direction
+        What.
+    value : float
+        Relative change over the whole span: 0.1 is ten per cent more. Drag and thrust are free side by side,
+        inertia being as it was; inertia is free by itself.
+    error : float
+        Its standard error; inf where the days do not determine it.
+    freedom : float
+        Degrees of freedom of the standard error.
+    alone : float
+        Chance of so much by scatter if nothing but its own kind may have changed.
+    """
+
+    direction: Direction
+    value: float
+    error: float
+    freedom: float
+    alone: float
+
+    @property
+    def p_value(self) -> float:
+        """Chance of so much by the scatter of the days, drag and thrust being free side by side."""
+        return chance(self.value, self.error, self.freedom)
+
+
+@dataclass(frozen=True)
+class Span:
+    """Days that are compared.
+
+    Attributes
+    ----------
+    days : tuple of Day
+        The days.
+    profile : callable
+        For a day its place from 0 (as at first) to 1 (as at last).
+    groups : tuple of int
+        Days at the beginning and at the end; for a trend, all days and none.
+    """
+
+    days: tuple[Day, ...]
+    profile: Profile
+    groups: tuple[int, int]
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are days enough to tell a change from scatter."""
+        first, last = self.groups
+        return min(first, last or first) >= FEWEST_DAYS
+
+    def freedom(self, found: Solved, places: slice) -> Array:
+        """Degrees of freedom of the standard errors, by Welch and Satterthwaite where two groups are held
+        against each other.
+        """
+        first, last = self.groups
+        if not last:
+            return np.full(places.stop - places.start, float(first - 2))
+        a, b = (found.variance_of(s)[places] for s in (slice(0, first), slice(first, None)))
+        spread = a**2 / (first - 1) + b**2 / (last - 1)
+        free = np.divide((a + b) ** 2, spread, out=np.full(len(a), 1.0), where=spread > 0)
+        return np.clip(free, 1.0, first + last - 2)
+
+
+def trend(days: Sequence[Day]) -> Span:
+    """All days, with a change that is proportional to time."""
+    first, last = days[0].day, days[-1].day
+    length = max((last - first).days, 1)
+    return Span(tuple(days), lambda day: (day.day - first).days / length, (len(days), 0))
+
+
+def shift(before: Sequence[Day], after: Sequence[Day]) -> Span:
+    """Later days against earlier ones."""
+    border = after[0].day
+    return Span((*before, *after), lambda day: float(day.day >= border), (len(before), len(after)))
+
+
+class Changes:
+    """Tests of one vehicle.
+
+    Parameters
+    ----------
+    panel : Panel
+        Columns and model.
+    """
+
+    def __init__(self, panel: Panel) -> None:
+        self.panel, self.names = panel, panel.names
+        self.directions = (*self._of_kind("drag"), *self._thrust(), *self._of_kind("inertia"))
+        gains = [n for n in self.names if n.startswith(_GAIN) and n not in panel.free]
+        self._constant = [*panel.free, *gains]
+
+    # --- what may change ----------------------------------------------------------------------
+    def _of_kind(self, kind: Kind) -> list[Direction]:
+        """One direction for each motion: all its coefficients grow by the same share."""
+        wanted = {"drag": _DRAG, "inertia": {"added_mass", "added_mass_coupling"}}[kind]
+        owned = {p.name for e in self.panel.vehicle.effects if e.id in wanted for p in e.parameters}
+        found: dict[str, Array] = {}
+        for name in self.panel.free:
+            if bare_name(name) in owned:
+                row = found.setdefault(name[0], np.zeros(len(self.names)))
+                row[self.names.index(name)] = self.panel.vehicle.value_of(name).value
+        return [Direction(kind, _MOTIONS[n], row) for n, row in found.items() if n in _MOTIONS and row.any()]
+
+    def _thrust(self) -> list[Direction]:
+        found = []
+        for thruster in self.panel.vehicle.thrusters:
+            name = f"{_GAIN}{thruster.name}"
+            if name in self.names:
+                row = np.zeros(len(self.names))
+                stated = self.panel.vehicle.value_of(name).value if name in self.panel.free else 0.0
+                row[self.names.index(name)] = 1.0 + stated
+                found.append(Direction("thrust", thruster.name, row))
+        return found
+
+    @property
+    def unseen(self) -> list[str]:
+        """What no change can be told of, because nothing of it is to be estimated."""
+        kinds = {d.kind for d in self.directions}
+        told = {"drag": "drag (no damping coefficient is marked with estimate)", "thrust": "thrust"}
+        return [words for kind, words in told.items() if kind not in kinds]
+
+    # --- tests --------------------------------------------------------------------------------
+    def over(self, span: Span) -> list[Change]:
+        """Change of every direction."""
+        if not span.enough:
+            return []
+        alone = {d: c for kind in KINDS for d, c in self._moved(span, self.of(kind)).items()}
+        beside = alone | self._moved(span, self.of("drag", "thrust"))
+        return [Change(d, *beside[d], chance(*alone[d])) for d in self.directions]
+
+    def of(self, *kinds: Kind) -> list[Direction]:
+        """Directions of some kinds."""
+        return [d for d in self.directions if d.kind in kinds]
+
+    def suffices(self, span: Span, moving: Sequence[Direction], effect: str, limit: float) -> bool:
+        """Whether changes of these directions, or of an effect of the catalogue, explain all: the effect
+        stands out, and nothing else does beside them, one direction or one kind at a time.
+
+        Parameters
+        ----------
+        span : Span
+            Days that are compared.
+        moving : sequence of Direction
+            What may have changed.
+        effect : str
+            Id of an effect that may have changed; empty for none.
+        limit : float
+            Chance up to which something stands out.
+        """
+        own = self.panel.own.get(effect, ())
+        if own and self._chance_of(span, own) > limit:
+            return False
+        kinds = {d.kind for d in moving}
+        beside = [[d] for d in self.directions if d not in moving]
+        # With all three kinds free, drag, thrust and inertia that all grow alike could not be seen.
+        beside += [self.of(k) for k in KINDS if k not in kinds and len(kinds) < 2]
+        return all(self._least(span, moving, group, own) > limit for group in beside)
+
+    def _least(
+        self, span: Span, moving: Sequence[Direction], group: Sequence[Direction], own: Sequence[str]
+    ) -> float:
+        """Chance of the clearest of some directions beside others, times how many they are."""
+        found = self._moved(span, [*moving, *group], own)
+        return len(group) * min((chance(*found[d]) for d in group), default=1.0)
+
+    def _chance_of(self, span: Span, own: Sequence[str]) -> float:
+        """Chance of the clearest parameter of an effect that changes by itself, times how many it has."""
+        solved = self._solved(span, [], own)
+        places = slice(len(self._constant), len(self._constant) + len(own))
+        free = span.freedom(solved, places)
+        numbers = zip(solved.theta[places], solved.errors[places], free, strict=True)
+        return len(own) * min(chance(*one) for one in numbers)
+
+    def rivals(self) -> list[str]:
+        """Effects of the catalogue whose change is neither drag nor thrust nor added mass by another name."""
+        return [
+            effect
+            for effect, own in self.panel.own.items()
+            if effect not in _DRAG and not set(own) & set(self._constant)
+        ]
+
+    def _moved(
+        self, span: Span, moving: Sequence[Direction], beside: Sequence[str] = ()
+    ) -> dict[Direction, tuple[float, float, float]]:
+        """Value, standard error and degrees of freedom of directions that change together."""
+        if not moving:
+            return {}
+        solved = self._solved(span, moving, beside)
+        places = slice(len(self._constant), len(self._constant) + len(moving))
+        free = span.freedom(solved, places)
+        numbers = zip(solved.theta[places], solved.errors[places], free, strict=True)
+        return {d: (float(v), float(e), float(f)) for d, (v, e, f) in zip(moving, numbers, strict=True)}
+
+    def _solved(self, span: Span, moving: Sequence[Direction], beside: Sequence[str]) -> Solved:
+        """Least squares with what is the same on all days, then what changes."""
+        still = choosing(self.names, self._constant)
+        other = choosing(self.names, list(beside))
+        change = np.column_stack([*(d.coefficients for d in moving), other])
+        wide = [np.column_stack([still, span.profile(day) * change, other]) for day in span.days]
+        prior = joined(self.prior, no_prior(wide[0].shape[1] - len(self.panel.free)))
+        return solve(span.days, wide, prior)
+
+    @property
+    def prior(self) -> Prior:
+        """What the vehicle file states of the free parameters, counted from its values."""
+        centre, weight = prior_of(self.panel.base)
+        stated = np.array([self.panel.vehicle.value_of(n).value for n in self.panel.free])
+        return Prior(centre - stated, weight)
+
+
+def chance(value: float, error: float, freedom: float) -> float:
+    """Two-sided chance of a value by its standard error."""
+    if not (np.isfinite(error) and error > 0 and freedom > 0):
+        return 1.0
+    return float(2 * stdtr(freedom, -abs(value) / error))

@@ -1,0 +1,145 @@
+"""Which files there are, and whose and which day's log each is."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from glob import glob
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
+
+from undertow.errors import UndertowError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from undertow.identification.logs import Mapping
+
+_KEY = re.compile(r"(vehicle|day)=(.*)")
+_DATE = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
+# Times beyond this, s, count from 1970; a log on its own clock does not last three years.
+_EPOCH = 1e8
+
+
+@dataclass(frozen=True, order=True)
+class Partition:
+    """The log of one vehicle and day, or a part of it.
+
+    Attributes
+    ----------
+    vehicle : str
+        Whose.
+    day : date
+        Of which day.
+    path : Path
+        Where, absolute.
+    """
+
+    vehicle: str
+    day: date
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """What reports call it."""
+        return f"{self.vehicle} {self.day} ({self.path.name})"
+
+
+def find(patterns: Sequence[str]) -> list[Path]:
+    """Files that fit any of the patterns; a folder stands for all Parquet files below it.
+
+    Raises
+    ------
+    UndertowError
+        If a pattern fits no file.
+    """
+    found: list[Path] = []
+    for pattern in patterns:
+        wanted = f"{pattern}/**/*.parquet" if Path(pattern).is_dir() else pattern
+        files = [p for p in map(Path, glob(wanted, recursive=True)) if p.is_file()]
+        if not files:
+            raise UndertowError(
+                f"no file fits '{pattern}': give Parquet files, such as 'logs/**/*.parquet' (quoted, so that "
+                "the shell leaves it alone)"
+            )
+        found += files
+    return sorted({p.absolute() for p in found})
+
+
+def partition_of(path: Path, mapping: Mapping) -> Partition:
+    """Whose and which day's log a file is.
+
+    The path says so (`vehicle=V/day=D/part.parquet`), or columns `vehicle` and `day` do, or the folder (the
+    vehicle) with a date in the file's name or a time that counts from 1970 (the day).
+
+    Raises
+    ------
+    UndertowError
+        If the file is not Parquet, holds several vehicles or days, or nothing says the day.
+    """
+    from undertow.identification.logs.table import is_parquet
+
+    with path.open("rb") as stream:
+        if not is_parquet(stream.read(4)):
+            raise UndertowError(f"{path} is no Parquet file: write the table as Parquet")
+    keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
+    head = {} if len(keys) == 2 else _said_inside(path, mapping)
+    vehicle = keys.get("vehicle") or head.get("vehicle") or path.parent.name
+    return Partition(str(vehicle), _day(path, keys.get("day"), head), path)
+
+
+def _said_inside(path: Path, mapping: Mapping) -> dict[str, Any]:
+    import polars as pl
+
+    try:
+        table = pl.scan_parquet(path, hive_partitioning=False)
+        columns = table.collect_schema().names()
+        said = {n: _only(table, n, path) for n in ("vehicle", "day") if n in columns}
+        clock = mapping.time.column
+        return said | ({"time": table.select(clock).head(1).collect().item()} if clock in columns else {})
+    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+        raise UndertowError(f"{path} cannot be read: {str(error).splitlines()[0]}") from error
+
+
+def _only(table: pl.LazyFrame, name: str, path: Path) -> Any:
+    values = table.select(name).unique().head(2).collect()[name].to_list()
+    if len(values) != 1:
+        raise UndertowError(
+            f"{path} holds {'no' if not values else 'more than one'} {name}: write one file for each"
+        )
+    return values[0]
+
+
+def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
+    said = key if key is not None else head.get("day")
+    if isinstance(said, date):
+        return said.date() if isinstance(said, datetime) else said
+    match = _DATE.search(str(said) if said is not None else path.stem)
+    time = head.get("time")
+    try:
+        if match:
+            return date(*map(int, match.groups()))
+        if said is None and isinstance(time, datetime):
+            return time.date()
+        if said is None and isinstance(time, int | float) and time > _EPOCH:
+            return datetime.fromtimestamp(time, UTC).date()
+    except ValueError as error:
+        raise UndertowError(f"{path}: '{match and match[0]}' is no day: {error}") from error
+    raise UndertowError(
+        f"{path} does not say its day: name its folder day=2026-05-01, its file 2026-05-01.parquet, or give "
+        "it a column day"
+    )
+
+
+def twins(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]:
+    """Partitions with the content of an earlier one, and that one: the same data would count twice."""
+    pairs = sorted(hashes)
+    first: dict[str, Partition] = {}
+    for partition, sha256 in pairs:
+        first.setdefault(sha256, partition)
+    count = Counter(sha256 for _, sha256 in pairs)
+    return {p: first[h] for p, h in pairs if count[h] > 1 and first[h] != p}

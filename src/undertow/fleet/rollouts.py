@@ -1,0 +1,244 @@
+"""Logs simulated many times with parameters drawn from what a fit left open: bands of the trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+from undertow.identification.compare.cutting import Windows, cut
+from undertow.identification.compare.predictor import Predictor
+from undertow.identification.logs import Mapping, read_log, velocities_from_pose
+from undertow.identification.logs.mapping import CommandPolicy
+from undertow.identification.weak.residual import WeakModel
+from undertow.model.loading import load_vehicle
+from undertow.model.parameter import bare_name
+from undertow.model.vehicle import Vehicle
+
+from .engine import Engine, Failure
+
+Array = NDArray[np.float64]
+Tell = Callable[[float, str], None]
+# Standard deviation of a start, in that of the sensors: a parabola through five samples has 0.70.
+_START = 0.7
+# Bytes that the rollouts of one window may take.
+_MOST = 1_000_000_000
+# Shares of the drawn vehicles that may be none (no positive mass matrix) before the covariance is refused.
+_REFUSED = 0.5
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What is simulated; plain data, so that it can be sent to any machine.
+
+    Attributes
+    ----------
+    vehicle : str
+        Path of the vehicle file as workers see it, or name of a bundled vehicle.
+    effects : tuple of str
+        Paths of files with effects of the user.
+    mapping : str
+        The mapping file's content as JSON.
+    fill : str, optional
+        What to do where a command has no sample.
+    horizon : float
+        Length of a window, s.
+    coverage : float
+        Share of the rollouts within the band.
+    seed : int
+        Of all that is drawn.
+    """
+
+    vehicle: str
+    effects: tuple[str, ...] = ()
+    mapping: str = "{}"
+    fill: CommandPolicy | None = None
+    horizon: float = 10.0
+    coverage: float = 0.9
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Band:
+    """The rollouts of one window.
+
+    Attributes
+    ----------
+    log : str
+        Path of the log.
+    window : int
+        Its place in the log.
+    names : tuple of str
+        Channels.
+    t : (k,) array
+        Time, s.
+    measured, low, median, high : (k, c) array
+        Measurement and quantiles of the rollouts, the noise of the sensors included; SI.
+    diverged : int
+        Rollouts that are left out since they diverged.
+    """
+
+    log: str
+    window: int
+    names: tuple[str, ...]
+    t: Array
+    measured: Array
+    low: Array
+    median: Array
+    high: Array
+    diverged: int
+
+
+def drawn(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
+    """Parameters of vehicles that a fit does not rule out, shape (count, n_parameters), and where from.
+
+    Raises
+    ------
+    UndertowError
+        If the file states no uncertainty, or most draws are no vehicle.
+    """
+    from undertow.codegen.functions import Functions
+    from undertow.control.linear.family import spread_of
+
+    vehicle = load_vehicle(source, effect_files=[Path(f) for f in effects])
+    spread = spread_of(vehicle, source)
+    model = WeakModel(Functions(vehicle), spread.names)
+    places = list(model.places)
+    centre = np.array(model.functions.values(), dtype=float)
+    random = np.random.default_rng(seed)
+    found: list[Array] = []
+    most = int(count / _REFUSED)
+    for _ in range(most):
+        shift = random.multivariate_normal(np.zeros(len(places)), spread.covariance, method="eigh")
+        p = centre.copy()
+        p[places] = [
+            _inside(vehicle, n, v) for n, v in zip(spread.names, centre[places] + shift, strict=True)
+        ]
+        if not model.limits.broken(p):
+            found.append(p)
+        if len(found) == count:
+            return np.array(found), spread.source
+    raise UndertowError(
+        f"{most - len(found)} of {most} vehicles drawn from the {spread.source} have no positive mass "
+        "matrix: fit the vehicle to better logs"
+    )
+
+
+def _inside(vehicle: Vehicle, name: str, value: float) -> float:
+    declared = vehicle.declared_parameters
+    low, high = (declared.get(name) or declared[bare_name(name)]).bounds
+    return float(min(max(value, low), high))
+
+
+def windows_of(flights: Flights, log: str) -> int:
+    """How many windows a log has."""
+    return len(_cut(flights, log))
+
+
+def rolled_out(flights: Flights, log: str, window: int, place: int, p: Array) -> Band:
+    """The band of one window.
+
+    Parameters
+    ----------
+    flights : Flights
+        What is simulated.
+    log : str
+        Path of the log.
+    window : int
+        Place of the window in the log.
+    place : int
+        Place of the window among all: the seed of its noise.
+    p : (count, n_parameters) array
+        Parameters of the rollouts.
+    """
+    chosen = _cut(flights, log).take(np.array([window]), np.iinfo(np.int64).max)
+    count, samples = len(p), int(chosen.count[0])
+    predictor = _predictor(flights.vehicle, flights.effects)
+    _refuse_large(count, samples, len(predictor.functions.state_names))
+    random = np.random.default_rng([flights.seed, place])
+    sigma = chosen.sigma
+    paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
+    good = np.isfinite(paths).all(axis=(1, 2))
+    if not good.any():
+        raise UndertowError(f"{log}, window {window}: all rollouts diverge")
+    noisy = paths[good] + sigma * random.standard_normal(paths[good].shape)
+    tail = (1 - flights.coverage) / 2
+    low, median, high = np.quantile(noisy, [tail, 0.5, 1 - tail], axis=0)
+    t, measured = chosen.t[0], chosen.measured[0]
+    return Band(log, window, chosen.names, t, measured, low, median, high, int(np.sum(~good)))
+
+
+def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
+    """Reported trajectories, shape (count, k, 2n)."""
+    prompt = not predictor.lateness.present and predictor.sensors_are_true
+    if not prompt or len(predictor.functions.state_names) > len(window.names):
+        return np.concatenate([_path(predictor, window, one, by) for one, by in zip(p, shift, strict=True)])
+    start, u = predictor.start_and_drive(window, p[0])
+    states = predictor.simulator.run(start + shift, window.t[0], u[0], p)
+    return np.asarray(states[:, :, : len(window.names)])
+
+
+def _path(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
+    """The same for one vehicle whose sensors or own states depend on the parameters."""
+    _, u = predictor.start_and_drive(window, p)
+    motion = predictor.measured_motion(window, u, p) + shift
+    return predictor.reports(window, p, motion)
+
+
+def _refuse_large(count: int, samples: int, states: int) -> None:
+    size = 8 * count * samples * states
+    if size > _MOST:
+        raise UndertowError(
+            f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
+            f"{_MOST / 1e9:g}: take fewer (--count) or shorter ones (--horizon)"
+        )
+
+
+@lru_cache(maxsize=2)
+def _predictor(vehicle: str, effects: tuple[str, ...]) -> Predictor:
+    return Predictor(load_vehicle(vehicle, effect_files=[Path(f) for f in effects]))
+
+
+@lru_cache(maxsize=4)
+def _cut(flights: Flights, log: str) -> Windows:
+    vehicle = _predictor(flights.vehicle, flights.effects).functions.vehicle
+    mapping = Mapping.model_validate_json(flights.mapping)
+    run = read_log(log, mapping, vehicle.command_names, missing_commands=flights.fill)
+    return cut([velocities_from_pose(run, vehicle.degrees_of_freedom)], vehicle, flights.horizon)
+
+
+def rollouts(
+    flights: Flights, logs: Sequence[str], count: int, engine: Engine, tell: Tell = lambda done, words: None
+) -> tuple[list[Band], dict[str, str], str]:
+    """Bands of all windows of all logs in order, what failed and why, and where the uncertainty is from.
+
+    The same numbers come out for any engine and any number of workers.
+
+    Raises
+    ------
+    UndertowError
+        If the vehicle file states no uncertainty, or no log can be used.
+    """
+    p, source = drawn(flights.vehicle, flights.effects, count, flights.seed)
+    found = dict(engine.results(windows_of, [(flights, log) for log in logs]))
+    failed = {log: found[i].words for i, log in enumerate(logs) if isinstance(found[i], Failure)}
+    if len(failed) == len(logs):
+        raise UndertowError(next(iter(failed.values())))
+    items = [(log, w) for i, log in enumerate(logs) if log not in failed for w in range(found[i])]
+    work = [(flights, log, window, place, p) for place, (log, window) in enumerate(items)]
+    bands: dict[int, Band] = {}
+    for done, (place, answer) in enumerate(engine.results(rolled_out, work), start=1):
+        log, window = items[place]
+        tell(done / len(work), f"{Path(log).name}, window {window}")
+        if isinstance(answer, Failure):
+            failed[f"{log}, window {window}"] = answer.words
+        else:
+            bands[place] = answer
+    if not bands:
+        raise UndertowError(next(iter(failed.values())))
+    return [bands[place] for place in sorted(bands)], failed, source

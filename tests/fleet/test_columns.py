@@ -1,0 +1,101 @@
+"""What a partition is reduced to, against plain least squares and against each effect by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.fleet.made import fouling, run
+from undertow.errors import UndertowError
+from undertow.fleet.combine import choosing, days_of, no_prior, solve
+from undertow.fleet.panel import Panel
+from undertow.fleet.reduction import Job, marked, reduce_log, reduce_runs
+from undertow.identification.diagnosis.candidates import candidates
+from undertow.identification.logs import Run
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import fit_weak
+from undertow.identification.weak.residual import whitened
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle
+
+
+@pytest.fixture(scope="module")
+def panel(fleet: Path) -> Panel:
+    return marked(Job(str(fleet / "craft.toml")))[1]
+
+
+@pytest.fixture(scope="module")
+def day(fleet: Path) -> Run:
+    return run(fleet / "craft.toml", fouling(0.1), np.random.default_rng(3))
+
+
+def test_columns_together_are_those_of_each_effect_by_itself(panel: Panel, day: Run) -> None:
+    together = panel.table(day)
+    data = prepare([day], panel.vehicle)
+    p = np.array(panel.base.functions.values(), dtype=float)
+    noise = panel._noise(data, p)
+    order = [*panel.daily, *panel.names]
+    known = {c.id: c for c in candidates(panel.vehicle, catalogue())}
+    for effect in ("thruster_gain", "ocean_current", "sensor_scale", "lift", "thruster_curve"):
+        names = tuple(q.name for q in known[effect].parameters)
+        model = known[effect].model(names)
+        own = whitened(model.linearise(data, np.array(model.functions.values(), dtype=float)), noise)
+        places = [order.index(n) for n in names]
+        np.testing.assert_allclose(together.J[:, places], own.J, rtol=1e-8, atol=1e-8 * np.abs(own.J).max())
+
+
+def test_the_factor_is_least_squares_over_all_rows(panel: Panel, day: Run) -> None:
+    """Parts, projection of what differs from day to day, and the sum over days change no estimate."""
+    halves = [day.slice(None, 24.0), day.slice(24.1, None)]
+    reduced = reduce_runs(halves, panel, "day")
+    found = solve(
+        days_of([(np.datetime64("2026-01-01").item(), reduced)]),
+        [choosing(panel.names, panel.free)],
+        no_prior(len(panel.free)),
+    )
+    rows = [panel.table(half) for half in halves]
+    J, r = np.vstack([t.J for t in rows]), np.concatenate([t.r for t in rows])
+    chosen = [*range(len(panel.daily)), *(len(panel.daily) + panel.names.index(n) for n in panel.free)]
+    plain = np.linalg.lstsq(J[:, chosen], -r, rcond=None)[0][len(panel.daily) :]
+    np.testing.assert_allclose(found.theta, plain, rtol=1e-8)
+    assert reduced.entries == len(r)
+    assert reduced.samples == len(day.t)
+    # The errors by the noise alone are those of the rows, too.
+    inverse = np.linalg.inv(J[:, chosen].T @ J[:, chosen])
+    size = np.sqrt(np.diag(inverse)[len(panel.daily) :])
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), size, rtol=1e-6)
+
+
+def test_one_linear_step_agrees_with_a_fit(panel: Panel, fleet: Path, day: Run) -> None:
+    vehicle = load_vehicle(fleet / "craft.toml").with_effect(catalogue()["ocean_current"], {})
+    fit = fit_weak(vehicle, prepare([day], vehicle), (*panel.free, "V_N", "V_E"))
+    only_current = Panel(panel.vehicle, catalogue(), ["ocean_current"])
+    reduced = reduce_runs([day], only_current, "day")
+    found = solve(
+        days_of([(np.datetime64("2026-01-01").item(), reduced)]),
+        [choosing(only_current.names, panel.free)],
+        no_prior(len(panel.free)),
+    )
+    for name, step, error in zip(panel.free, found.theta, found.errors, strict=True):
+        assert panel.vehicle.value_of(name).value + step == pytest.approx(fit.values[name], abs=1.5 * error)
+
+
+def test_a_vehicle_with_nothing_to_estimate_is_refused(fleet: Path, tmp_path: Path) -> None:
+    known = tmp_path / "known.toml"
+    known.write_text((fleet / "craft.toml").read_text().replace("estimate = true", "estimate = false"))
+    with pytest.raises(UndertowError, match="no parameter of 'craft' is to be estimated"):
+        marked(Job(str(known)))
+    with pytest.raises(UndertowError, match="'currant' is no effect"):
+        marked(Job(str(fleet / "craft.toml"), daily=("currant",)))
+
+
+def test_a_worker_with_another_vehicle_file_refuses(fleet: Path, tmp_path: Path) -> None:
+    job = marked(Job(str(fleet / "craft.toml")))[0]
+    other = tmp_path / "craft.toml"
+    other.write_text((fleet / "craft.toml").read_text().replace("20.0", "21.0"))
+    elsewhere = Job(str(other), fingerprint="0" * 64)
+    with pytest.raises(UndertowError, match="reads another"):
+        reduce_log(elsewhere, str(next((fleet / "logs").rglob("*.parquet"))))
+    assert marked(Job(str(other)))[0].fingerprint != job.fingerprint

@@ -1,0 +1,138 @@
+"""`undertow fleet` on the command line: reports, going on, partial answers, mistakes in the input."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from benchmarks.fleet.made import log
+from undertow.cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+DIAGNOSE = ["fleet", "diagnose", "craft.toml", "logs/**/*.parquet", "--workers", "0", "--out", "report"]
+
+
+@pytest.fixture
+def small(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Four days of bravo, the current folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    shutil.copy(fleet / "craft.toml", tmp_path)
+    for source in sorted((fleet / "logs" / "vehicle=bravo").iterdir())[:4]:
+        shutil.copytree(source, tmp_path / "logs" / "vehicle=bravo" / source.name)
+    return tmp_path
+
+
+def report() -> dict[str, object]:
+    return json.loads(Path("report/report.json").read_text())
+
+
+def test_a_second_run_does_what_is_missing_only(small: Path, capsys: Capture) -> None:
+    assert main(DIAGNOSE) == 0
+    out, first = capsys.readouterr().out, report()
+    assert "4 of 4 files count (4 worked out now, 0 known before)" in out
+    assert "X_uabsu" in out
+    assert "cannot tell: 3 days before and 1 in it, at least 3 are needed" in out
+    days = sorted((small / "logs/vehicle=bravo").iterdir())
+    days[0].rename(small / "logs/vehicle=bravo/day=2026-01-31")  # moved, but the same log
+    table = pl.read_parquet(days[3] / "part.parquet")
+    table.head(400).write_parquet(days[3] / "part.parquet")  # changed
+    assert main(DIAGNOSE) == 0
+    assert "4 of 4 files count (1 worked out now, 3 known before)" in capsys.readouterr().out
+    assert report() != first
+    assert "## bravo" in Path("report/report.md").read_text()
+
+
+def test_what_cannot_be_used_is_named_and_the_rest_counts(small: Path, capsys: Capture) -> None:
+    days = sorted((small / "logs/vehicle=bravo").iterdir())
+    (days[0] / "part.parquet").write_bytes(b"PAR1 cut off")
+    pl.read_parquet(days[1] / "part.parquet").drop("port").write_parquet(days[1] / "part.parquet")
+    (days[2] / "copy.parquet").write_bytes((days[3] / "part.parquet").read_bytes())
+    assert main(DIAGNOSE) == 1
+    out, found = capsys.readouterr().out, report()
+    assert "2 of 5 files count" in out
+    assert "'port'" in out
+    assert [Path(p).parent.name for p in found["failed"]] == [days[0].name, days[1].name]
+    assert len(found["twins"]) == 1
+    assert str(days[0]) in Path("report/report.md").read_text()
+
+
+def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -> None:
+    (small / "own").mkdir()
+    shutil.copy("craft.toml", "own/bravo.toml")
+    words = ["fleet", "diagnose", "own/{vehicle}.toml", "logs", "--workers", "0", "--passes", "2"]
+    assert main(words) == 0
+    assert Path("fleet-results/report.md").exists()
+    capsys.readouterr()
+    (small / "own/bravo.toml").unlink()
+    assert main(words) == 2
+    assert "neither a file nor a bundled vehicle" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["craft.toml", "nothing/*.parquet"], "no file fits 'nothing/*.parquet'"),
+        (["craft.tom", "logs"], "'craft.tom' is neither a file nor a bundled vehicle"),
+        (["craft.toml", "craft.toml"], "is no Parquet file"),
+        (["mini-auv", "logs"], "none of 4 files could be used"),
+        (["craft.toml", "logs", "--daily", "lag"], "'lag' is no effect"),
+        (["craft.toml", "logs", "--out", "craft.toml"], "is no folder"),
+        (["craft.toml", "logs", "--map", "none.toml"], "none.toml"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(
+    small: Path, capsys: Capture, words: list[str], complaint: str
+) -> None:
+    assert main(["fleet", "diagnose", *words, "--workers", "0"]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert error.count("\n") == 1
+
+
+def test_without_dask_it_says_what_to_install(
+    small: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.setattr("undertow.fleet.engine.find_spec", lambda name: None)
+    assert main(["fleet", "diagnose", "craft.toml", "logs"]) == 2
+    assert 'pip install "undertow[fleet]"' in capsys.readouterr().err
+
+
+def test_bands_of_rollouts_hold_what_was_measured(small: Path, capsys: Capture) -> None:
+    still = log(small / "craft.toml", {}, np.random.default_rng(1), current=0.0)
+    pl.DataFrame(still).write_parquet("still.parquet")
+    words = [
+        "fleet",
+        "rollouts",
+        "craft.toml",
+        "still.parquet",
+        "--workers",
+        "0",
+        "--count",
+        "60",
+        "--horizon",
+        "5",
+    ]
+    assert main([*words, "--out", "bands.parquet"]) == 0
+    assert "stated standard deviations of 7 parameters" in capsys.readouterr().out
+    bands = pl.read_parquet("bands.parquet")
+    assert bands["window"].unique().len() == 10
+    for name in ("u", "psi", "x"):
+        inside = bands.select(pl.col(f"{name}_measured").is_between(f"{name}_low", f"{name}_high").mean())
+        assert inside.item() > 0.85
+        assert bands.select((pl.col(f"{name}_low") < pl.col(f"{name}_median")).all()).item()
+    assert main(["fleet", "rollouts", "craft.toml", "none.csv", "--workers", "0"]) == 2
+    assert "none.csv does not exist" in capsys.readouterr().err
+    words[2] = "mini-auv-known.toml"
+    known = re.sub(r", sigma = [0-9.]+", "", Path("craft.toml").read_text())
+    Path("mini-auv-known.toml").write_text(known)
+    assert main(words) == 2
+    assert "has a standard deviation" in capsys.readouterr().err
