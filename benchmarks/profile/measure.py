@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from undertow.identification.diagnosis import diagnose as module
+from undertow.identification.diagnosis import rounds
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import Catalogue, catalogue
 
@@ -15,22 +16,27 @@ from .case import HIDDEN, material
 from .clock import Clock, processor_seconds, sampled
 
 SIZES = (5, 10, 20)
-BEFORE = {
-    "prepare": "reading out velocities, weak form, noise",
-    "check_excitation": "is anything moved?",
-    "examine": "doctor: signs, frames, clocks, units",
-    "Referee": "setting up simulations",
+ACTIONS = {
+    (module, "prepare"): "reading out velocities, weak form, noise",
+    (module, "check_excitation"): "is anything moved?",
+    (module, "examine"): "doctor: signs, frames, clocks, units",
+    (module, "Referee"): "setting up simulations",
+    (rounds, "_scouted"): "search: every effect, tried in the weak form",
+    (rounds, "_tried"): "search: promising effects, fitted",
+    (rounds, "_final"): "search: leading effects, judged under their noise",
 }
-"""Stages that are functions of the module `diagnose`, in its words and in ours."""
-SEARCH = {
+"""Stages that are functions of a module, by its name for them."""
+TOLD = {
     "fitting the model as it is": "search: the model as it is",
-    "trying": "search: every effect, tried in the weak form",
-    "fitting": "search: promising effects, fitted",
-    "judging": "search: leading effects, judged under their noise",
-    "looking": "search: all effects together",
+    "looking at all effects together": "search: all effects together",
     "judging the result by simulation": "judging and wording the result, by simulation",
 }
-"""Beginnings of what the diagnosis reports, and the stage that begins with it; the longest fits."""
+"""What the diagnosis reports, and the stage that begins with it."""
+
+
+_FIRST, _THEN = ([stage for (where, _), stage in ACTIONS.items() if where is one] for one in (module, rounds))
+_AS_IT_IS, *_LAST = TOLD.values()
+_ORDER = (*_FIRST, _AS_IT_IS, *_THEN, *_LAST)
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ def warmed_up() -> None:
 
 
 def profiled(known: Catalogue) -> Profile:
-    """Diagnose the case with these effects."""
+    """Diagnose the case with these effects; what helper processes do is not seen."""
     clock = Clock()
     with _stages(clock), sampled(clock) as modules:
         vehicle, train, test = material()
@@ -70,7 +76,7 @@ def profiled(known: Catalogue) -> Profile:
         )
         clock.begin("")
     del clock.wall[""], clock.cpu[""]
-    order = [s for s in (*BEFORE.values(), *SEARCH.values(), "other") if s in clock.wall]
+    order = [s for s in (*_ORDER, "other") if s in clock.wall]
     wall, cpu = ({s: t[s] for s in order} for t in (clock.wall, clock.cpu))
     return Profile(wall, cpu, {k: v for k, v in modules.items() if k[1]}, list(outcome.diagnosis.effects))
 
@@ -111,18 +117,18 @@ def growth() -> dict[int, float]:
 
 
 def _begin(clock: Clock, words: str) -> None:
-    fitting = [beginning for beginning in SEARCH if words.startswith(beginning)]
-    clock.begin(SEARCH[max(fitting, key=len)] if fitting else "other")
+    if words in TOLD:
+        clock.begin(TOLD[words])
 
 
 @contextmanager
 def _stages(clock: Clock) -> Iterator[None]:
     """Functions of the diagnosis that tell the clock when they begin and end."""
-    originals = {name: getattr(module, name) for name in BEFORE}
-    for name, action in originals.items():
-        setattr(module, name, clock.during(BEFORE[name], action))
+    originals = {place: getattr(*place) for place in ACTIONS}
+    for place, action in originals.items():
+        setattr(*place, clock.during(ACTIONS[place], action))
     try:
         yield
     finally:
-        for name, action in originals.items():
-            setattr(module, name, action)
+        for place, action in originals.items():
+            setattr(*place, action)

@@ -23,8 +23,9 @@ Made by `python -m benchmarks.profile` ({machine}).
 `{hidden}` hidden (seed {seed}), six degrees of freedom, three runs of 100 s to fit to and one to judge by,
 20 Hz. It answers: {named}. Compiled code is in the cache, files are read; what is timed is the diagnosis. A
 timer that counts processor time looks every {interval:.0f} ms which module is at work; what NumPy, SciPy and
-compiled code do counts for the module that called them. Wall time is longer than processor time where other
-programs kept the machine busy.
+compiled code do counts for the module that called them. All in one process (`UNDERTOW_JOBS=1`); on several
+cores the candidates, their fits and the doctor run beside each other. Wall time is longer than processor time
+where other programs kept the machine busy.
 
 ![Seconds of the processor by module, stacked by stage]({picture})
 
@@ -115,7 +116,7 @@ def _meaning(profile: Profile) -> str:
         f"takes {longest}, the next, *{slow[1]}*, {next_}. Without any one of the others the\n"
         f"diagnosis would be at most {cpu / (cpu - used[slow[2]]):.2f} times as fast. The modules\n"
         f"`{first}` and `{second}` do {both:.0%} of the work.\n"
-        f"Processor over wall time is {busy:.2f}; more than 1 takes several cores."
+        f"Processor over wall time is {busy:.2f}, where 1 is a core for this process alone."
     )
 
 
