@@ -263,8 +263,8 @@ from undertow.codegen.driver import driver_source
 from undertow.codegen.source import c_source, digest
 for name in ("bluerov2", "full"):
     functions = functions_of(name)
-    for f in (functions.dynamics, functions.tangents("x", "p")):
-        print(driver_source(f, functions.nu_dot.numel())[1])
+    for sensitivities in (False, True):
+        print(driver_source(functions, sensitivities=sensitivities)[1])
     print(digest(c_source(functions.regressor)))
 """
 
@@ -273,7 +273,7 @@ def test_the_same_model_is_the_same_source_in_every_process() -> None:
     first, second = (_python(HASHES, PYTHONHASHSEED=seed).stdout for seed in ("1", "2"))
     assert first == second
     here = functions_of("bluerov2")
-    assert driver_source(here.dynamics, here.nu_dot.numel())[1] == first.split()[0]
+    assert driver_source(here, sensitivities=False)[1] == first.split()[0]
 
 
 # --- no compiler --------------------------------------------------------------------------------

@@ -130,13 +130,11 @@ int main(void) {
 """
 
 
-@pytest.mark.parametrize("kind", ["dynamics", "tangents"])
-def test_the_driver_is_clean_too(kind: str, c_compiler: Compiler, tmp_path: Path) -> None:
+@pytest.mark.parametrize("sensitivities", [False, True])
+def test_the_driver_is_clean_too(sensitivities: bool, c_compiler: Compiler, tmp_path: Path) -> None:
     from undertow.codegen.driver import driver_source
 
-    functions = functions_of("mini-auv")
-    function = functions.dynamics if kind == "dynamics" else functions.tangents("x", "p")
-    source, _ = driver_source(function, functions.nu_dot.numel())
+    source, _ = driver_source(functions_of("mini-auv"), sensitivities=sensitivities)
     (tmp_path / "driver.c").write_text(source + DRIVER_MAIN)
     for flags in ((), SANITIZERS):
         command = [*c_compiler.command, *STRICT, "-O1", *flags, "driver.c", "-lm", "-o", "driver"]
