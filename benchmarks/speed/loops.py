@@ -56,7 +56,9 @@ def masses(runs: int) -> np.ndarray:
 # --- by hand ------------------------------------------------------------------------------------
 def hand_gains() -> np.ndarray:
     """The same law as `HandGains`."""
-    return np.concatenate([K_P, K_V, K_I, loop().parts.controller.allocation.pseudo_inverse.ravel()]).astype(float)
+    return np.concatenate([K_P, K_V, K_I, loop().parts.controller.allocation.pseudo_inverse.ravel()]).astype(
+        float
+    )
 
 
 def hand_parameters(mass: float) -> np.ndarray:
@@ -73,7 +75,9 @@ class HandLoop:
     """hand_rollout.c, compiled."""
 
     def __init__(self, folder: Path) -> None:
-        self._library = hand.library(SOURCE.read_text(encoding="utf-8"), folder, "hand_rollout", "-std=gnu99", "-fopenmp")
+        self._library = hand.library(
+            SOURCE.read_text(encoding="utf-8"), folder, "hand_rollout", "-std=gnu99", "-fopenmp"
+        )
         self._gains, self._start, self._desired = hand_gains(), np.zeros(12), np.array(TO)
 
     def run(self, duration: float, masses: np.ndarray, threads: int = 1) -> np.ndarray:

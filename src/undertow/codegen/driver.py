@@ -21,9 +21,8 @@ from .source import digest
 class CompiledStepper:
     """The driver in C around the generated dynamics or tangents: one call for all samples of all runs."""
 
-    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
-        function = functions.tangents("x", "p") if sensitivities else functions.dynamics
-        source, name = driver_source(function, functions.nu_dot.numel())
+    def __init__(self, functions: Functions, compiler: Compiler) -> None:
+        source, name = driver_source(functions.tangents("x", "p"), functions.nu_dot.numel())
         self.library: Path = library_for(source, compiler)
         self._simulate = getattr(loaded(self.library), name)
         self._simulate.restype = ctypes.c_int

@@ -28,7 +28,7 @@
 
 #ifdef __GNUC__
 #define WIDE (LANES > 1 ? LANES : 4)
-#define LARGEST_ANGLE 1e6
+#define LARGEST_ANGLE 2e4
 typedef double Wide __attribute__((vector_size(8 * WIDE)));
 typedef int64_t WideBits __attribute__((vector_size(8 * WIDE)));
 
@@ -58,14 +58,16 @@ INLINE void wide_sincos(Wide angle, Wide *sine, Wide *cosine) {
   const Wide shifted = angle * 0.63661977236758134308 + to_integer;
   const WideBits quadrant = (WideBits)shifted;
   const Wide n = shifted - to_integer;
-  const Wide r = ((angle - n * 1.57079632673412561417e+00) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21;
+  const Wide near = (angle - n * 1.57079632673412561417e+00) - n * 6.07710050630396597660e-11;
+  const Wide r = near - n * 2.02226624879595063154e-21;
   const Wide z = r * r, zz = z * z, half = 0.5 * z, most = 1.0 - half;
   const Wide s = (8.33333333332248946124e-03 - z * 1.98412698298579493134e-04) +
                  zz * ((2.75573137070700676789e-06 - z * 2.50507602534068634195e-08) + zz * 1.58969099521155010221e-10);
   const Wide c = (4.16666666666666019037e-02 - z * 1.38888888888741095749e-03) +
                  zz * ((2.48015872894767294178e-05 - z * 2.75573143513906633035e-07) +
                        zz * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11));
-  const WideBits small = (WideBits)(r + z * r * (z * s - 1.66666666666666324348e-01));
+  /* The sign of r is that of its sine, also where r is zero. */
+  const WideBits small = (WideBits)(r + z * r * (z * s - 1.66666666666666324348e-01)) | ((WideBits)r & INT64_MIN);
   const WideBits large = (WideBits)(most + (((1.0 - most) - half) + zz * c));
   const WideBits odd = -(quadrant & 1);
   *sine = (Wide)(((odd & large) | (~odd & small)) ^ ((quadrant & 2) << 62));

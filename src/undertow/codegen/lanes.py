@@ -54,7 +54,10 @@ def processors() -> int:
 
 
 def in_threads(
-    work: Callable[[T], object], parts: Sequence[T], threads: int | None, done: Callable[[T], object]
+    work: Callable[[T], object],
+    parts: Sequence[T],
+    threads: int | None,
+    done: Callable[[T], object] = lambda part: None,
 ) -> None:
     """Do the parts of a work in threads; compiled code runs outside Python's lock.
 
@@ -66,7 +69,7 @@ def in_threads(
         The parts.
     threads : int, optional
         How many at a time; by default as many as there are processors.
-    done : callable
+    done : callable, optional
         Called with every part that is done, in the thread of the caller.
 
     Raises
