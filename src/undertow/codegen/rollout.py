@@ -43,7 +43,8 @@ class Entries:
     """
 
     def __init__(self, source: Callable[[int], tuple[str, str]], compiler: Compiler) -> None:
-        self._source, self._compiler = source, compiler.for_this_machine()
+        # What is a vector is so already; others that the compiler makes up cost a twentieth.
+        self._source, self._compiler = source, compiler.for_this_machine("-fno-tree-vectorize")
         self._known: dict[int, Callable[..., None]] = {}
         self.libraries: dict[int, Path] = {}
         self._building = Lock()
@@ -91,7 +92,8 @@ class CompiledRollout:
 
 
 def _address(array: Array) -> ctypes.c_void_p:
-    assert array.flags.c_contiguous and array.dtype == np.float64
+    assert array.flags.c_contiguous
+    assert array.dtype == np.float64
     return ctypes.c_void_p(array.ctypes.data)
 
 
