@@ -93,7 +93,7 @@ def _accumulated(samples: int) -> ca.Function:
     last = x + h / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
     state = ca.vertcat(x, s)
     step = ca.Function("step", [state], [ca.cse(ca.vertcat(last, following))])
-    return step.mapaccum("rollout", samples, {"base": samples})
+    return step.mapaccum(samples)
 
 
 @cache
@@ -105,7 +105,7 @@ def _compiled_mapaccum(folder: Path) -> ca.Function:
     source.generate(f"{folder}/")
     command = [*compiler.command, *hand.FLAGS, "accumulated.c", "-o", "accumulated.so", "-lm"]
     subprocess.run(command, check=True, cwd=folder)
-    return ca.external("rollout", str(folder / "accumulated.so"))
+    return ca.external(function.name(), str(folder / "accumulated.so"))
 
 
 def _by_casadi(function: ca.Function, duration: float) -> np.ndarray:

@@ -33,7 +33,8 @@ def packed(array: Array, lanes: int) -> Array:
     if lanes == 1:
         return np.ascontiguousarray(array)[..., None]
     groups = -(-len(array) // lanes)
-    full = array[np.minimum(np.arange(groups * lanes), len(array) - 1)]
+    lacking = groups * lanes - len(array)
+    full = np.concatenate([array, np.repeat(array[-1:], lacking, axis=0)]) if lacking else array
     return np.ascontiguousarray(np.moveaxis(full.reshape(groups, lanes, *array.shape[1:]), 1, -1))
 
 

@@ -46,8 +46,8 @@ class CompiledLoop:
         lanes = lanes_for(problem.runs, self.lanes)
         arrays = {name: packed(getattr(problem, name), lanes) for name in (*_PER_RUN, *_CHANGED)}
         noise = None if block.noise is None else packed(block.noise, lanes)
-        groups, rows = len(arrays["x"]), block.rows(self._parts, problem.runs)
-        record = [packed(array, lanes) for array in vars(rows).values()]
+        groups = len(arrays["x"])
+        record = vars(block.rows(self._parts, groups, lanes)).values()
         loop = _Loop(
             *(problem.dt, problem.substeps, problem.continuous, problem.input_delay),
             *(problem.reports.shape[1], _address(problem.output_delay), block.stride, len(block.recorded)),
