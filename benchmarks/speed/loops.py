@@ -53,10 +53,15 @@ def masses(runs: int) -> np.ndarray:
     return vehicle.vehicle().value_of("m").value + spread
 
 
+def allocation() -> np.ndarray:
+    """Command of each thruster for a unit of each force, shape (8, 6)."""
+    return loop().parts.controller.allocation.pseudo_inverse
+
+
 # --- by hand ------------------------------------------------------------------------------------
 def hand_gains() -> np.ndarray:
     """The same law as `HandGains`."""
-    return np.concatenate([K_P, K_V, K_I, loop().parts.controller.allocation.pseudo_inverse.ravel()]).astype(float)
+    return np.concatenate([K_P, K_V, K_I, allocation().ravel()]).astype(float)
 
 
 def hand_parameters(mass: float) -> np.ndarray:
@@ -73,7 +78,9 @@ class HandLoop:
     """hand_rollout.c, compiled."""
 
     def __init__(self, folder: Path) -> None:
-        self._library = hand.library(SOURCE.read_text(encoding="utf-8"), folder, "hand_rollout", "-std=gnu99", "-fopenmp")
+        self._library = hand.library(
+            SOURCE.read_text(encoding="utf-8"), folder, "hand_rollout", "-std=gnu99", "-fopenmp"
+        )
         self._gains, self._start, self._desired = hand_gains(), np.zeros(12), np.array(TO)
 
     def run(self, duration: float, masses: np.ndarray, threads: int = 1) -> np.ndarray:

@@ -56,12 +56,14 @@ class Compiler:
     version: str
     more: tuple[str, ...] = ()
 
-    def for_this_machine(self) -> Compiler:
+    def for_this_machine(self, *options: str) -> Compiler:
         """The same compiler, using all that this processor can do; what it builds may not run elsewhere."""
         known = _processor(self.command)
         if self.is_msvc or not known:
             return self
-        return replace(self, version=f"{self.version}, processor {digest(known)[:12]}", more=_LOCAL_FLAGS)
+        return replace(
+            self, version=f"{self.version}, processor {digest(known)[:12]}", more=(*_LOCAL_FLAGS, *options)
+        )
 
     @property
     def lanes(self) -> int:

@@ -3,8 +3,8 @@
    Compiled together with the generated functions. What stands before this defines
      NX, NU           numbers of states and inputs
      ND               number of degrees of freedom; rows ND .. 2 ND - 1 of x_dot hold the acceleration
-     prepare (p, q), hold (u, q, w) and held_dynamics (x, w, q, t, x_dot), with NQ and NW entries in q and w
-   or, for sensitivities, TANGENTS and tangents (x, u, p, t, x_dot, W, R_x, R_p) and the sparsity of R_x and R_p:
+     DYNAMICS         name of the function f(x, u, p, t, x_dot)
+   or, for sensitivities, TANGENTS (x, u, p, t, x_dot, W, R_x, R_p) in its place and the sparsity of R_x and R_p:
      RX_COLUMN, RX_ROW, RX_NONZEROS, RP_COLUMN, RP_ROW, RP_NONZEROS
    and SIMULATE, the name under which the entry point is exported.
 
@@ -22,7 +22,6 @@
 
 typedef struct {
   const double *u, *p;  /* held inputs, parameters */
-  double *q, *w;        /* what follows from the parameters, and from the held inputs */
   const int64_t *wrt;   /* parameter of every sensitivity column, -1 for a column of an initial state */
   int64_t columns;      /* number of sensitivity columns */
   double *slopes;       /* x_dot, then W, R_x, R_p */
@@ -44,23 +43,9 @@ static void evaluate(Workspace *work, const double *x, double t) {
   double *f = work->slopes;
 #ifdef TANGENTS
   double *w = f + NX, *rx = w + ND * ND, *rp = rx + RX_NONZEROS;
-  tangents(x, work->u, work->p, t, f, w, rx, rp);
+  TANGENTS(x, work->u, work->p, t, f, w, rx, rp);
 #else
-  held_dynamics(x, work->w, work->q, t, f);
-#endif
-}
-
-static void take_parameters(Workspace *work, const double *p) {
-  work->p = p;
-#ifndef TANGENTS
-  prepare(p, work->q);
-#endif
-}
-
-static void take_inputs(Workspace *work, const double *u) {
-  work->u = u;
-#ifndef TANGENTS
-  hold(u, work->q, work->w);
+  DYNAMICS(x, work->u, work->p, t, f);
 #endif
 }
 
@@ -154,15 +139,15 @@ int SIMULATE(int64_t batch, int64_t samples, int64_t first, int64_t last, const 
   const int64_t size = NX * columns;
   double *block = malloc(sizeof(double) * (size_t)(SLOPES_PER_CALL + 3 * size + ND * columns));
   if (!block) return 1;
-  double *z = block + SLOPES_PER_CALL, q[NQ], w[NW];
-  Workspace work = {0, 0, q, w, wrt, columns, block, z, z + size, z + 2 * size, z + 3 * size};
+  double *z = block + SLOPES_PER_CALL;
+  Workspace work = {0, 0, wrt, columns, block, z, z + size, z + 2 * size, z + 3 * size};
   for (int64_t b = 0; b < batch; b++) {
     const double *time = t + b * t_stride;
     const int64_t *count = steps + (t_stride ? b * (samples - 1) : 0);
-    if (b == 0 || p_stride) take_parameters(&work, p + b * p_stride);
+    work.p = p + b * p_stride;
     for (int64_t i = first; i < last; i++) {
       const int64_t row = b * samples + i;
-      take_inputs(&work, u + b * u_stride + i * NU);
+      work.u = u + b * u_stride + i * NU;
       advance(&work, time[i], time[i + 1] - time[i], count[i], x + row * NX, s + row * size);
     }
   }

@@ -13,9 +13,7 @@ from undertow.errors import UndertowError
 from .cache import library_for
 from .compiler import Compiler
 from .functions import Functions
-from .lanes import LANES_HEADER, defines
-from .plain import LANES, plain_c
-from .prepared import Prepared
+from .plain import plain_c
 from .problem import Array, Problem
 from .source import digest
 
@@ -23,8 +21,8 @@ from .source import digest
 class CompiledStepper:
     """The driver in C around the generated dynamics or tangents: one call for all samples of all runs."""
 
-    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
-        source, name = driver_source(functions, sensitivities=sensitivities)
+    def __init__(self, functions: Functions, compiler: Compiler) -> None:
+        source, name = driver_source(functions.tangents("x", "p"), functions.nu_dot.numel())
         self.library: Path = library_for(source, compiler.for_this_machine())
         self._simulate = getattr(loaded(self.library), name)
         self._simulate.restype = ctypes.c_int
@@ -70,43 +68,31 @@ def _shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return _pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
 
 
-def driver_source(functions: Functions, *, sensitivities: bool) -> tuple[str, str]:
-    """C source of a simulation, without or with sensitivities, and the name of its entry point.
+# Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
+SEPARATE = """\
+#if defined(__GNUC__)
+#define SEPARATE __attribute__((noinline))
+#else
+#define SEPARATE
+#endif
+"""
+
+
+def driver_source(function: ca.Function, n_dof: int) -> tuple[str, str]:
+    """C source of a simulation around `function` (dynamics or tangents), and the name of its entry point.
 
     The entry point carries the hash of the source, so that no other library in the process has the same one.
     """
-    prepared = functions.prepared
-    sizes = {
-        "NX": functions.x.numel(),
-        "NU": functions.u.numel(),
-        "ND": functions.nu_dot.numel(),
-        "NQ": prepared.prepare.numel_out(0),
-        "NW": prepared.hold.numel_out(0),
-    }
-    model = _tangents(functions) if sensitivities else _prepared(prepared)
+    sizes = {"NX": function.size1_in(0), "NU": function.size1_in(1), "ND": n_dof}
+    defines = [f"#define {k} {v}" for k, v in sizes.items()]
+    defines += [f"#define {function.name().upper()} {function.name()}"]
+    if function.name() == "tangents":
+        defines += _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
-    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, driver])
+    model = plain_c(function, function.name(), packed=("R_x", "R_p"), prefix="static SEPARATE ")
+    text = "\n".join([*defines, SEPARATE, "#include <math.h>", "", model, driver])
     name = f"undertow_{digest(text)[:16]}_simulate"
     return f"#define SIMULATE {name}\n{text}", name
-
-
-# Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
-_PREFIX = "static SEPARATE "
-
-
-def _prepared(prepared: Prepared) -> list[str]:
-    steps = prepared.prepare, prepared.hold, prepared.held_dynamics
-    return [plain_c(f, f.name(), prefix=_PREFIX, words=LANES, shared=("t",)) for f in steps]
-
-
-def _tangents(functions: Functions) -> list[str]:
-    function = functions.tangents("x", "p")
-    patterns = _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
-    return [
-        "#define TANGENTS",
-        *patterns,
-        plain_c(function, "tangents", packed=("R_x", "R_p"), prefix=_PREFIX),
-    ]
 
 
 def _pattern(name: str, sparsity: ca.Sparsity) -> list[str]:

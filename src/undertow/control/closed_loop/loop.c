@@ -57,7 +57,7 @@ INLINE void put(double *to, const Real *from, int n) {
 }
 
 /* One step of the vehicle with its commands held. */
-static void held_step(Group *group, const Real *w, double t, double h) {
+INLINE void held_step(Group *group, const Real *w, double t, double h) {
   Real stage[NX], total[NX], f[NX], *x = group->x;
   held_dynamics(x, w, group->q, t, f);
   for (int i = 0; i < NX; i++) total[i] = f[i], stage[i] = x[i] + 0.5 * h * f[i];
@@ -90,35 +90,36 @@ static void joint_step(Group *group, const double *extra, double t, double h) {
   for (int i = 0; i < NS; i++) group->s[i] += h / 6 * total_s[i];
 }
 
-/* What the controller is told at a sample: the reports, each as old as its sensor is late, and noise. */
-INLINE void report(const Group *group, int64_t sample, const Real *y, const double *noise, Real *told) {
+/* What the controller is told at a sample: the reports y, each as old as its sensor is late, and noise. */
+INLINE void report(const Group *group, int64_t sample, const double *noise, Real *y) {
   const int64_t ring = group->loop->report_ring;
-  if (ring == 1) {
-    for (int i = 0; i < NY; i++) told[i] = y[i];
-  } else {
+  if (ring > 1) {
     put(group->reports + sample % ring * NY * LANES, y, NY);
     for (int i = 0; i < NY; i++) {
       const int64_t late = group->loop->output_delay[i], from = sample > late ? sample - late : 0;
-      take(told + i, group->reports + (from % ring * NY + i) * LANES, 1);
+      take(y + i, group->reports + (from % ring * NY + i) * LANES, 1);
     }
   }
   if (!noise) return;
   Real added[NY];
   take(added, noise, NY);
-  for (int i = 0; i < NY; i++) told[i] += added[i];
+  for (int i = 0; i < NY; i++) y[i] += added[i];
 }
 
-/* What the thrusters are sent at a sample: the command of now or, where they are late, of then. */
-INLINE void send(const Group *group, int64_t sample, Real *u) {
+/* What the thrusters are sent at a sample: the command of now or, where they are late, of then; room for NU. */
+INLINE const Real *sent(const Group *group, int64_t sample, const double *extra, Real *room) {
   const int64_t delay = group->loop->input_delay, ring = delay + 1;
-  if (!delay) {
-    for (int i = 0; i < NU; i++) u[i] = group->command[i];
-    return;
+  const Real *u = group->command;
+  if (delay) {
+    put(group->commands + sample % ring * NU * LANES, u, NU);
+    if (sample >= delay) take(room, group->commands + (sample + 1) % ring * NU * LANES, NU);
+    else
+      for (int i = 0; i < NU; i++) room[i] = real(0);
+    u = room;
   }
-  put(group->commands + sample % ring * NU * LANES, group->command, NU);
-  if (sample >= delay) take(u, group->commands + (sample + 1) % ring * NU * LANES, NU);
-  else
-    for (int i = 0; i < NU; i++) u[i] = real(0);
+  if (!extra) return u;
+  for (int i = 0; i < NU; i++) room[i] = u[i] + extra[i];
+  return room;
 }
 
 INLINE void record(const Loop *loop, int64_t row, int what, const Real *from, int n) {
@@ -130,23 +131,20 @@ INLINE void one_sample(Group *group, int64_t sample, const double *noise, const 
   const Loop *loop = group->loop;
   const double t = (double)sample * loop->dt, h = loop->dt / (double)loop->substeps;
   const double hold_for = loop->continuous ? 0 : loop->dt;
-  Real u[NU], next[NS], y[NY], told[NY], tau[NT], w[NW];
+  Real room[NU], y[NY], tau[NT], w[NW];
+  if (row >= 0) record(loop, row, 0, group->x, NX);
   outputs(group->x, group->command, group->p, t, y);
-  report(group, sample, y, noise, told);
-  control(told, group->r, group->s, group->k, &hold_for, group->command, next, tau);
+  report(group, sample, noise, y);
+  control(y, group->r, group->s, group->k, &hold_for, group->command, group->s, tau);
   if (row >= 0) {
-    record(loop, row, 0, group->x, NX), record(loop, row, 1, told, NY), record(loop, row, 2, group->command, NU);
-    record(loop, row, 3, next, NS), record(loop, row, 4, tau, NT);
+    record(loop, row, 1, y, NY), record(loop, row, 2, group->command, NU);
+    record(loop, row, 3, group->s, NS), record(loop, row, 4, tau, NT);
   }
-  for (int i = 0; i < NS; i++) group->s[i] = next[i];
   if (loop->continuous) {
     for (int64_t k = 0; k < loop->substeps; k++) joint_step(group, extra, t + (double)k * h, h);
     return;
   }
-  send(group, sample, u);
-  if (extra)
-    for (int i = 0; i < NU; i++) u[i] += extra[i];
-  hold(u, group->q, w);
+  hold(sent(group, sample, extra, room), group->q, w);
   for (int64_t k = 0; k < loop->substeps; k++) held_step(group, w, t + (double)k * h, h);
 }
 

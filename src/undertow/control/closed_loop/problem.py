@@ -120,13 +120,13 @@ class Block:
         begin = -(-self.first // self.stride) * self.stride
         return range(begin, self.first + self.samples, self.stride)
 
-    def rows(self, parts: Parts, runs: int) -> Rows:
-        """Rows to be filled."""
+    def rows(self, parts: Parts, groups: int, *lanes: int) -> Rows:
+        """Rows to be filled, of so many runs or groups of runs in lanes."""
         f, control = parts.functions, parts.control
         sizes = (f.x.numel(), len(parts.reported_names), f.u.numel(), *map(control.size1_out, (1, 2)))
         count = len(self.recorded)
         counts = (count if name in self.wanted else 0 for name in ALL)
-        return Rows(*(np.full((runs, c, n), np.nan) for c, n in zip(counts, sizes, strict=True)))
+        return Rows(*(np.empty((groups, c, n, *lanes)) for c, n in zip(counts, sizes, strict=True)))
 
 
 class LoopStepper(Protocol):
