@@ -13,9 +13,8 @@ import pytest
 from tests.identification.surge import surge_vehicle
 from undertow.errors import UndertowError
 from undertow.identification.least_squares import CASES, estimate, experiments
-from undertow.identification.least_squares.chain import Triangle
-from undertow.identification.least_squares.rows import Rows
 from undertow.identification.least_squares.streaming import estimate_streaming
+from undertow.identification.least_squares.triangle import Triangle
 from undertow.identification.logs import Mapping, read_log
 from undertow.identification.logs.chunks import LongLog
 
@@ -162,7 +161,7 @@ def test_a_triangle_holds_no_more_than_its_factor() -> None:
     for _ in range(50):
         H.append(rng.standard_normal((40, 3)) * [1.0, 1e4, 1e-3])
         y.append(rng.standard_normal(40))
-        triangle.add(Rows(H[-1], y[-1], np.zeros(40)))
+        triangle.add(np.column_stack([H[-1], y[-1]]), 40)
         assert triangle.factor.shape == (4, 4)
     left, right = triangle.split()
     exact = np.linalg.lstsq(np.vstack(H), np.concatenate(y), rcond=None)[0]

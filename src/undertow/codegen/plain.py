@@ -1,9 +1,10 @@
-"""Plain C99 of a CasADi function: one statement for each operation, no library behind it."""
+"""C99 of a CasADi function, one statement for each operation: plain, or for lanes that run side by side."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 
@@ -31,6 +32,13 @@ _FORM: dict[str, str] = {
     **{k: f"{{0}} {v} {{1}}" for k, v in _INFIX.items()},
     **{k: f"{v}({{0}}, {{1}})" if k in _TWO_OPERANDS else f"{v}({{0}})" for k, v in _CALL.items()},
 }
+_LANE_CALL = {
+    **{"OP_LT": "less", "OP_LE": "at_most", "OP_EQ": "equal", "OP_NE": "unequal"},
+    **{"OP_AND": "and", "OP_OR": "or", "OP_NOT": "not", "OP_SIGN": "sign", "OP_IF_ELSE_ZERO": "if"},
+}
+_ANGLES = ("OP_SIN", "OP_COS", "OP_TAN")
+# As many angles as lanes.h turns into sines and cosines at once.
+_TOGETHER = 4
 _OPERATION = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
 
@@ -39,13 +47,60 @@ def operation_forms() -> dict[int, str]:
     return {code: _FORM[name] for code, name in _OPERATION.items() if name in _FORM}
 
 
-def signature(function: ca.Function, name: str) -> str:
+@dataclass(frozen=True)
+class Words:
+    """How C is spelled.
+
+    Attributes
+    ----------
+    real : str
+        Type of a number.
+    spread : str
+        How a double becomes one.
+    form : mapping
+        The expression of every operation, operands as {0} and {1}.
+    paired : bool
+        Whether sine and cosine of an angle are computed together, and those of several angles, too.
+    """
+
+    real: str
+    spread: str
+    form: Mapping[str, str]
+    paired: bool
+
+
+PLAIN = Words("double", "{}", _FORM, paired=False)
+_CALLED = {**{k: v for k, v in _CALL.items() if k not in _ANGLES}, **_LANE_CALL}
+_OF_TWO = {*_TWO_OPERANDS, *_LANE_CALL} - {"OP_NOT", "OP_SIGN"}
+LANES = Words(
+    "Real",
+    "real({})",
+    {
+        **{k: _FORM[k] for k in ("OP_ADD", "OP_SUB", "OP_MUL", "OP_DIV", "OP_NEG", "OP_SQ")},
+        **{"OP_TWICE": "2.0 * {0}", "OP_INV": "1.0 / {0}"},
+        **{k: f"real_{v}({{0}}, {{1}})" if k in _OF_TWO else f"real_{v}({{0}})" for k, v in _CALLED.items()},
+    },
+    paired=True,
+)
+"""The words of lanes.h: the same text for any number of lanes."""
+
+
+def signature(function: ca.Function, name: str, *, words: Words = PLAIN, shared: Collection[str] = ()) -> str:
     """`void name(const double *x, ..., double t, double *out)`; matrices are stored row by row."""
-    inputs = [f"double {n}" if n == "t" else f"const double *{n}" for n in function.name_in()]
-    return f"void {name}({', '.join([*inputs, *(f'double *{n}' for n in function.name_out())])})"
+    types = {n: "double" if n in shared else words.real for n in function.name_in()}
+    inputs = [f"{of} {n}" if n == "t" else f"const {of} *{n}" for n, of in types.items()]
+    return f"void {name}({', '.join([*inputs, *(f'{words.real} *{n}' for n in function.name_out())])})"
 
 
-def plain_c(function: ca.Function, name: str, *, packed: Collection[str] = (), prefix: str = "") -> str:
+def plain_c(
+    function: ca.Function,
+    name: str,
+    *,
+    packed: Collection[str] = (),
+    prefix: str = "",
+    words: Words = PLAIN,
+    shared: Collection[str] = (),
+) -> str:
     """C99 source of a CasADi function with dense inputs.
 
     Parameters
@@ -58,6 +113,10 @@ def plain_c(function: ca.Function, name: str, *, packed: Collection[str] = (), p
         Outputs of which only the structural nonzeros are written, column by column (compressed columns).
     prefix : str
         What stands before the signature ("static ").
+    words : Words
+        Plain C, or that of lanes.h.
+    shared : collection of str
+        Inputs that are doubles, the same in all lanes.
 
     Raises
     ------
@@ -65,27 +124,36 @@ def plain_c(function: ca.Function, name: str, *, packed: Collection[str] = (), p
         If the function has an operation without a counterpart in C.
     """
     flat = function if function.is_a("SXFunction") else function.expand()
-    body = _Body(flat, packed)
+    body = _Body(flat, packed, words, shared)
     # All is computed before anything is written: an output may lie where an input was.
     lines = [*body.unused(), *body.statements, *body.cleared(), *body.results]
-    return f"{prefix}{signature(flat, name)} {{\n" + "".join(f"  {line}\n" for line in lines) + "}\n"
+    head = signature(flat, name, words=words, shared=shared)
+    return f"{prefix}{head} {{\n" + "".join(f"  {line}\n" for line in lines) + "}\n"
 
 
 class _Body:
     """The instructions of a function, one after the other, as C statements."""
 
-    def __init__(self, function: ca.Function, packed: Collection[str]) -> None:
-        self._function = function
+    def __init__(
+        self, function: ca.Function, packed: Collection[str], words: Words, shared: Collection[str]
+    ) -> None:
+        self._function, self._words, self._shared = function, words, shared
         self._inputs, self._outputs = function.name_in(), function.name_out()
         self._place = [_places(function.sparsity_out(n), n in packed) for n in self._outputs]
         self._register: dict[int, str] = {}
         self._read: set[str] = set()
         self._written: dict[str, int] = dict.fromkeys(self._outputs, 0)
         self._count = 0
+        self._zero = self._spread("0.0")
+        self._sines: dict[str, tuple[str, str]] = {}
+        self._ahead = self._input_angles() if words.paired else []
         self.statements: list[str] = []
         self.results: list[str] = []
         for k in range(function.n_instructions()):
             self._instruction(k)
+
+    def _spread(self, value: str) -> str:
+        return self._words.spread.format(value)
 
     def unused(self) -> list[str]:
         """Inputs without a use and outputs without an entry, told to the compiler."""
@@ -96,7 +164,9 @@ class _Body:
         """Outputs with entries that are always zero are zeroed first."""
         sizes = zip(self._outputs, self._place, strict=True)
         partly = {n: size for n, (size, _) in sizes if self._written[n] < size}
-        return [f"for (int i = 0; i < {size}; i++) {n}[i] = 0;" for n, size in partly.items()]
+        return [
+            f"for (int i = 0; i < {size}; i++) {n}[i] = {self._spread('0')};" for n, size in partly.items()
+        ]
 
     def _instruction(self, k: int) -> None:
         f = self._function
@@ -111,27 +181,71 @@ class _Body:
         if operation in special:
             special[operation](k, into, operands)
             return
-        if operation not in _FORM:
+        values = [self._register[i] for i in operands]
+        if operation in _ANGLES and self._words.paired:
+            self._register[into[0]] = self._of_angle(operation, values[0])
+            return
+        if operation not in self._words.form:
             raise UndertowError(
                 f"operation {operation} of a model has no counterpart in C: restate the effect"
             )
-        expression = _FORM[operation].format(*(self._register[i] for i in operands))
-        self._register[into[0]] = self._local(expression)
+        self._register[into[0]] = self._local(self._words.form[operation].format(*values))
 
     def _local(self, expression: str) -> str:
         name = f"a{self._count}"
         self._count += 1
-        self.statements.append(f"const double {name} = {expression};")
+        self.statements.append(f"const {self._words.real} {name} = {expression};")
         return name
 
+    # --- angles ---------------------------------------------------------------------------------
+    def _input_angles(self) -> list[str]:
+        """Inputs of which a sine, a cosine or a tangent is taken: they can be turned at the same time."""
+        f = self._function
+        held: dict[int, str] = {}
+        found: dict[str, None] = {}
+        for k in range(f.n_instructions()):
+            operation, into, operands = (
+                _OPERATION[f.instruction_id(k)],
+                f.instruction_output(k),
+                f.instruction_input(k),
+            )
+            if operation in _ANGLES and held.get(operands[0]):
+                found[held[operands[0]]] = None
+            held[into[0]] = self._element(operands) if operation == "OP_INPUT" else ""
+        return list(found)
+
+    def _of_angle(self, operation: str, angle: str) -> str:
+        if angle not in self._sines:
+            together = [a for a in self._ahead if a not in self._sines] if angle in self._ahead else [angle]
+            self._turn([angle, *(a for a in together if a != angle)][:_TOGETHER])
+        sine, cosine = self._sines[angle]
+        if operation == "OP_TAN":
+            return self._local(f"{sine} / {cosine}")
+        return sine if operation == "OP_SIN" else cosine
+
+    def _turn(self, angles: list[str]) -> None:
+        k, n, real = self._count, len(angles), self._words.real
+        self._count += 1
+        self.statements += [
+            f"const {real} angle{k}[] = {{{', '.join(angles)}}};",
+            f"{real} sine{k}[{n}], cosine{k}[{n}];",
+            f"real_sincos({n}, angle{k}, sine{k}, cosine{k});",
+        ]
+        self._sines |= {a: (f"sine{k}[{i}]", f"cosine{k}[{i}]") for i, a in enumerate(angles)}
+
+    # --- in and out -----------------------------------------------------------------------------
     def _input(self, k: int, into: list[int], operands: list[int]) -> None:
+        self._read.add(self._inputs[operands[0]])
+        self._register[into[0]] = self._element(operands)
+
+    def _element(self, operands: list[int]) -> str:
         name = self._inputs[operands[0]]
-        self._read.add(name)
-        self._register[into[0]] = name if name == "t" else f"{name}[{operands[1]}]"
+        element = name if name == "t" else f"{name}[{operands[1]}]"
+        return self._spread(element) if name in self._shared else element
 
     def _output(self, k: int, into: list[int], operands: list[int]) -> None:
         value = self._register[operands[0]]
-        if value == "0.0":
+        if value == self._zero:
             return
         if "[" in value:  # an input that is handed on, and may be overwritten by then
             value = self._register[operands[0]] = self._local(value)
@@ -140,7 +254,7 @@ class _Body:
         self.results.append(f"{name}[{self._place[into[0]][1][into[1]]}] = {value};")
 
     def _constant(self, k: int, into: list[int], operands: list[int]) -> None:
-        self._register[into[0]] = _number(self._function.instruction_constant(k))
+        self._register[into[0]] = self._spread(_number(self._function.instruction_constant(k)))
 
     def _copy(self, k: int, into: list[int], operands: list[int]) -> None:
         self._register[into[0]] = self._register[operands[0]]

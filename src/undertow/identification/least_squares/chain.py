@@ -15,7 +15,8 @@ from ..base_parameters import base_parameters, undetermined
 from ..logs import Run
 from .axis import Axis, axis_of, moving
 from .cases import Case, Edges
-from .rows import Regression, Rows
+from .rows import Regression
+from .triangle import Triangle
 
 Array = NDArray[np.float64]
 # Condition number of the scaled regressor from which rounding alone decides the estimates.
@@ -155,34 +156,8 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
     """
     triangle = Triangle(len(experiment.regression.free))
     for run in experiment.runs:
-        triangle.add(experiment.regression.rows(run, case, edges))
+        experiment.regression.take(triangle, run, case, edges)
     return estimated_by(experiment, case, triangle)
-
-
-class Triangle:
-    """Any number of rows of a regression as the triangular factor of their QR decomposition.
-
-    Rows are added in blocks and not kept: what is held are (k + 1)^2 numbers for k parameters. The solution
-    is that of all rows together, with the precision of a QR decomposition (not that of normal equations).
-
-    Parameters
-    ----------
-    parameters : int
-        How many there are.
-    """
-
-    def __init__(self, parameters: int) -> None:
-        self.factor, self.count = np.zeros((0, parameters + 1)), 0
-
-    def add(self, rows: Rows) -> None:
-        """Take in some rows."""
-        block = np.vstack([self.factor, np.column_stack([rows.H, rows.target])])
-        self.factor = np.asarray(np.linalg.qr(block, mode="r"), dtype=float)
-        self.count += len(rows.target)
-
-    def split(self) -> tuple[Array, Array]:
-        """Regressor and target with few rows that have the same products as all."""
-        return self.factor[:, :-1], self.factor[:, -1]
 
 
 def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Estimation:

@@ -12,7 +12,8 @@ from undertow.model.vehicle import Vehicle
 from ..logs import Run
 from ..logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
 from .cases import Case, Edges
-from .chain import Estimation, Experiment, Triangle, estimated_by, experiments
+from .chain import Estimation, Experiment, estimated_by, experiments
+from .triangle import Triangle
 
 Report = Callable[[float, str], None]
 ROWS = 50_000
@@ -103,6 +104,5 @@ def _reduce(
         following = next(parts, None)
         until = np.inf if following is None else part.border
         for case in cases:
-            found = experiment.regression.rows_if_any(part.run, case, edges)
-            triangles[case.name].add(found.between(after, until))
+            experiment.regression.take_between(triangles[case.name], part.run, case, edges, after, until)
         after, part = until, following
