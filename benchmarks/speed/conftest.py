@@ -20,7 +20,7 @@ class Speed:
         who: str,
         action: Callable[[], object],
         *,
-        calls: int = 1,
+        calls: float = 1,
         apart: float | None = None,
         limit: float | None = None,
         size: float | None = None,
@@ -38,7 +38,7 @@ class Speed:
         action : callable
             The work.
         calls : int
-            How often the action does it: times are divided by this.
+            How often the action does it, less than one for a piece of it: times are divided by this.
         apart : float, optional
             Distance of the result from the reference.
         limit : float, optional

@@ -17,7 +17,7 @@ from undertow.identification.compare.cutting import cut
 from undertow.identification.fitted import correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.logs import Run
 from undertow.identification.output_error import OutputErrorFit, fit_output_error
-from undertow.identification.output_error.fit import channel_weights
+from undertow.identification.output_error.descent import channel_weights
 from undertow.identification.output_error.shooting import Shooting
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak

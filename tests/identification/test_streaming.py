@@ -161,7 +161,7 @@ def test_a_triangle_holds_no_more_than_its_factor() -> None:
     for _ in range(50):
         H.append(rng.standard_normal((40, 3)) * [1.0, 1e4, 1e-3])
         y.append(rng.standard_normal(40))
-        triangle.add(H[-1], y[-1])
+        triangle.add(np.column_stack([H[-1], y[-1]]), 40)
         assert triangle.factor.shape == (4, 4)
     left, right = triangle.split()
     exact = np.linalg.lstsq(np.vstack(H), np.concatenate(y), rcond=None)[0]

@@ -118,14 +118,6 @@ static void advance(Workspace *work, double t, double interval, int64_t steps, d
   fill_nan(s_next, size);
 }
 
-#if defined(_WIN32)
-#define EXPORTED __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORTED __attribute__((visibility("default")))
-#else
-#define EXPORTED
-#endif
-
 /* Samples first .. last of every run of a batch; sample `first` of x and s is there already.
    Strides are the distances between runs in t, steps (t - 1), u and p, zero where all runs share them.
    Returns 1 if there is no memory. */

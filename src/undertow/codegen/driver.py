@@ -31,14 +31,14 @@ class CompiledStepper:
         b, n, _ = problem.x.shape
         failed = self._simulate(
             *map(ctypes.c_int64, (b, n, first, last)),
-            *_shared(problem.t),
-            _pointer(problem.steps),
-            *_shared(problem.u),
-            *_shared(problem.p),
-            _pointer(problem.wrt),
+            *shared(problem.t),
+            pointer(problem.steps),
+            *shared(problem.u),
+            *shared(problem.p),
+            pointer(problem.wrt),
             ctypes.c_int64(problem.wrt.size),
-            _pointer(problem.x),
-            _pointer(problem.s),
+            pointer(problem.x),
+            pointer(problem.s),
         )
         if failed:
             raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
@@ -58,14 +58,15 @@ def loaded(library: Path) -> ctypes.CDLL:
         raise UndertowError(f"compiled code cannot be loaded: {error}; set UNDERTOW_NO_COMPILER=1") from error
 
 
-def _pointer(array: Array) -> ctypes.c_void_p:
+def pointer(array: Array) -> ctypes.c_void_p:
+    """Address of a contiguous array."""
     assert array.flags.c_contiguous
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
+def shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     """Address of an array and the distance from run to run, zero where the runs share it."""
-    return _pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
+    return pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
 
 
 # Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
@@ -74,6 +75,16 @@ SEPARATE = """\
 #define SEPARATE __attribute__((noinline))
 #else
 #define SEPARATE
+#endif
+"""
+
+EXPORTED = """\
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#elif defined(__GNUC__)
+#define EXPORTED __attribute__((visibility("default")))
+#else
+#define EXPORTED
 #endif
 """
 
@@ -90,7 +101,7 @@ def driver_source(function: ca.Function, n_dof: int) -> tuple[str, str]:
         defines += _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
     model = plain_c(function, function.name(), packed=("R_x", "R_p"), prefix="static SEPARATE ")
-    text = "\n".join([*defines, SEPARATE, "#include <math.h>", "", model, driver])
+    text = "\n".join([*defines, SEPARATE, EXPORTED, "#include <math.h>", "", model, driver])
     name = f"undertow_{digest(text)[:16]}_simulate"
     return f"#define SIMULATE {name}\n{text}", name
 

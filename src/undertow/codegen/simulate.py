@@ -11,9 +11,11 @@ import numpy as np
 
 from undertow.errors import UndertowError
 
+from .checking import checked_runs
 from .compiler import Compiler, compiled_or_virtual
 from .driver import CompiledStepper
 from .functions import Functions
+from .gauss_newton import CompiledProducts, Products, products_of
 from .lanes import in_threads, shares
 from .problem import Array, Problem, Stepper
 from .rollout import CompiledRollout
@@ -49,6 +51,7 @@ class Simulator:
         self._functions = functions
         self._wish = compiled
         self._steppers = {False: self._stepper(sensitivities=False)}
+        self._products: dict[tuple[int, ...], CompiledProducts | None] = {}
         self._size = functions.own_slopes.shape[0]
 
     @property
@@ -143,10 +146,65 @@ class Simulator:
         """
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
+        self._advance(problem, self._sensitive, 1)
+        return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
+
+    def products(
+        self,
+        x0: Array,
+        t: Array,
+        u: Array,
+        p: Array,
+        wrt: Sequence[int],
+        measured: Array,
+        weight: Array,
+        group: Array,
+        *,
+        max_step: float = 0.05,
+    ) -> Products:
+        """Simulate windows and differentiate, keeping only the sums that a Gauss-Newton step needs.
+
+        Parameters
+        ----------
+        x0, t, u, p, wrt, max_step
+            As for `run_with_sensitivities`, of a batch of runs; derivatives in the initial values of pose
+            and velocity follow those in the parameters.
+        measured : ndarray, shape (b, n, 2 dof)
+            Pose and velocity; finite wherever the weight is not zero.
+        weight : ndarray, shape (b, n, 2 dof)
+            What errors are multiplied with; zero for what does not count.
+        group : ndarray of int, shape (b, n)
+            Sum of its window that a sample is part of, counted from zero, never falling.
+
+        Raises
+        ------
+        UndertowError
+            As for `run`.
+        """
+        problem = self._problem(x0, t, u, p, max_step)
+        places = tuple(wrt)
+        if places not in self._products:
+            self._products[places] = compiled_or_virtual(
+                self._wish,
+                lambda compiler: CompiledProducts(self._functions, places, compiler),
+                lambda: None,
+            )
+        known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
+        factors = np.ascontiguousarray(weight, dtype=float)
+        groups = np.ascontiguousarray(group, dtype=np.int64)
+        compiled = self._products[places]
+        if compiled is not None:
+            return compiled(problem, known, factors, groups)
+        size = known.shape[2]
+        _start_sensitivities(problem, list(wrt), list(range(size)))
+        self._advance(problem, self._sensitive, 1)
+        return products_of(problem.x[..., :size], problem.s[..., :size, :], known, factors, groups)
+
+    @property
+    def _sensitive(self) -> Stepper:
         if True not in self._steppers:
             self._steppers[True] = self._stepper(sensitivities=True)
-        self._advance(problem, self._steppers[True], 1)
-        return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
+        return self._steppers[True]
 
     def _advance(self, problem: Problem, stepper: Stepper, threads: int | None) -> None:
         lanes = getattr(stepper, "lanes", 0)
@@ -170,17 +228,8 @@ class Simulator:
 
     # --- input --------------------------------------------------------------------------------
     def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
-        functions = self._functions
-        nx, nu, n_parameters = len(functions.state_names), functions.u.numel(), functions.p.numel()
-        start = _checked("x0", x0, (nx,))
-        batch = len(start)
-        times = _checked("t", t, (None,), batch)
-        samples = times.shape[1]
-        if not samples:
-            raise UndertowError("t holds no samples: give at least the time of the initial state")
-        inputs = _checked("u", u, (samples, nu), batch)
-        parameters = _checked("p", p, (n_parameters,), batch)
-        x = np.empty((batch, samples, nx))
+        start, times, inputs, parameters = checked_runs(self._functions, x0, t, u, p)
+        x = np.empty((len(start), times.shape[1], start.shape[1]))
         x[:, :1] = start[:, None]
         none = np.empty(0, dtype=np.int64)
         longest = self._resolving(start, times, inputs, parameters, max_step)
@@ -205,29 +254,10 @@ def _pauses(problem: Problem) -> list[int]:
     return [int(i) for i in np.searchsorted(work, limits)]
 
 
-def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int | None = None) -> Array:
-    """The array as contiguous floats with a leading size of one or of the batch."""
-    values = np.ascontiguousarray(array, dtype=float)
-    if values.ndim == len(shape):
-        values = values[None]
-    fits = values.ndim == len(shape) + 1 and all(
-        wanted in (None, size) for size, wanted in zip(values.shape[1:], shape, strict=True)
-    )
-    if not fits or (batch is not None and values.shape[0] not in (1, batch)):
-        wanted = ", ".join("n" if s is None else str(s) for s in shape)
-        runs = "" if batch is None else f" for each of {batch} runs"
-        raise UndertowError(f"{name} has shape {np.shape(array)}: give ({wanted}){runs}")
-    return values
-
-
 def _steps(t: Array, max_step: float) -> Array:
     if not max_step > 0:
         raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
     intervals = np.diff(t, axis=1)
-    if not (np.isfinite(t).all() and (intervals >= 0).all()):
-        raise UndertowError(
-            "times of the samples are not finite or go back: sort the log, drop samples without time"
-        )
     # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
     return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)
 

@@ -207,7 +207,7 @@ def reduce_runs(runs: Iterable[Run], panel: Panel, where: str) -> Reduced:
         except UndertowError as error:  # the last few rows of a log may be too few
             refusal = str(error)
             continue
-        triangle.add(table.J, -table.r)
+        triangle.add(np.column_stack([table.J, -table.r]), len(table.r))
     if not triangle.count:
         raise UndertowError(f"{where}: {refusal or 'it has fewer than two rows'}")
     factor = _without(triangle.factor, len(panel.daily))

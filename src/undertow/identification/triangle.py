@@ -23,11 +23,10 @@ class Triangle:
     def __init__(self, parameters: int) -> None:
         self.factor, self.count = np.zeros((0, parameters + 1)), 0
 
-    def add(self, H: Array, target: Array) -> None:
-        """Take in some rows: regressor of shape (n, k) and target of shape (n,)."""
-        block = np.vstack([self.factor, np.column_stack([H, target])])
-        self.factor = np.asarray(np.linalg.qr(block, mode="r"), dtype=float)
-        self.count += len(target)
+    def add(self, rows: Array, count: int) -> None:
+        """Take in rows, target in the last column, or few rows with the products of `count` samples."""
+        self.factor = np.asarray(np.linalg.qr(np.vstack([self.factor, rows]), mode="r"), dtype=float)
+        self.count += count
 
     def split(self) -> tuple[Array, Array]:
         """Regressor and target with few rows that have the same products as all."""

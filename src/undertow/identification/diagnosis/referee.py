@@ -18,8 +18,10 @@ from ..compare.cutting import Windows, cut
 from ..compare.windows import Predictor, predict, prediction_error
 from ..fitted import Fitted
 from ..logs import Run
-from ..output_error.fit import OutputErrorFit, channel_weights, fit_output_error
-from ..output_error.shooting import Reduced, Shooting
+from ..output_error.descent import OutputErrorFit, channel_weights
+from ..output_error.elimination import Reduced
+from ..output_error.fit import fit_output_error
+from ..output_error.shooting import Shooting
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit
 from .chain import Chain

@@ -156,8 +156,7 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
     """
     triangle = Triangle(len(experiment.regression.free))
     for run in experiment.runs:
-        rows = experiment.regression.rows(run, case, edges)
-        triangle.add(rows.H, rows.target)
+        experiment.regression.take(triangle, run, case, edges)
     return estimated_by(experiment, case, triangle)
 
 

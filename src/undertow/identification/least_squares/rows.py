@@ -1,9 +1,8 @@
-"""Rows of the regression at the samples of a log, generated from the model."""
+"""The regression at the samples of a log, generated from the model and reduced to few rows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -14,38 +13,15 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 
 from ..logs import Run
+from ..triangle import Triangle
 from ..weak.fit import free_parameters
-from ..weak.mapping import mapped
 from .axis import Axis, known_states
 from .cases import Case, Edges
+from .linear_fit import LinearFit
 
 Array = NDArray[np.float64]
 # Share of the sampling interval by which the clock may waver for a filter that counts samples.
 _EVEN = 0.02
-
-
-@dataclass(frozen=True)
-class Rows:
-    """A regression H theta = target.
-
-    Attributes
-    ----------
-    H : (n, k) array
-        Regressor, one row for each sample.
-    target : (n,) array
-        What theta does not contribute: commanded force less that of the known parameters, N or N m.
-    t : (n,) array
-        Time of the samples, s.
-    """
-
-    H: Array
-    target: Array
-    t: Array
-
-    def between(self, after: float, until: float) -> Rows:
-        """The rows with after < t <= until."""
-        kept = (self.t > after) & (self.t <= until)
-        return Rows(self.H[kept], self.target[kept], self.t[kept])
 
 
 class Regression:
@@ -71,38 +47,54 @@ class Regression:
         _no_dead_time(axis, self.functions)
         self.free = free_parameters(vehicle)
         _must_be_linear(axis, self.free)
+        self._fit = LinearFit(self.functions, self.free)
         self._places = [self.functions.parameter_names.index(n) for n in self.free]
 
-    def rows(self, run: Run, case: Case, edges: Edges) -> Rows:
-        """Rows of a run whose velocity and acceleration were smoothed as a case says."""
+    def take(self, triangle: Triangle, run: Run, case: Case, edges: Edges) -> None:
+        """Take in a run whose velocity and acceleration are smoothed as a case says."""
         pieces = self._pieces(run, case, edges)
         if not pieces:
             raise UndertowError(self._short(run, case, edges))
-        return self._joined(run, pieces, case, edges)
+        self._take(triangle, run, pieces, case, edges)
 
-    def rows_if_any(self, run: Run, case: Case, edges: Edges) -> Rows:
-        """The same of a part of a log, which may have no stretch that is long enough."""
-        return self._joined(run, self._pieces(run, case, edges), case, edges)
+    def take_between(
+        self, triangle: Triangle, run: Run, case: Case, edges: Edges, after: float, until: float
+    ) -> None:
+        """The same of a part of a log, which may have no stretch that is long enough: after < t <= until."""
+        self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
 
-    def _joined(self, run: Run, pieces: list[slice], case: Case, edges: Edges) -> Rows:
-        parts = [self._part(run, piece, case, edges) for piece in pieces]
-        nothing = Rows(np.zeros((0, len(self.free))), np.zeros(0), np.zeros(0))
-        return Rows(
-            *(np.concatenate([getattr(p, n) for p in [nothing, *parts]]) for n in ("H", "target", "t"))
-        )
+    def _take(
+        self,
+        triangle: Triangle,
+        run: Run,
+        pieces: list[slice],
+        case: Case,
+        edges: Edges,
+        after: float = -np.inf,
+        until: float = np.inf,
+    ) -> None:
+        for piece in pieces:
+            samples = self._samples(run, piece, case, edges)
+            # Times do not go back: what is kept is one stretch.
+            first, last = np.searchsorted(run.t[piece], (after, until), side="right")
+            kept = {name: column[first:last] for name, column in samples.items()}
+            triangle.add(*self._fit.triangle(kept))
 
-    def _part(self, run: Run, piece: slice, case: Case, edges: Edges) -> Rows:
-        vehicle, t = self.axis.vehicle, run.t[piece]
+    def _samples(self, run: Run, piece: slice, case: Case, edges: Edges) -> dict[str, Array]:
+        """Columns of a stretch; NaN where a filter gives nothing."""
+        t = run.t[piece]
         logged = run.channels[self.axis.rate][piece] if run.has(self.axis.rate) else None
         step = _step(run, piece, even=case.counts_samples(logged=logged is not None))
         velocity, rate = case.smoothed(run.channels[self.axis.velocity][piece], logged, step, edges)
+        pose = {self._pose: run.channels[self._pose][piece]} if self._feels_pose else {}
+        commands = {name: run.channels[name][piece] for name in self.axis.vehicle.command_names}
+        # A model may do without one of them; a sample counts only if both are known.
         used = np.isfinite(velocity) & np.isfinite(rate)
-        pose = run.channels[self._pose][piece] if self._feels_pose else np.zeros(len(t))
-        commands = run.matrix(vehicle.command_names)[piece]
-        inputs = [np.column_stack([pose, velocity])[used], rate[used, None], commands[used]]
-        f, p = self.functions, self._still
-        (residual,), (slope,) = (mapped(g, inputs, p, t[used]) for g in (f.residual_function, f.regressor))
-        return Rows(slope[:, 0, self._places], -residual[:, 0, 0], t[used])
+        motion = {
+            self.axis.velocity: np.where(used, velocity, np.nan),
+            self.axis.rate: np.where(used, rate, np.nan),
+        }
+        return {"t": t, **pose, **commands, **motion}
 
     def _pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
         """Stretches without gaps that are long enough for the filters."""

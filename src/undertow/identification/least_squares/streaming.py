@@ -104,6 +104,5 @@ def _reduce(
         following = next(parts, None)
         until = np.inf if following is None else part.border
         for case in cases:
-            found = experiment.regression.rows_if_any(part.run, case, edges).between(after, until)
-            triangles[case.name].add(found.H, found.target)
+            experiment.regression.take_between(triangles[case.name], part.run, case, edges, after, until)
         after, part = until, following

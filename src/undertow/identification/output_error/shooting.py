@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -11,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.codegen.gauss_newton import Products, products_of
 
 from ..compare.cutting import Windows
 from ..compare.late import reported_late
 from ..compare.predictor import Predictor
 from ..weak.mapping import mapped
+from .elimination import Reduced, eliminated
 
 Array = NDArray[np.float64]
 # Parts of a window, s, whose starts are fitted one after the other, and steps for each.
@@ -25,41 +26,9 @@ _START_STEPS = 3
 _WORTH_A_STEP = 0.01
 # Numbers in the sensitivities of one batch of windows: 40 MB.
 _BATCH = 5_000_000
-# Keeps a start bounded in directions that its window does not show, relative to those that it shows.
-_HOLD = 1e-12
 # Steps of finite differences: relative to a parameter, and for dead times relative to a sampling interval.
 _STEP = 1e-3
 _SHARE_OF_SAMPLE = 0.25
-
-
-@dataclass(frozen=True)
-class Reduced:
-    """The linearised problem of all windows with their starts eliminated.
-
-    Attributes
-    ----------
-    r : (m,) array
-        What is left of the residual, m = n_free + 1: the square of its norm is the cost at the best starts.
-    J : (m, n_free) array
-        Its derivative in the free parameters.
-    cost : float
-        Sum of squares at the present starts; inf if a simulation diverged.
-    squares, counts : (2n,) array
-        Sum of squares by channel, and number of samples in it.
-    scores : (groups, n_free) array
-        J' r of groups of residuals that count as independent: windows, or parts of long ones.
-    start_step, start_slope : (b, k) and (b, k, n_free) array
-        Best change of every start, and its derivative in the parameters.
-    """
-
-    r: Array
-    J: Array
-    cost: float
-    squares: Array
-    counts: Array
-    scores: Array
-    start_step: Array
-    start_slope: Array
 
 
 class Shooting:
@@ -156,7 +125,8 @@ class Shooting:
         finite = self._by_differences(p, starts)
         start, u = self.predictor.start_and_drive(self.windows, p, starts)
         parts = [self._part(rows, p, start, u, finite) for rows in self._batches()]
-        return _together(parts, len(self.free))
+        counts = np.count_nonzero(self._all_weights(slice(None)), axis=(0, 1)).astype(float)
+        return eliminated(parts, counts, len(self.free))
 
     # --- simulation ---------------------------------------------------------------------------
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
@@ -232,17 +202,33 @@ class Shooting:
             ends.append(of(moved))
         return np.asarray((ends[0] - ends[1]) / (high - low))
 
-    def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Reduced:
-        t = self.windows.t[rows]
-        x, s = self.predictor.simulator.run_with_sensitivities(
+    def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Products:
+        t, simulator = self.windows.t[rows], self.predictor.simulator
+        sums = self.windows.measured[rows], self._all_weights(rows), self._groups(t)
+        if self._reports_states:
+            return simulator.products(start[rows], t, u[rows], p, self.places, *sums)
+        x, s = simulator.run_with_sensitivities(
             start[rows], t, u[rows], p, self.places, initial=range(self._size)
         )
         reported, slope = self._late(*self.report_slopes(x, s, u[rows], t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
-        with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is told by its cost
-            weighted = np.where(self._used[rows][..., None], slope * self._weights(rows)[..., None], 0.0)
-        return self._eliminated(self._residual(reported, rows), weighted, t)
+        return products_of(reported, slope, *sums)
+
+    @cached_property
+    def _reports_states(self) -> bool:
+        """Whether all that is compared are states of the simulation, and nothing acts before a window."""
+        lateness = self.predictor.lateness
+        return self.predictor.sensors_are_true and not lateness.present and not self._indirect
+
+    def _all_weights(self, rows: slice) -> Array:
+        """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
+        return np.where(self._used[rows], self._weights(rows), 0.0)
+
+    def _groups(self, t: Array) -> NDArray[np.int64]:
+        """Part of its window that a sample belongs to, shape (b, k); parts count as independent."""
+        parts = np.floor((t - t[:, :1]) / self._block)
+        return np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0)).astype(np.int64)
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
         """Report and slopes at the time that they come; what was before a window moves with nothing."""
@@ -270,80 +256,3 @@ class Shooting:
         free = ca.vertcat(*[f.p[i] for i in self.places])
         outputs = [f.reported, ca.jacobian(f.reported, f.x), ca.jacobian(f.reported, free)]
         return ca.Function("report", [f.x, f.u, f.p, f.t], [ca.densify(o) for o in outputs])
-
-    # --- elimination --------------------------------------------------------------------------
-    def _eliminated(self, r: Array, slope: Array, t: Array) -> Reduced:
-        b, k, size = r.shape
-        n = len(self.free)
-        if not (np.isfinite(r).all() and np.isfinite(slope).all()):
-            return _diverged(b, n, size)
-        by_free, by_start = np.split(slope.reshape(b, k * size, -1), [n], axis=2)
-        table = np.concatenate([by_free, r.reshape(b, -1, 1)], axis=2)
-        back, projected = _without(by_start, table)
-        left, right = projected[:, :, :n], projected[:, :, n]
-        condensed = _condensed(projected.reshape(-1, n + 1))
-        return Reduced(
-            r=condensed[:, n],
-            J=condensed[:, :n],
-            cost=float(np.sum(r**2)),
-            squares=np.sum(r**2, axis=(0, 1)),
-            counts=self._counts(r, slope),
-            scores=self._scores(left.reshape(b, k, size, n), right.reshape(b, k, size), t),
-            start_step=-back[:, :, n],
-            start_slope=-back[:, :, :n],
-        )
-
-    def _counts(self, r: Array, slope: Array) -> Array:
-        return np.count_nonzero(np.any(slope != 0, axis=3) | (r != 0), axis=(0, 1)).astype(float)
-
-    def _scores(self, left: Array, right: Array, t: Array) -> Array:
-        products = np.einsum("bkin,bki->bkn", left, right)
-        parts = np.floor((t - t[:, :1]) / self._block).astype(int)
-        parts = np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0).astype(int))
-        most = int(parts.max(initial=0)) + 1
-        summed = np.zeros((len(t), most, left.shape[3]))
-        np.add.at(summed, (np.arange(len(t))[:, None], parts), products)
-        return summed.reshape(len(t) * most, left.shape[3])
-
-
-def _without(by_start: Array, table: Array) -> tuple[Array, Array]:
-    """Least squares on the starts, window by window: solution for every column, and what is left of it.
-
-    Normal equations: the columns of a start are few and well conditioned once they are scaled.
-    """
-    scale = np.sqrt(np.sum(by_start**2, axis=1))
-    scale = np.where(scale > 0, scale, 1.0)[:, None, :]
-    scaled = by_start / scale
-    across = np.swapaxes(scaled, 1, 2)
-    gram = across @ scaled + _HOLD * np.eye(by_start.shape[2])
-    solution = np.linalg.solve(gram, across @ table)
-    return solution / np.swapaxes(scale, 1, 2), table - scaled @ solution
-
-
-def _condensed(table: Array) -> Array:
-    """Few rows with the same products of columns as many."""
-    gram = table.T @ table
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    weight, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    return np.asarray(np.sqrt(np.maximum(weight, 0.0))[:, None] * vectors.T * scale)
-
-
-def _diverged(windows: int, n: int, size: int) -> Reduced:
-    nothing = np.zeros((1, n))
-    steps = np.zeros((windows, size)), np.zeros((windows, size, n))
-    return Reduced(np.zeros(1), nothing, float("inf"), np.zeros(size), np.zeros(size), nothing, *steps)
-
-
-def _together(parts: list[Reduced], n: int) -> Reduced:
-    stacked = np.vstack([np.column_stack([part.J, part.r]) for part in parts])
-    condensed = _condensed(stacked)
-    return Reduced(
-        r=condensed[:, n],
-        J=condensed[:, :n],
-        cost=sum(part.cost for part in parts),
-        squares=np.sum([part.squares for part in parts], axis=0),
-        counts=np.sum([part.counts for part in parts], axis=0),
-        scores=np.concatenate([part.scores for part in parts]),
-        start_step=np.concatenate([part.start_step for part in parts]),
-        start_slope=np.concatenate([part.start_slope for part in parts]),
-    )

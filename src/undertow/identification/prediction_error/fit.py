@@ -20,7 +20,8 @@ from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import Windows, cut_by_samples
-from ..output_error.fit import channel_weights, started, weak_start
+from ..output_error.descent import channel_weights
+from ..output_error.fit import started, weak_start
 from ..weak.constraints import Constraints
 from ..weak.enough import require_rows
 from ..weak.fit import free_parameters

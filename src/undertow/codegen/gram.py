@@ -1,0 +1,288 @@
+"""The rows of a linear regression at the samples of logs, and sums of their products, by compiled code."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from itertools import pairwise
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from undertow.errors import UndertowError
+
+from .cache import library_for
+from .compiler import Compiler
+from .driver import EXPORTED, loaded, pointer
+from .functions import Functions
+from .lanes import LANES_HEADER
+from .plain import LANES, plain_c
+from .problem import Array
+from .source import digest
+
+# As many samples as fit in one instruction.
+_LANES = """\
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__GNUC__)
+#define LANES 4
+#else
+#define LANES 1
+#endif
+"""
+_CHUNK = 128
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The rows of a model that is linear in what is sought.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        `rows(x, nu_dot, u, p, t)`: of every row the structural nonzeros, then the target.
+    row, column : tuple of int
+        Where each of these stands; the target in the last column.
+    size : int
+        Number of parameters that are sought.
+    needed : tuple of int
+        Which of x, nu_dot, u and t, in this order, the rows depend on.
+    """
+
+    function: ca.Function
+    row: tuple[int, ...]
+    column: tuple[int, ...]
+    size: int
+    needed: tuple[int, ...]
+
+    @property
+    def degrees(self) -> int:
+        """Rows at one sample."""
+        return int(self.function.numel_in(1))
+
+    @property
+    def starts(self) -> list[int]:
+        """First entry of every row, and the end of the last."""
+        return [sum(r < i for r in self.row) for i in range(self.degrees + 1)]
+
+
+def layout(functions: Functions, places: Sequence[int]) -> Layout:
+    """The rows H theta = target of a model: forces by what is sought, and what all else leaves.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    places : sequence of int
+        Indices of the parameters that are sought.
+
+    Raises
+    ------
+    UndertowError
+        If a parameter does not enter linearly.
+    """
+    f, chosen = functions, list(places)
+    sought = f.p[chosen]
+    slope = ca.jacobian(f.driven_residual, f.p)[:, chosen]
+    for k, place in enumerate(chosen):
+        if ca.depends_on(slope, sought[k]):
+            raise UndertowError(
+                f"{f.parameter_names[place]} does not enter the equations linearly, which least squares "
+                "needs: state it as known, or use undertow fit"
+            )
+    target = -ca.substitute(f.driven_residual, sought, ca.SX.zeros(len(chosen)))
+    table = ca.horzcat(slope, ca.densify(target))
+    rows, columns = table.sparsity().get_triplet()
+    order = sorted(range(len(rows)), key=lambda k: (rows[k], columns[k]))
+    entries = ca.cse(ca.vertcat(*[table.nz[k] for k in order]))
+    inputs = [f.x, f.nu_dot, f.u, f.p, f.t]
+    function = ca.Function("rows", inputs, [entries], ["x", "nu_dot", "u", "p", "t"], ["rows"])
+    varying = ca.vertcat(f.x, f.nu_dot, f.u, f.t)
+    felt = ca.which_depends(entries, varying)
+    needed = tuple(k for k, used in enumerate(felt) if used)
+    return Layout(
+        function, tuple(rows[k] for k in order), tuple(columns[k] for k in order), len(chosen), needed
+    )
+
+
+@dataclass
+class Sums:
+    """Sums over the samples of logs, with what rounding takes from them kept beside.
+
+    Attributes
+    ----------
+    value, lost : ndarray
+        Sum and correction.
+    count : int
+        Samples that were taken in; those with gaps are not.
+    """
+
+    value: Array
+    lost: Array = field(init=False)
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        self.lost = np.zeros_like(self.value)
+
+    @property
+    def total(self) -> Array:
+        """The sums."""
+        return np.asarray(self.value + self.lost)
+
+
+class RowSource(Protocol):
+    """Passes over columns of samples; a weight is an array for each row, of one entry or one by sample."""
+
+    def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None: ...
+
+    def residual(
+        self, columns: list[Array], p: Array, weights: list[Array] | None, theta: Array, sums: Sums
+    ) -> None: ...
+
+    def build(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]: ...
+
+
+class CompiledRows:
+    """Passes over the data in C.
+
+    Parameters
+    ----------
+    rows : Layout
+        The rows.
+    compiler : Compiler
+        Compiler to use.
+    """
+
+    def __init__(self, rows: Layout, compiler: Compiler) -> None:
+        self._layout = rows
+        source, prefix = gram_source(rows)
+        library = loaded(library_for(source, compiler.for_this_machine()))
+        self._entry = {name: getattr(library, f"{prefix}{name}") for name in ("gram", "residual", "build")}
+        for entry in self._entry.values():
+            entry.restype = ctypes.c_int64
+
+    def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None:
+        """Add products of rows and target, upper triangle."""
+        sums.count += self._called("gram", columns, p, weights, sums.value, sums.lost)
+
+    def residual(
+        self, columns: list[Array], p: Array, weights: list[Array] | None, theta: Array, sums: Sums
+    ) -> None:
+        """Add products of rows and what theta leaves of the target, then its square."""
+        sums.count += self._called("residual", columns, p, weights, theta, sums.value, sums.lost)
+
+    def build(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
+        """Rows and target as a matrix; zero where a sample has gaps."""
+        n = _length(columns)
+        matrix = np.empty((n * self._layout.degrees, self._layout.size + 1))
+        return matrix, self._called("build", columns, p, weights, matrix)
+
+    def _called(
+        self, name: str, columns: list[Array], p: Array, weights: list[Array] | None, *results: Array
+    ) -> int:
+        n = _length(columns)
+        step = int(weights is not None and len(weights[0]) > 1)
+        return int(
+            self._entry[name](
+                ctypes.c_int64(n),
+                _pointers(columns),
+                pointer(p),
+                None if weights is None else _pointers(weights),
+                ctypes.c_int64(step),
+                *map(pointer, results),
+            )
+        )
+
+
+def _pointers(columns: list[Array]) -> ctypes.Array[ctypes.c_void_p]:
+    return (ctypes.c_void_p * max(len(columns), 1))(*(c.ctypes.data for c in columns))
+
+
+def _length(columns: list[Array]) -> int:
+    return len(columns[0]) if columns else 0
+
+
+def gram_source(rows: Layout) -> tuple[str, str]:
+    """C source of the passes, and the prefix of their names, which carries the hash of the source."""
+    f, starts = rows.function, rows.starts
+    sizes = {"NX": f.numel_in(0), "ND": f.numel_in(1), "NU": f.numel_in(2), "NF": rows.size}
+    sizes |= {"ENTRIES": len(rows.row), "NEEDS": len(rows.needed), "TABLE": _tiles(starts)}
+    lines = [_LANES, LANES_HEADER, "#include <string.h>", EXPORTED, "#define ROWS entries_of_rows"]
+    lines += [f"#define {k} {v}" for k, v in sizes.items()]
+    for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.needed)):
+        lines.append(f"static const int {name}[] = {{{', '.join(map(str, values or [0]))}}};")
+    lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
+    lines.append((files("undertow.codegen") / "gram.c").read_text(encoding="utf-8"))
+    text = "\n".join(lines)
+    prefix = f"undertow_{digest(text)[:16]}_"
+    names = "".join(f"#define {n.upper()} {prefix}{n}\n" for n in ("gram", "residual", "build"))
+    return names + text, prefix
+
+
+def _tiles(starts: list[int]) -> int:
+    """Tiles of the products of all rows, at the smallest size that a tile has."""
+    sizes = [-(-(b - a) // 3) for a, b in pairwise(starts)]
+    return sum(n * (n + 1) // 2 for n in sizes)
+
+
+class VirtualRows:
+    """The same passes by CasADi's virtual machine and NumPy, where there is no compiler.
+
+    Parameters
+    ----------
+    rows : Layout
+        The rows.
+    """
+
+    def __init__(self, rows: Layout) -> None:
+        self._layout = rows
+        self._map = rows.function.map(_CHUNK)
+
+    def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None:
+        """Add products of rows and target, upper triangle."""
+        for table, count in self._chunks(columns, p, weights):
+            sums.value += np.triu(table.T @ table)
+            sums.count += count
+
+    def residual(
+        self, columns: list[Array], p: Array, weights: list[Array] | None, theta: Array, sums: Sums
+    ) -> None:
+        """Add products of rows and what theta leaves of the target, then its square."""
+        for table, count in self._chunks(columns, p, weights):
+            error = table[:, -1] - table[:, :-1] @ theta
+            sums.value += [*(table[:, :-1].T @ error), error @ error]
+            sums.count += count
+
+    def build(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
+        """Rows and target as a matrix; zero where a sample has gaps."""
+        parts = [*self._chunks(columns, p, weights)]
+        nothing = np.zeros((0, self._layout.size + 1))
+        return np.vstack([nothing, *(table for table, _ in parts)]), sum(count for _, count in parts)
+
+    def _chunks(self, columns: list[Array], p: Array, weights: list[Array] | None) -> list[tuple[Array, int]]:
+        n = _length(columns)
+        slices = [slice(i, min(i + _CHUNK, n)) for i in range(0, n, _CHUNK)]
+        return [self._chunk([c[s] for c in columns], p, _cut(weights, s)) for s in slices]
+
+    def _chunk(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
+        known, count, f = self._layout, len(columns[0]), self._layout.function
+        sizes = [f.numel_in(i) for i in (0, 1, 2)] + [1]
+        inputs = np.zeros((sum(sizes), _CHUNK))
+        inputs[list(known.needed), :count] = columns
+        whole = np.isfinite(inputs).all(axis=0) & (np.arange(_CHUNK) < count)
+        x, nu_dot, u, t = np.split(np.where(whole, inputs, 0.0), np.cumsum(sizes)[:-1])
+        entries = self._map(x, nu_dot, u, np.tile(p[:, None], _CHUNK), t)
+        table = np.zeros((_CHUNK, known.degrees, known.size + 1))
+        table[:, list(known.row), list(known.column)] = np.asarray(entries).T
+        if weights is not None:
+            for r, weight in enumerate(weights):
+                table[:count, r] *= np.sqrt(weight)[:, None]
+        table[~whole] = 0.0
+        return table[:count].reshape(-1, known.size + 1), int(whole.sum())
+
+
+def _cut(weights: list[Array] | None, rows: slice) -> list[Array] | None:
+    return None if weights is None else [w if len(w) == 1 else w[rows] for w in weights]

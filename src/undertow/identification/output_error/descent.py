@@ -1,0 +1,287 @@
+"""The search for parameters: Levenberg-Marquardt with bounds, the starts of windows eliminated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError
+
+from ..compare.cutting import Windows
+from ..weak.residual import Linearised, WeakModel
+from ..weak.solution import Solution, clustered
+from ..weak.step import bounds_of, limited_step, prior_cost, prior_of
+from .elimination import Reduced
+from .losses import Loss, robust_scale
+from .shooting import Shooting
+
+Array = NDArray[np.float64]
+Report = Callable[[float, str], None]
+_MAX_ITERATIONS = 40
+# Fall of the sum of squares below which nothing is left to gain.
+_ENOUGH = 1e-3
+_ROUNDS, _ROBUST_ROUNDS = 3, 20
+_SETTLED = 0.05
+# A log without noise would weigh infinitely: no channel counts as better known than this share of its rms.
+_FINEST = 1e-6
+_DAMPING = (1e-3, 1e-9, 1e9)
+
+
+@dataclass(frozen=True)
+class OutputErrorFit(Solution):
+    """A model fitted to logs by its simulation error.
+
+    Attributes
+    ----------
+    model : WeakModel
+        Model and names of the free parameters.
+    p : (n_parameters,) array
+        All parameters.
+    windows : Windows
+        What was simulated.
+    starts : (b, 2n) array
+        Estimated true pose and velocity at the start of every window.
+    at : Reduced
+        Linearised problem at p.
+    dispersion : (2n,) array
+        Mean square of the simulation error over the noise that a channel was weighted with, at least 1.
+    iterations : int
+        Steps taken in all.
+    """
+
+    model: WeakModel
+    p: Array
+    windows: Windows
+    starts: Array
+    at: Reduced
+    dispersion: Array
+    iterations: int
+
+    @property
+    def gram(self) -> Array:
+        """J' J of the weighted error with the starts eliminated, shape (n_free, n_free)."""
+        return self.at.J.T @ self.at.J
+
+    @cached_property
+    def noise_gram(self) -> Array:
+        """J' J in units of the noise of the sensors alone, the starts eliminated."""
+        weight = channel_weights(self.windows)
+        shooting = Shooting(self.model.functions, self.windows, self.model.free, weight, compiled=False)
+        J = shooting.linearise(self.p, self.starts).J
+        return np.asarray(J.T @ J)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the free parameters: at least what noise gives, robust to what the model leaves.
+
+        Windows (or stretches of five seconds in longer ones) are taken as independent: a sandwich estimator
+        with clusters inflates the covariance where errors of one window hang together.
+        """
+        information = self.gram + np.diag(prior_of(self.model)[1] ** 2)
+        groups = len(self.at.scores)
+        return clustered(information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares of the simulation error."""
+        return self.at.cost
+
+    def mean_square(self) -> Array:
+        """Mean square of the simulation error over the noise, by channel; NaN where one is not used."""
+        return _mean_square(self.at, self.starts, self.dispersion)
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a descent has come to.
+
+    Attributes
+    ----------
+    p : (n_parameters,) array
+        All parameters.
+    starts : (b, 2n) array
+        True pose and velocity at the start of every window.
+    at : Reduced
+        Linearised problem there.
+    damping : float
+        Of the next step.
+    """
+
+    p: Array
+    starts: Array
+    at: Reduced
+    damping: float
+
+
+class Descent:
+    """Levenberg-Marquardt on the parameters, with the best starts for every step.
+
+    Parameters
+    ----------
+    model : WeakModel
+        Model and names of the free parameters.
+    windows : Windows
+        What is simulated.
+    compiled : bool, optional
+        As for `Simulator`.
+    progress : callable
+        Told what share is done, and what is being done.
+    enough : float
+        Fall of the sum of squares below which nothing is left to gain.
+    """
+
+    def __init__(
+        self,
+        model: WeakModel,
+        windows: Windows,
+        compiled: bool | None = None,
+        progress: Report = lambda done, words: None,
+        enough: float = _ENOUGH,
+    ) -> None:
+        self._enough = enough
+        self.model, self.windows = model, windows
+        self._weight = channel_weights(windows)
+        self._shooting = Shooting(model.functions, windows, model.free, self._weight, compiled=compiled)
+        self._bounds, self._prior = bounds_of(model), prior_of(model)
+        self._progress = progress
+        self._steps = 0
+
+    def fit(self, p: Array) -> OutputErrorFit:
+        """Descend, weigh every channel by what the model leaves in it, until that settles."""
+        starts = self._shooting.settled_starts(p)
+        dispersion = np.ones(len(self.windows.names))
+        state = self.settled(p, starts)
+        for round_ in range(1, _ROUNDS):
+            self._progress(round_ / _ROUNDS, "output error")
+            found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
+            if np.max(np.abs(np.log(found / dispersion))) < _SETTLED:
+                break
+            dispersion = found
+            self._shooting.weight = self._weight / np.sqrt(dispersion)
+            state = self.settled(state.p, state.starts)
+        return OutputErrorFit(
+            self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
+        )
+
+    def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
+        """Descend with weights for each sample by its error, until the parameters settle."""
+        starts = self._shooting.settled_starts(p)
+        state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
+        for round_ in range(_ROBUST_ROUNDS):
+            self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")
+            scale = self._weighed(state, loss)
+            before, state = state.p, self.settled(state.p, state.starts)
+            if self._moved(state, before) < _SETTLED:
+                break
+        return self._robust(state, scale, loss)
+
+    def _weighed(self, state: State, loss: Loss) -> Array:
+        """Weigh channels and samples by their errors at a state; scale of the errors of each channel."""
+        self._shooting.weight = self._weight
+        errors = self._shooting.errors(state.p, state.starts)
+        scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
+        scale = np.where(scale > 0, scale, 1.0)
+        self._shooting.weight = self._weight / scale
+        self._shooting.trust = loss.weight(np.nan_to_num(errors / scale))
+        return scale
+
+    def _moved(self, state: State, before: Array) -> float:
+        """How far the parameters have come, in the standard deviations of the fit."""
+        places = list(self.model.places)
+        return float(np.linalg.norm(state.at.J @ (state.p[places] - before[places])))
+
+    def _robust(self, state: State, scale: Array, loss: Loss) -> OutputErrorFit:
+        """The fit with weights by which its covariance is that of an estimate by this loss."""
+        errors = self._shooting.errors(state.p, state.starts)
+        found = [
+            loss.correction(e[np.isfinite(e)]) if used else (1.0, 1.0)
+            for e, used in zip(np.moveaxis(errors, 2, 0), state.at.counts > 0, strict=True)
+        ]
+        variance, score = np.array(found).T
+        self._shooting.weight = self._weight / (scale * np.sqrt(variance))
+        at = self._shooting.linearise(state.p, state.starts)
+        at = replace(at, scores=at.scores * float(np.average(score, weights=at.counts)))
+        return OutputErrorFit(
+            self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
+        )
+
+    def settled(self, p: Array, starts: Array) -> State:
+        """Where steps from these parameters and starts lead, with the weights as they are.
+
+        Raises
+        ------
+        UndertowError
+            If the simulation diverges with these parameters.
+        """
+        state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
+        if not np.isfinite(state.at.cost):
+            raise UndertowError(
+                "the simulation diverges with the starting values of the parameters: give a shorter horizon, "
+                "or values nearer to the truth"
+            )
+        for _ in range(_MAX_ITERATIONS):
+            self._steps += 1
+            state, gained = self._stepped(state)
+            if gained < self._enough:
+                break
+        return state
+
+    def _stepped(self, state: State) -> tuple[State, float]:
+        """The next state and the fall of the cost; the same state and zero where no step helps."""
+        places = list(self.model.places)
+        damping = state.damping
+        while damping < _DAMPING[2]:
+            step = limited_step(self.model, _damped(state.at, damping), state.p, self._bounds, self._prior)
+            p = state.p.copy()
+            p[places] = np.clip(p[places] + step, *self._bounds)
+            starts = state.starts + state.at.start_step + state.at.start_slope @ step
+            # Most steps help: to simulate with derivatives at once is cheaper than to look first.
+            at = self._shooting.linearise(p, starts)
+            before, after = self._cost(state.p, state.at.cost), self._cost(p, at.cost)
+            if after < before:
+                return State(p, starts, at, max(damping / 10, _DAMPING[1])), before - after
+            if before - self._promised(state, step) < self._enough:
+                break
+            damping *= 10
+        return state, 0.0
+
+    def _cost(self, p: Array, squares: float) -> float:
+        return squares + prior_cost(self._prior, p[list(self.model.places)])
+
+    def _promised(self, state: State, step: Array) -> float:
+        """Cost after a step by the linearised problem."""
+        p = state.p.copy()
+        p[list(self.model.places)] += step
+        return self._cost(p, float(np.sum((state.at.r + state.at.J @ step) ** 2)))
+
+
+def _damped(at: Reduced, damping: float) -> Linearised:
+    """The linearised problem with steps held back, relative to how well each parameter is determined."""
+    hold = np.diag(np.sqrt(damping) * np.linalg.norm(at.J, axis=0))
+    r, J = np.concatenate([at.r, np.zeros(len(hold))]), np.vstack([at.J, hold])
+    return Linearised(r, J, np.zeros((len(r), 0)))
+
+
+def channel_weights(windows: Windows) -> Array:
+    """One over the noise of each channel; zero for what is not measured, or derived from what is."""
+    with_data = np.isfinite(windows.measured)
+    count = with_data.sum(axis=(0, 1))
+    size = np.sqrt(np.nansum(windows.measured**2, axis=(0, 1)) / np.maximum(count, 1))
+    derived = {name for run in windows.runs for name in run.derived}
+    used = (count > 0) & np.array([name not in derived for name in windows.names])
+    noise = np.maximum(windows.sigma, _FINEST * size)
+    return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
+
+
+def _mean_square(at: Reduced, starts: Array, dispersion: Array) -> Array:
+    """Mean square by channel in units of the noise; estimated starts and parameters take up part of it."""
+    total = float(at.counts.sum())
+    left = max(total - starts.size - at.J.shape[1], 1.0) / max(total, 1.0)
+    found = np.full(len(dispersion), np.nan)
+    used = at.counts > 0
+    found[used] = at.squares[used] / (at.counts[used] * left)
+    return found * dispersion
