@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,14 @@ class Linearised:
     known: int | None = None
 
 
+class _At(NamedTuple):
+    """A model where it was last asked for on some data: a fit, its judges and its noise ask at one place."""
+
+    data: WeakData
+    p: Array
+    parts: list[Linearised]
+
+
 class WeakModel:
     """Weak residuals of one vehicle for a choice of free parameters.
 
@@ -66,6 +75,7 @@ class WeakModel:
         self._chain = Chain(functions, self.places)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
         self._late = Lateness(functions, self.places)
+        self._known: dict[int, _At] = {}
 
     @cached_property
     def limits(self) -> Limits:
@@ -74,6 +84,15 @@ class WeakModel:
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
+        known = self._known.get(id(data))
+        if known is None or known.data is not data or not np.array_equal(known.p, p):
+            parts = self._linearised(data, p)
+            for array in (a for part in parts for a in (part.r, part.J, part.start)):
+                array.setflags(write=False)  # others will be handed the same
+            known = self._known[id(data)] = _At(data, p.copy(), parts)
+        return list(known.parts)
+
+    def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
         driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
         return [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
 
