@@ -24,7 +24,8 @@ class CompiledStepper:
     """The driver in C around the generated dynamics or tangents: one call for all samples of all runs."""
 
     def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
-        source, name = driver_source(functions, sensitivities=sensitivities)
+        known = None if sensitivities else functions.known_simulation
+        source, name = known or driver_source(functions, sensitivities=sensitivities)
         self.library: Path = library_for(source, compiler.for_this_machine())
         self._simulate = getattr(loaded(self.library), name)
         self._simulate.restype = ctypes.c_int
