@@ -16,7 +16,7 @@ from . import vehicle
 
 SOURCE = Path(__file__).with_name("hand.c")
 # What somebody who wants speed asks of the compiler; it may use fused multiply-add.
-FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
+FLAGS = ("-std=gnu99", "-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
 _ROWS = 8
 
 
@@ -60,12 +60,12 @@ def _padded(values: list[float], size: int) -> list[float]:
     return [*values, *[0.0] * (size - len(values))]
 
 
-def library(source: str, folder: Path, name: str, *more: str) -> ctypes.CDLL:
+def library(source: str, folder: Path, name: str, *flags: str) -> ctypes.CDLL:
     """C source compiled the way hand-written code is, with more options if it needs them."""
     compiler = find_compiler()
     assert compiler is not None
     (folder / f"{name}.c").write_text(source, encoding="utf-8")
     files = [f"{name}.c", "-o", f"{name}.so", "-lm"]
-    command = [*compiler.command, *FLAGS, *more, f"-I{SOURCE.parent}", *files]
+    command = [*compiler.command, *FLAGS, *flags, f"-I{SOURCE.parent}", *files]
     subprocess.run(command, check=True, cwd=folder)
     return ctypes.CDLL(str(folder / f"{name}.so"))

@@ -103,11 +103,19 @@ class Functions:
         kept = {*self._memory, *self._chain_rates, *known, *directional}
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
-        water, rate = column(["water_x", "water_y", "water_z"]), column(["rate_x", "rate_y", "rate_z"])
-        moving = sm.Matrix.vstack(*composition.water)
-        self.convert.define(dict(zip([*water, *rate], moving, strict=True)))
-        self.convert.define(composition.relative_to(water, rate))
+        self._define_water()
         self.convert.define(directional)
+
+    def _define_water(self) -> None:
+        composition = self.vehicle.composition
+        symbols = [column([f"{what}_{axis}" for axis in "xyz"]) for what in ("water", "rate")]
+        relative = composition.relative_to(*symbols)
+        felt = {x for e in relative.values() for x in e.free_symbols}
+        meaning = zip([*symbols[0], *symbols[1]], sm.Matrix.vstack(*composition.water), strict=True)
+        # Water that moves along a locked axis alone may do so with parameters that no equation has.
+        self.convert.define({x: e if x in felt else sm.Integer(0) for x, e in meaning})
+        self.convert.define(relative)
+        self.water_rate = self.convert.matrix(symbols[1])
 
     # --- expressions --------------------------------------------------------------------------
     @cached_property

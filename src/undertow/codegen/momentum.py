@@ -28,6 +28,7 @@ _CROSS = tuple(
     for i in range(3)
     for sign, a, b in ((1, 1, 2), (-1, 2, 1))
 )
+Entry = tuple[int, int]
 _TRIALS = 3
 _ROUNDING = 1e-12
 _SEED = 0
@@ -87,8 +88,8 @@ def find_inertia(
 def is_galilean(inertia: Inertia, p: ca.SX, dofs: tuple[int, ...]) -> bool:
     """Whether what moves over ground feels no difference between still water and a steady flow.
 
-    For water of velocity w in body axes, that is M (omega x w, 0) + K(A, nu - (w, 0)) = K(A, nu): a rigid body
-    with all of its Coriolis forces does not know whether the ground moves.
+    For water of velocity w in body axes, that is M (omega x w, 0) + K(A, nu - (w, 0)) = K(A, nu): a rigid
+    body with all of its Coriolis forces does not know whether the ground moves.
     """
     nu, water = ca.SX.sym("nu", 6), ca.SX.sym("water", 3)
     moving = [int(i in dofs) for i in range(6)]
@@ -135,12 +136,13 @@ class _Search:
 
     def _converted(self, wrench: sm.Matrix) -> ca.SX | None:
         """The wrench in motion and parameters, or None if it depends on more."""
-        parameters = {x: self._known(x) for x in wrench.free_symbols if x not in self._meaning}
+        rows = wrench.extract(list(self._dofs), [0])
+        parameters = {x: self._known(x) for x in rows.free_symbols if x not in self._meaning}
         fixed = {e.element_hash() for e in ca.vertsplit(self._p)}
         used = ca.symvar(ca.vertcat(ca.SX(0, 1), *parameters.values()))
         if not fixed.issuperset(e.element_hash() for e in used):
             return None
-        return Converter(parameters | self._meaning).matrix(wrench.extract(list(self._dofs), [0]))
+        return Converter(parameters | self._meaning).matrix(rows)
 
     def _embedded(self, matrix: ca.SX) -> ca.SX:
         result = ca.SX(6, 6)
@@ -164,20 +166,23 @@ class _Search:
         if ca.depends_on(curvature, self._motion) or ca.sparsify(resting).nnz():
             return None
         # By Taylor's theorem the coefficients of nu_j nu_k say all.
-        n = len(self._dofs)
-        coefficients = {
-            (self._dofs[i], self._dofs[j], self._dofs[k]): (-0.5 if j == k else -1) * curvature[j * n + i, k]
-            for j in range(n)
-            for k in range(j, n)
-            for i in range(n)
-        }
-        a = _solved(coefficients, self._dofs)
-        return a if self._gives(a, coefficients) else None
+        coefficients: dict[tuple[int, int, int], ca.SX] = {}
+        rows, columns = curvature.sparsity().get_triplet()
+        for place, k, value in zip(rows, columns, curvature.nonzeros(), strict=True):
+            j, i = divmod(place, len(self._dofs))
+            if j <= k:
+                key = self._dofs[i], self._dofs[j], self._dofs[k]
+                coefficients[key] = (-0.5 if j == k else -1) * value
+        known = _solved(coefficients, self._dofs)
+        return _symmetric(known) if self._gives(known, coefficients) else None
 
-    def _gives(self, a: ca.SX, coefficients: Mapping[tuple[int, int, int], ca.SX]) -> bool:
-        equations = _equations(self._dofs)
-        left = [sum((sign * a[m] for sign, m in equations.get(c, [])), ca.SX(0)) for c in coefficients]
-        return identical(ca.vertcat(*left), ca.vertcat(*coefficients.values()), self._p)
+    def _gives(
+        self, known: Mapping[Entry, ca.SX], coefficients: Mapping[tuple[int, int, int], ca.SX]
+    ) -> bool:
+        equations, zero = _equations(self._dofs), ca.SX(0)
+        places = {*equations, *coefficients}
+        left = [sum((sign * known[m] for sign, m in equations.get(c, [])), zero) for c in places]
+        return identical(ca.vertcat(*left), ca.vertcat(*(coefficients.get(c, zero) for c in places)), self._p)
 
 
 def _column(name: str, places: tuple[int, ...]) -> ca.SX:
@@ -190,7 +195,7 @@ def _at_zero(expression: ca.SX, symbols: ca.SX) -> ca.SX:
 
 
 @cache
-def _equations(dofs: tuple[int, ...]) -> dict[tuple[int, int, int], list[tuple[int, tuple[int, int]]]]:
+def _equations(dofs: tuple[int, ...]) -> dict[tuple[int, int, int], list[tuple[int, Entry]]]:
     """Coefficient of nu_j nu_k (j <= k) in row i of K(A, nu), as a sum of entries of the symmetric A."""
     found = defaultdict(list)
     for i, sign, j, b in _CROSS:
@@ -200,28 +205,32 @@ def _equations(dofs: tuple[int, ...]) -> dict[tuple[int, int, int], list[tuple[i
     return dict(found)
 
 
-def _solved(coefficients: Mapping[tuple[int, int, int], ca.SX], dofs: tuple[int, ...]) -> ca.SX:
-    """A matrix A whose K has these coefficients if there is one; what K does not show is zero."""
-    equations = dict(_equations(dofs))
-    known: dict[tuple[int, int], ca.SX] = {}
+def _solved(coefficients: Mapping[tuple[int, int, int], ca.SX], dofs: tuple[int, ...]) -> dict[Entry, ca.SX]:
+    """Entries of a matrix A whose K has these coefficients if there is one; what K does not show is zero."""
+    equations, zero = _equations(dofs), ca.SX(0)
+    known: dict[Entry, ca.SX] = {}
     while unknown := {m for terms in equations.values() for _, m in terms} - {*known}:
         open_ = {c: [(s, m) for s, m in terms if m not in known] for c, terms in equations.items()}
         single = next((c for c, terms in open_.items() if len(terms) == 1), None)
         if single is None:
-            known[min(unknown)] = ca.SX(0)
+            known[min(unknown)] = zero
             continue
         ((sign, entry),) = open_[single]
-        rest = sum((s * known[m] for s, m in equations[single] if m != entry), ca.SX(0))
-        known[entry] = sign * (coefficients[single] - rest)
-    a = ca.SX(6, 6)
+        rest = sum((s * known[m] for s, m in equations[single] if m != entry), zero)
+        known[entry] = sign * (coefficients.get(single, zero) - rest)
+    return known
+
+
+def _symmetric(known: Mapping[Entry, ca.SX]) -> ca.SX:
+    result = ca.SX(6, 6)
     for (j, k), value in known.items():
         if not value.is_zero():
-            a[j, k] = a[k, j] = value
-    return a
+            result[j, k] = result[k, j] = value
+    return result
 
 
 def identical(left: ca.SX, right: ca.SX, symbols: ca.SX) -> bool:
-    """Whether two expressions are identical: equal at random points, in the rounding of their largest entry."""
+    """Whether two expressions are identical: equal at random points but for rounding."""
     both = ca.Function("both", [symbols], [ca.densify(left), ca.densify(right)])
     random = np.random.default_rng(_SEED)
     for _ in range(_TRIALS):

@@ -24,11 +24,11 @@ class Prepared:
     Attributes
     ----------
     prepare : casadi.Function
-        `q = prepare(p)`: coefficients, and the inverse of the mass matrix where it depends on parameters alone.
+        `q = prepare(p)`: coefficients, with the inverse of M where it depends on parameters alone.
     dynamics : casadi.Function
         `x_dot = dynamics(x, u, q, t)`.
     hold : casadi.Function
-        `w = hold(u, q)`: what follows from coefficients and inputs, for many evaluations with the same inputs.
+        `w = hold(u, q)`: what follows from q and inputs, for many evaluations with the same inputs.
     held_dynamics : casadi.Function
         `x_dot = held_dynamics(x, w, q, t)`.
     """
@@ -80,6 +80,5 @@ def _inertial_force(f: Functions, inertia: Inertia) -> tuple[ca.SX, ca.SX]:
         force = inertia.water_mass @ drift + kirchhoff(inertia.water_momentum, nu_r)
         return -force - kirchhoff(inertia.momentum, nu), ca.SX(6, 1)
     # A steady flow may as well be at rest, with the vehicle moving through it; its rate remains.
-    rate = f.convert.matrix(composition.water[1])
     momentum = inertia.momentum + inertia.water_momentum
-    return -inertia.mass[:, :3] @ rate - kirchhoff(momentum, nu_r), drift
+    return -inertia.mass[:, :3] @ f.water_rate - kirchhoff(momentum, nu_r), drift

@@ -14,7 +14,7 @@ def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
 
 
 def solution(matrix: ca.SX, right: ca.SX, moving: ca.SX) -> ca.SX:
-    """Solution of a symmetric positive definite system, by the inverse if no `moving` symbol is in the matrix."""
+    """Solution of such a system, by the inverse of the matrix if no `moving` symbol is in it."""
     if ca.depends_on(matrix, moving):
         return solve_symmetric(matrix, right)
     return solve_symmetric(matrix, ca.SX.eye(matrix.shape[0])) @ right
