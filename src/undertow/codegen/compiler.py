@@ -30,8 +30,8 @@ _GNU_FLAGS = (
     *("-fPIC", "-shared", "-fvisibility=hidden"),
 )
 _MSVC_FLAGS = ("/nologo", "/std:c11", "/O1", "/fp:precise", "/LD", "/w")
-# For loops on this machine alone: exported code never has them. Multiply and add may be fused: what these loops
-# run is not the expressions of the virtual machine anyway, but a form that agrees with them to rounding.
+# For loops on this machine alone: exported code never has them. Multiply and add may be fused: what these
+# loops run is not the expressions of the virtual machine anyway, but a form that agrees to rounding.
 _LOCAL_FLAGS = ("-O2", "-march=native", "-ffp-contract=fast")
 # Macro that is defined where the processor has vectors of so many doubles, and how many runs then are fastest
 # side by side. Measured on x86-64: 8 lanes in narrower vectors are slower than 4, and 4 without AVX than one.
@@ -57,12 +57,14 @@ class Compiler:
     version: str
     more: tuple[str, ...] = ()
 
-    def for_this_machine(self) -> Compiler:
+    def for_this_machine(self, *options: str) -> Compiler:
         """The same compiler, using all that this processor can do; what it builds may not run elsewhere."""
         known = _processor(self.command)
         if self.is_msvc or not known:
             return self
-        return replace(self, version=f"{self.version}, processor {digest(known)[:12]}", more=_LOCAL_FLAGS)
+        return replace(
+            self, version=f"{self.version}, processor {digest(known)[:12]}", more=(*_LOCAL_FLAGS, *options)
+        )
 
     @property
     def lanes(self) -> int:

@@ -1,10 +1,9 @@
 /* Classical fourth-order Runge-Kutta over a whole log, inputs held between samples.
 
-   Compiled together with the generated functions. What stands before this defines
+   Compiled together with the generated function. What stands before this defines
      NX, NU           numbers of states and inputs
      ND               number of degrees of freedom; rows ND .. 2 ND - 1 of x_dot hold the acceleration
-     prepare (p, q), hold (u, q, w) and held_dynamics (x, w, q, t, x_dot), with NQ and NW entries in q and w
-   or, for sensitivities, TANGENTS and tangents (x, u, p, t, x_dot, W, R_x, R_p) and the sparsity of R_x and R_p:
+     tangents         (x, u, p, t, x_dot, W, R_x, R_p), and the sparsity of R_x and R_p:
      RX_COLUMN, RX_ROW, RX_NONZEROS, RP_COLUMN, RP_ROW, RP_NONZEROS
    and SIMULATE, the name under which the entry point is exported.
 
@@ -14,15 +13,10 @@
 #include <stdint.h>
 #include <stdlib.h>
 
-#ifdef TANGENTS
 #define SLOPES_PER_CALL (NX + ND * ND + RX_NONZEROS + RP_NONZEROS)
-#else
-#define SLOPES_PER_CALL NX
-#endif
 
 typedef struct {
   const double *u, *p;  /* held inputs, parameters */
-  double *q, *w;        /* what follows from the parameters, and from the held inputs */
   const int64_t *wrt;   /* parameter of every sensitivity column, -1 for a column of an initial state */
   int64_t columns;      /* number of sensitivity columns */
   double *slopes;       /* x_dot, then W, R_x, R_p */
@@ -41,30 +35,10 @@ static void fill_nan(double *x, int64_t n) {
 }
 
 static void evaluate(Workspace *work, const double *x, double t) {
-  double *f = work->slopes;
-#ifdef TANGENTS
-  double *w = f + NX, *rx = w + ND * ND, *rp = rx + RX_NONZEROS;
+  double *f = work->slopes, *w = f + NX, *rx = w + ND * ND, *rp = rx + RX_NONZEROS;
   tangents(x, work->u, work->p, t, f, w, rx, rp);
-#else
-  held_dynamics(x, work->w, work->q, t, f);
-#endif
 }
 
-static void take_parameters(Workspace *work, const double *p) {
-  work->p = p;
-#ifndef TANGENTS
-  prepare(p, work->q);
-#endif
-}
-
-static void take_inputs(Workspace *work, const double *u) {
-  work->u = u;
-#ifndef TANGENTS
-  hold(u, work->q, work->w);
-#endif
-}
-
-#ifdef TANGENTS
 static void add_multiple(int64_t n, double factor, const double *restrict from, double *restrict to) {
   for (int64_t i = 0; i < n; i++) to[i] += factor * from[i];
 }
@@ -88,7 +62,6 @@ static void tangent_rate(Workspace *work, const double *z) {
   for (int64_t i = 0; i < ND; i++)
     for (int64_t j = 0; j < ND; j++) add_multiple(m, w[j * ND + i], force + j * m, acceleration + i * m);
 }
-#endif
 
 /* One step of length h from t; x (NX) and, with sensitivities, s (NX x columns) are advanced in place. */
 static void step(Workspace *work, double t, double h, double *x, double *s) {
@@ -96,28 +69,20 @@ static void step(Workspace *work, double t, double h, double *x, double *s) {
   double stage[NX], total[NX];
   const double *f = work->slopes;
   for (int64_t i = 0; i < NX; i++) stage[i] = x[i], total[i] = 0;
-#ifdef TANGENTS
   const int64_t size = NX * work->columns;
   for (int64_t i = 0; i < size; i++) work->z[i] = s[i], work->sum[i] = 0;
-#endif
   for (int k = 0; k < 4; k++) {
     evaluate(work, stage, t + reach[k] * h);
     const double next = k < 3 ? reach[k + 1] * h : 0;
     for (int64_t i = 0; i < NX; i++) total[i] += weight[k] * f[i], stage[i] = x[i] + next * f[i];
-#ifdef TANGENTS
     tangent_rate(work, work->z);
     for (int64_t i = 0; i < size; i++) {
       work->sum[i] += weight[k] * work->dz[i];
       work->z[i] = s[i] + next * work->dz[i];
     }
-#endif
   }
   for (int64_t i = 0; i < NX; i++) x[i] += h / 6 * total[i];
-#ifdef TANGENTS
   for (int64_t i = 0; i < size; i++) s[i] += h / 6 * work->sum[i];
-#else
-  (void)s;
-#endif
 }
 
 /* From sample i to sample i + 1 of one run; states that are not finite become NaN and stay so. */
@@ -154,15 +119,15 @@ int SIMULATE(int64_t batch, int64_t samples, int64_t first, int64_t last, const 
   const int64_t size = NX * columns;
   double *block = malloc(sizeof(double) * (size_t)(SLOPES_PER_CALL + 3 * size + ND * columns));
   if (!block) return 1;
-  double *z = block + SLOPES_PER_CALL, q[NQ], w[NW];
-  Workspace work = {0, 0, q, w, wrt, columns, block, z, z + size, z + 2 * size, z + 3 * size};
+  double *z = block + SLOPES_PER_CALL;
+  Workspace work = {0, 0, wrt, columns, block, z, z + size, z + 2 * size, z + 3 * size};
   for (int64_t b = 0; b < batch; b++) {
     const double *time = t + b * t_stride;
     const int64_t *count = steps + (t_stride ? b * (samples - 1) : 0);
-    if (b == 0 || p_stride) take_parameters(&work, p + b * p_stride);
+    work.p = p + b * p_stride;
     for (int64_t i = first; i < last; i++) {
       const int64_t row = b * samples + i;
-      take_inputs(&work, u + b * u_stride + i * NU);
+      work.u = u + b * u_stride + i * NU;
       advance(&work, time[i], time[i + 1] - time[i], count[i], x + row * NX, s + row * size);
     }
   }

@@ -1,4 +1,4 @@
-"""Simulation by the compiled driver: one call for all samples of all runs."""
+"""Simulation with sensitivities by the compiled driver: one call for all samples of all runs."""
 
 from __future__ import annotations
 
@@ -14,18 +14,16 @@ from .cache import library_for
 from .compiler import Compiler
 from .functions import Functions
 from .lanes import LANES_HEADER, defines
-from .plain import LANES, plain_c
-from .prepared import Prepared
+from .plain import plain_c
 from .problem import Array, Problem
 from .source import digest
 
 
 class CompiledStepper:
-    """The driver in C around the generated dynamics or tangents: one call for all samples of all runs."""
+    """The driver in C around the generated tangents: one call for all samples of all runs."""
 
-    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
-        known = None if sensitivities else functions.known_simulation
-        source, name = known or driver_source(functions, sensitivities=sensitivities)
+    def __init__(self, functions: Functions, compiler: Compiler) -> None:
+        source, name = driver_source(functions)
         self.library: Path = library_for(source, compiler.for_this_machine())
         self._simulate = getattr(loaded(self.library), name)
         self._simulate.restype = ctypes.c_int
@@ -71,43 +69,20 @@ def _shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return _pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
 
 
-def driver_source(functions: Functions, *, sensitivities: bool) -> tuple[str, str]:
-    """C source of a simulation, without or with sensitivities, and the name of its entry point.
+def driver_source(functions: Functions) -> tuple[str, str]:
+    """C source of a simulation with sensitivities and the name of its entry point.
 
     The entry point carries the hash of the source, so that no other library in the process has the same one.
     """
-    prepared = functions.prepared
-    sizes = {
-        "NX": functions.x.numel(),
-        "NU": functions.u.numel(),
-        "ND": functions.nu_dot.numel(),
-        "NQ": prepared.prepare.numel_out(0),
-        "NW": prepared.hold.numel_out(0),
-    }
-    model = _tangents(functions) if sensitivities else _prepared(prepared)
+    function = functions.tangents("x", "p")
+    sizes = {"NX": functions.x.numel(), "NU": functions.u.numel(), "ND": functions.nu_dot.numel()}
+    patterns = _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
+    # Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
+    model = plain_c(function, "tangents", packed=("R_x", "R_p"), prefix="static SEPARATE ")
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
-    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, driver])
+    text = "\n".join([defines(sizes.items()), LANES_HEADER, *patterns, model, driver])
     name = f"undertow_{digest(text)[:16]}_simulate"
     return f"#define SIMULATE {name}\n{text}", name
-
-
-# Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
-_PREFIX = "static SEPARATE "
-
-
-def _prepared(prepared: Prepared) -> list[str]:
-    steps = prepared.prepare, prepared.hold, prepared.held_dynamics
-    return [plain_c(f, f.name(), prefix=_PREFIX, words=LANES, shared=("t",)) for f in steps]
-
-
-def _tangents(functions: Functions) -> list[str]:
-    function = functions.tangents("x", "p")
-    patterns = _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
-    return [
-        "#define TANGENTS",
-        *patterns,
-        plain_c(function, "tangents", packed=("R_x", "R_p"), prefix=_PREFIX),
-    ]
 
 
 def _pattern(name: str, sparsity: ca.Sparsity) -> list[str]:

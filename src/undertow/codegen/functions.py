@@ -32,8 +32,8 @@ class Functions:
         own entry of p has no effect.
     """
 
-    # Source and entry point of the simulation in C where they are known without the model.
-    known_simulation: tuple[str, str] | None = None
+    # C source of the prepared form where it is known without the model.
+    known_model_source: str | None = None
 
     def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
         self.vehicle, self.equal = vehicle, dict(equal or {})

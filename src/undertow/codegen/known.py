@@ -18,8 +18,8 @@ from undertow.model.symbols import symbol
 from undertow.model.vehicle import Vehicle
 
 from .cache import noted
-from .driver import driver_source
 from .functions import Functions
+from .rollout import model_source
 
 _PACKAGE = Path(undertow.__file__).parent
 # What of the package the equations and their C code follow from.
@@ -30,7 +30,7 @@ _OF_AN_EFFECT = {"thrusters", "allocation"}
 
 
 class KnownFunctions(Functions):
-    """Functions of a vehicle that derive the model only where more is asked for than a plain simulation needs.
+    """Functions of a vehicle, derived only where more is asked for than a plain simulation needs.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class KnownFunctions(Functions):
                 "actuators": [str(x) for x in self._chain_rates],
                 "functions": {name: getattr(self, name).serialize() for name in _KEPT},
                 "own_slopes": own.serialize() if self.own_slopes.numel() else "",
-                "simulation": driver_source(self, sensitivities=False),
+                "model": model_source(self),
             }
         )
 
@@ -84,7 +84,7 @@ class KnownFunctions(Functions):
         vars(self).update({name: ca.Function.deserialize(text) for name, text in note["functions"].items()})
         at, own = (self.x, self.u, self.p, self.t), note["own_slopes"]
         self.own_slopes = ca.Function.deserialize(own)(*at) if own else ca.SX(0, 0)
-        self.known_simulation = tuple(note["simulation"])
+        self.known_model_source = note["model"]
 
 
 def _question(vehicle: Vehicle, equal: Mapping[str, tuple[str, float]]) -> str | None:

@@ -6,6 +6,9 @@
 
 #include <math.h>
 #include <stdint.h>
+#ifdef __AVX__
+#include <immintrin.h>
+#endif
 
 #ifndef LANES
 #define LANES 1
@@ -25,48 +28,59 @@
 
 #ifdef __GNUC__
 #define WIDE (LANES > 1 ? LANES : 4)
-#define LARGEST_ANGLE 1e6
+#define LARGEST_ANGLE 2e4
 typedef double Wide __attribute__((vector_size(8 * WIDE)));
 typedef int64_t WideBits __attribute__((vector_size(8 * WIDE)));
+
+/* Whether any lane is not zero. */
+INLINE int wide_any(WideBits which) {
+#if LANES == 8 && defined(__AVX512DQ__)
+  return _mm512_movepi64_mask((__m512i)which) != 0;
+#elif LANES < 8 && defined(__AVX__)
+  return _mm256_movemask_pd((__m256d)which) != 0;
+#else
+  int64_t any = 0;
+  for (int i = 0; i < WIDE; i++) any |= which[i];
+  return any != 0;
+#endif
+}
 
 static SEPARATE void wide_far(const Wide *angle, Wide *sine, Wide *cosine) {
   for (int i = 0; i < WIDE; i++)
     if (fabs((*angle)[i]) > LARGEST_ANGLE) (*sine)[i] = sin((*angle)[i]), (*cosine)[i] = cos((*angle)[i]);
 }
 
-/* The angle less the nearest multiple of pi/2, in three parts of which the first two multiply without rounding
-   (Cody and Waite), so that r + rest is right to the last digit of r; then the polynomials of FreeBSD's msun. */
+/* The angle less the nearest multiple of pi/2 in three steps (Cody and Waite): the first product is exact, so is
+   the second, and where a difference is small beside what it is of, it is exact, too. Then the polynomials of
+   FreeBSD's msun. Off by at most 2 units in the last place. */
 INLINE void wide_sincos(Wide angle, Wide *sine, Wide *cosine) {
   const double to_integer = 6755399441055744.0; /* 1.5 * 2^52: what is added to it loses its fraction */
   const Wide shifted = angle * 0.63661977236758134308 + to_integer;
   const WideBits quadrant = (WideBits)shifted;
   const Wide n = shifted - to_integer;
-  const Wide first = angle - n * 1.57079632673412561417e+00, second = n * 6.07710050630396597660e-11;
-  const Wide high = first - second, taken = first - high;
-  const Wide lost = n * 2.02226624879595063154e-21 - ((first - (high + taken)) + (taken - second));
-  const Wide r = high - lost, rest = (high - r) - lost;
-  const Wide z = r * r, zz = z * z, zr = z * r, half = 0.5 * z, most = 1.0 - half;
+  const Wide near = (angle - n * 1.57079632673412561417e+00) - n * 6.07710050630396597660e-11;
+  const Wide r = near - n * 2.02226624879595063154e-21;
+  const Wide z = r * r, zz = z * z, half = 0.5 * z, most = 1.0 - half;
   const Wide s = (8.33333333332248946124e-03 - z * 1.98412698298579493134e-04) +
                  zz * ((2.75573137070700676789e-06 - z * 2.50507602534068634195e-08) + zz * 1.58969099521155010221e-10);
   const Wide c = (4.16666666666666019037e-02 - z * 1.38888888888741095749e-03) +
                  zz * ((2.48015872894767294178e-05 - z * 2.75573143513906633035e-07) +
                        zz * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11));
-  const WideBits small = (WideBits)(r - ((z * (0.5 * rest - zr * s) - rest) + zr * 1.66666666666666324348e-01));
-  const WideBits large = (WideBits)(most + (((1.0 - most) - half) + (zz * c - r * rest)));
+  /* The sign of r is that of its sine, also where r is zero. */
+  const WideBits small = (WideBits)(r + z * r * (z * s - 1.66666666666666324348e-01)) | ((WideBits)r & INT64_MIN);
+  const WideBits large = (WideBits)(most + (((1.0 - most) - half) + zz * c));
   const WideBits odd = -(quadrant & 1);
   *sine = (Wide)(((odd & large) | (~odd & small)) ^ ((quadrant & 2) << 62));
   *cosine = (Wide)(((odd & small) | (~odd & large)) ^ (((quadrant + 1) & 2) << 62));
   const WideBits far = (Wide)((WideBits)angle & INT64_MAX) > LARGEST_ANGLE;
-  int64_t any = 0;
-  for (int i = 0; i < WIDE; i++) any |= far[i];
-  if (UNLIKELY(any != 0)) wide_far(&angle, sine, cosine);
+  if (UNLIKELY(wide_any(far))) wide_far(&angle, sine, cosine);
 }
 #endif
 
 /* --- one lane ------------------------------------------------------------------------------------ */
 
 #if LANES == 1
-typedef double Real;
+typedef double Real, Stored;
 typedef int Truth;
 #define LANE(a, i) (a)
 
@@ -93,6 +107,7 @@ INLINE void real_sincos(int n, const Real *angle, Real *sine, Real *cosine) {
 #else
 typedef Wide Real;
 typedef WideBits Truth;
+typedef Wide Stored __attribute__((aligned(8), may_alias)); /* as it lies in an array of doubles */
 #define LANE(a, i) ((a)[i])
 
 #if LANES == 4

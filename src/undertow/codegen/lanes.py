@@ -33,7 +33,8 @@ def packed(array: Array, lanes: int) -> Array:
     if lanes == 1:
         return np.ascontiguousarray(array)[..., None]
     groups = -(-len(array) // lanes)
-    full = array[np.minimum(np.arange(groups * lanes), len(array) - 1)]
+    lacking = groups * lanes - len(array)
+    full = np.concatenate([array, np.repeat(array[-1:], lacking, axis=0)]) if lacking else array
     return np.ascontiguousarray(np.moveaxis(full.reshape(groups, lanes, *array.shape[1:]), 1, -1))
 
 
@@ -54,7 +55,10 @@ def processors() -> int:
 
 
 def in_threads(
-    work: Callable[[T], object], parts: Sequence[T], threads: int | None, done: Callable[[T], object]
+    work: Callable[[T], object],
+    parts: Sequence[T],
+    threads: int | None,
+    done: Callable[[T], object] = lambda part: None,
 ) -> None:
     """Do the parts of a work in threads; compiled code runs outside Python's lock.
 
@@ -66,7 +70,7 @@ def in_threads(
         The parts.
     threads : int, optional
         How many at a time; by default as many as there are processors.
-    done : callable
+    done : callable, optional
         Called with every part that is done, in the thread of the caller.
 
     Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
@@ -54,17 +55,18 @@ class Words:
         How a double becomes one.
     form : mapping
         The expression of every operation, operands as {0} and {1}.
-    paired : bool
-        Whether sine and cosine of an angle are computed together, and those of several angles, too.
+    together : bool
+        Whether sine and cosine of an angle are computed together, and those of several angles, and whether
+        what divides several values is inverted once.
     """
 
     real: str
     spread: str
     form: Mapping[str, str]
-    paired: bool
+    together: bool
 
 
-PLAIN = Words("double", "{}", _FORM, paired=False)
+PLAIN = Words("double", "{}", _FORM, together=False)
 _CALLED = {**{k: v for k, v in _CALL.items() if k not in _ANGLES}, **_LANE_CALL}
 _OF_TWO = {*_TWO_OPERANDS, *_LANE_CALL} - {"OP_NOT", "OP_SIGN"}
 LANES = Words(
@@ -75,7 +77,7 @@ LANES = Words(
         **{"OP_TWICE": "2.0 * {0}", "OP_INV": "1.0 / {0}"},
         **{k: f"real_{v}({{0}}, {{1}})" if k in _OF_TWO else f"real_{v}({{0}})" for k, v in _CALLED.items()},
     },
-    paired=True,
+    together=True,
 )
 """The words of lanes.h: the same text for any number of lanes."""
 
@@ -141,7 +143,8 @@ class _Body:
         self._count = 0
         self._zero = self._spread("0.0")
         self._sines: dict[str, tuple[str, str]] = {}
-        self._ahead = self._input_angles() if words.paired else []
+        self._inverses: dict[str, str] = {}
+        self._ahead, self._divisors = self._look_ahead() if words.together else ([], set())
         self.statements: list[str] = []
         self.results: list[str] = []
         for k in range(function.n_instructions()):
@@ -177,8 +180,11 @@ class _Body:
             special[operation](k, into, operands)
             return
         values = [self._register[i] for i in operands]
-        if operation in _ANGLES and self._words.paired:
+        if operation in _ANGLES and self._words.together:
             self._register[into[0]] = self._of_angle(operation, values[0])
+            return
+        if k in self._divisors:
+            self._register[into[0]] = self._quotient(*values)
             return
         if operation not in self._words.form:
             raise UndertowError(
@@ -192,20 +198,26 @@ class _Body:
         self.statements.append(f"const {self._words.real} {name} = {expression};")
         return name
 
-    # --- angles ---------------------------------------------------------------------------------
-    def _input_angles(self) -> list[str]:
-        """Inputs of which a sine, a cosine or a tangent is taken: they can be turned at the same time."""
-        f, held, found = self._function, {}, {}
+    # --- what is computed together --------------------------------------------------------------
+    def _look_ahead(self) -> tuple[list[str], set[int]]:
+        """Inputs that are angles: they can be turned at once. Divisions by what divides others, too."""
+        f, made, angles, divisions = self._function, {}, {}, defaultdict(list)
         for k in range(f.n_instructions()):
-            operation, into, operands = (
-                _OPERATION[f.instruction_id(k)],
-                f.instruction_output(k),
-                f.instruction_input(k),
-            )
-            if operation in _ANGLES and held.get(operands[0]):
-                found[held[operands[0]]] = None
-            held[into[0]] = self._element(operands) if operation == "OP_INPUT" else ""
-        return list(found)
+            operation, operands = _OPERATION[f.instruction_id(k)], f.instruction_input(k)
+            if operation in _ANGLES:
+                angles[made[operands[0]]] = None
+            elif operation == "OP_DIV":
+                divisions[made[operands[1]]].append(k)
+            if operation != "OP_OUTPUT":
+                made[f.instruction_output(k)[0]] = k
+        inputs = [k for k in angles if _OPERATION[f.instruction_id(k)] == "OP_INPUT"]
+        several = {k for found in divisions.values() if len(found) > 1 for k in found}
+        return [self._element(f.instruction_input(k)) for k in inputs], several
+
+    def _quotient(self, above: str, below: str) -> str:
+        if below not in self._inverses:
+            self._inverses[below] = self._local(f"1.0 / {below}")
+        return self._local(f"{above} * {self._inverses[below]}")
 
     def _of_angle(self, operation: str, angle: str) -> str:
         if angle not in self._sines:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -39,6 +39,13 @@ class Problem:
     x: Array
     wrt: Array
     s: Array
+
+    def part(self, runs: slice) -> Problem:
+        """Some of the runs, in the same memory."""
+        names = ("t", "steps", "u", "p", "x", "s")
+        arrays = {n: getattr(self, n) for n in names}
+        own = len(self.x)
+        return replace(self, **{n: a[runs] if len(a) == own else a for n, a in arrays.items()})
 
 
 class Stepper(Protocol):

@@ -14,7 +14,9 @@ from undertow.errors import UndertowError
 from .compiler import Compiler, compiled_or_virtual
 from .driver import CompiledStepper
 from .functions import Functions
+from .lanes import in_threads, shares
 from .problem import Array, Problem, Stepper
+from .rollout import CompiledRollout
 from .virtual import VirtualStepper
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
@@ -51,11 +53,13 @@ class Simulator:
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs."""
-        return isinstance(self._steppers[False], CompiledStepper)
+        return isinstance(self._steppers[False], CompiledRollout)
 
     def _stepper(self, *, sensitivities: bool) -> Stepper:
         def compiled(compiler: Compiler) -> Stepper:
-            return CompiledStepper(self._functions, compiler, sensitivities=sensitivities)
+            if sensitivities:
+                return CompiledStepper(self._functions, compiler)
+            return CompiledRollout(self._functions, compiler)
 
         def virtual() -> Stepper:
             return VirtualStepper(self._functions, sensitivities=sensitivities)
@@ -63,8 +67,10 @@ class Simulator:
         return compiled_or_virtual(self._wish, compiled, virtual)
 
     # --- runs ---------------------------------------------------------------------------------
-    def run(self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05) -> Array:
-        """Simulate one run, or a batch of runs.
+    def run(
+        self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05, threads: int | None = None
+    ) -> Array:
+        """Simulate one run, or a batch of runs side by side in the lanes of vectors and in threads.
 
         Parameters
         ----------
@@ -78,6 +84,8 @@ class Simulator:
             Parameters.
         max_step : float
             Longest Runge-Kutta step, s; states that effects own (lags, memory) may ask for shorter ones.
+        threads : int, optional
+            How many for a batch; by default as many as there are processors.
 
         Returns
         -------
@@ -90,7 +98,7 @@ class Simulator:
             If a shape does not fit, or the times are not finite or decrease.
         """
         problem = self._problem(x0, t, u, p, max_step)
-        self._advance(problem, sensitivities=False)
+        self._advance(problem, self._steppers[False], threads)
         return problem.x[0] if np.ndim(x0) == 1 else problem.x
 
     def run_with_sensitivities(
@@ -129,16 +137,24 @@ class Simulator:
         """
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
-        self._advance(problem, sensitivities=True)
+        if True not in self._steppers:
+            self._steppers[True] = self._stepper(sensitivities=True)
+        self._advance(problem, self._steppers[True], 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
-    def _advance(self, problem: Problem, *, sensitivities: bool) -> None:
-        if sensitivities not in self._steppers:
-            self._steppers[sensitivities] = self._stepper(sensitivities=sensitivities)
-        stepper = self._steppers[sensitivities]
-        ends = [0, *_pauses(problem), problem.t.shape[1] - 1]
-        for first, last in pairwise(ends):
-            stepper.advance(problem, first, last)
+    def _advance(self, problem: Problem, stepper: Stepper, threads: int | None) -> None:
+        lanes = getattr(stepper, "lanes", 0)
+
+        def simulate(part: Problem) -> None:
+            for first, last in pairwise([0, *_pauses(part), part.t.shape[1] - 1]):
+                stepper.advance(part, first, last)
+
+        if not lanes:
+            simulate(problem)
+            return
+        work = problem.steps.sum(axis=1).max(initial=0)
+        parts = [problem.part(runs) for runs in shares(len(problem.x), work, threads, lanes)]
+        in_threads(simulate, parts, threads)
 
     @cached_property
     def _own(self) -> ca.Function | None:

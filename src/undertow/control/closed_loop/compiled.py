@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 from importlib.resources import files
-from threading import Lock
-from typing import Any
 
 import numpy as np
 
-from undertow.codegen.cache import library_for
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.driver import loaded
 from undertow.codegen.lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from undertow.codegen.plain import LANES, plain_c
+from undertow.codegen.rollout import Entries
 from undertow.codegen.source import digest
 
 from .parts import Parts
@@ -22,7 +18,7 @@ from .problem import ALL, Block, LoopProblem, Rows
 
 _POINTER = ctypes.c_void_p
 _PER_RUN = ("p", "r", "k")
-_CHANGED = ("x", "s", "commands", "reports")
+_CHANGED = ("x", "s", "command", "commands", "reports")
 
 
 class _Loop(ctypes.Structure):
@@ -42,27 +38,16 @@ class CompiledLoop:
     parallel = True
 
     def __init__(self, parts: Parts, compiler: Compiler) -> None:
-        self._parts, self._compiler = parts, compiler.for_this_machine()
-        self.lanes = compiler.lanes
-        self._entries: dict[int, Callable[..., None]] = {}
-        self._building = Lock()
-        self._entry(1)
-
-    def _entry(self, lanes: int) -> Callable[..., None]:
-        with self._building:
-            if lanes not in self._entries:
-                source, name = loop_source(self._parts, lanes)
-                entry: Any = getattr(loaded(library_for(source, self._compiler)), name)
-                entry.restype = None
-                self._entries[lanes] = entry
-        return self._entries[lanes]
+        self._parts, self.lanes = parts, compiler.lanes
+        self._entries = Entries(lambda lanes: loop_source(parts, lanes), compiler)
+        self._entries(1)
 
     def run(self, problem: LoopProblem, block: Block) -> Rows:
         lanes = lanes_for(problem.runs, self.lanes)
         arrays = {name: packed(getattr(problem, name), lanes) for name in (*_PER_RUN, *_CHANGED)}
         noise = None if block.noise is None else packed(block.noise, lanes)
-        groups, rows = len(arrays["x"]), block.rows(self._parts, problem.runs)
-        record = [packed(array, lanes) for array in vars(rows).values()]
+        groups = len(arrays["x"])
+        record = vars(block.rows(self._parts, groups, lanes)).values()
         loop = _Loop(
             *(problem.dt, problem.substeps, problem.continuous, problem.input_delay),
             *(problem.reports.shape[1], _address(problem.output_delay), block.stride, len(block.recorded)),
@@ -71,7 +56,7 @@ class CompiledLoop:
             (_POINTER * len(ALL))(*(_address(array if array.size else None) for array in record)),
         )
         span = map(ctypes.c_int64, (0, groups, block.first, block.samples))
-        self._entry(lanes)(ctypes.byref(loop), *span)
+        self._entries(lanes)(ctypes.byref(loop), *span)
         for name in _CHANGED:
             getattr(problem, name)[:] = unpacked(arrays[name], problem.runs)
         return Rows(*(unpacked(array, problem.runs) for array in record))
@@ -101,8 +86,16 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
         "NY": parts.control.size1_in("y"),
         "NT": parts.control.size1_out("tau"),
     }
+    short = {form.hold.name(), parts.outputs.name()}
     model = [
-        plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES, shared=("t", "dt")) for f in functions
+        plain_c(
+            f,
+            f.name(),
+            prefix="INLINE " if f.name() in short else "static SEPARATE ",
+            words=LANES,
+            shared=("t", "dt"),
+        )
+        for f in functions
     ]
     loop = (files("undertow.control.closed_loop") / "loop.c").read_text(encoding="utf-8")
     text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])

@@ -13,8 +13,6 @@
    Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Everything
    a call changes is in the groups that it is told: calls for different groups may run in parallel. */
 
-#include <string.h>
-
 #if defined(_WIN32)
 #define EXPORTED __declspec(dllexport)
 #elif defined(__GNUC__)
@@ -35,6 +33,7 @@ typedef struct {
   int64_t p_step, r_step, k_step;
   const double *p, *r, *k;
   double *x, *s;               /* states of vehicle and controller; the first ones are given */
+  double *command;             /* the last one, NU */
   double *commands, *reports;  /* rings of (input_delay + 1) x NU and of report_ring x NY */
   const double *noise;         /* of every sample of a call, NY; or none */
   const double *extra;         /* commands beside those of the controller, of every sample, NU; or none */
@@ -45,14 +44,20 @@ typedef struct {
 typedef struct {
   const Loop *loop;
   Real x[NX], s[NS], p[NP], q[NQ], r[NR], k[NK];
+  Real command[NU]; /* the last one */
   double *commands, *reports;
 } Group;
 
-INLINE void take(Real *to, const double *from, int64_t n) { memcpy(to, from, (size_t)n * sizeof(Real)); }
-INLINE void put(double *to, const Real *from, int64_t n) { memcpy(to, from, (size_t)n * sizeof(Real)); }
+INLINE void take(Real *to, const double *from, int n) {
+  for (int i = 0; i < n; i++) to[i] = ((const Stored *)from)[i];
+}
+
+INLINE void put(double *to, const Real *from, int n) {
+  for (int i = 0; i < n; i++) ((Stored *)to)[i] = from[i];
+}
 
 /* One step of the vehicle with its commands held. */
-static void held_step(Group *group, const Real *w, double t, double h) {
+INLINE void held_step(Group *group, const Real *w, double t, double h) {
   Real stage[NX], total[NX], f[NX], *x = group->x;
   held_dynamics(x, w, group->q, t, f);
   for (int i = 0; i < NX; i++) total[i] = f[i], stage[i] = x[i] + 0.5 * h * f[i];
@@ -85,58 +90,61 @@ static void joint_step(Group *group, const double *extra, double t, double h) {
   for (int i = 0; i < NS; i++) group->s[i] += h / 6 * total_s[i];
 }
 
-/* What the controller is told at a sample: the reports, each as old as its sensor is late, and noise. */
-INLINE void report(const Group *group, int64_t sample, const Real *y, const double *noise, Real *told) {
+/* What the controller is told at a sample: the reports y, each as old as its sensor is late, and noise. */
+INLINE void report(const Group *group, int64_t sample, const double *noise, Real *y) {
   const int64_t ring = group->loop->report_ring;
-  if (ring == 1) {
-    for (int i = 0; i < NY; i++) told[i] = y[i];
-  } else {
+  if (ring > 1) {
     put(group->reports + sample % ring * NY * LANES, y, NY);
     for (int i = 0; i < NY; i++) {
       const int64_t late = group->loop->output_delay[i], from = sample > late ? sample - late : 0;
-      take(told + i, group->reports + (from % ring * NY + i) * LANES, 1);
+      take(y + i, group->reports + (from % ring * NY + i) * LANES, 1);
     }
   }
   if (!noise) return;
   Real added[NY];
   take(added, noise, NY);
-  for (int i = 0; i < NY; i++) told[i] += added[i];
+  for (int i = 0; i < NY; i++) y[i] += added[i];
 }
 
-/* One sample of the controller and the motion up to the next; `row` is where it is recorded, or below zero. */
-INLINE void one_sample(Group *group, int64_t g, int64_t n, int64_t samples, int64_t sample, int64_t row) {
+/* What the thrusters are sent at a sample: the command of now or, where they are late, of then; room for NU. */
+INLINE const Real *sent(const Group *group, int64_t sample, const double *extra, Real *room) {
+  const int64_t delay = group->loop->input_delay, ring = delay + 1;
+  const Real *u = group->command;
+  if (delay) {
+    put(group->commands + sample % ring * NU * LANES, u, NU);
+    if (sample >= delay) take(room, group->commands + (sample + 1) % ring * NU * LANES, NU);
+    else
+      for (int i = 0; i < NU; i++) room[i] = real(0);
+    u = room;
+  }
+  if (!extra) return u;
+  for (int i = 0; i < NU; i++) room[i] = u[i] + extra[i];
+  return room;
+}
+
+INLINE void record(const Loop *loop, int64_t row, int what, const Real *from, int n) {
+  if (loop->record[what]) put(loop->record[what] + row * n * LANES, from, n);
+}
+
+/* One sample of the controller and the motion up to the next; recorded in a row, unless that is below zero. */
+INLINE void one_sample(Group *group, int64_t sample, const double *noise, const double *extra, int64_t row) {
   const Loop *loop = group->loop;
-  const int64_t ring = loop->input_delay + 1;
   const double t = (double)sample * loop->dt, h = loop->dt / (double)loop->substeps;
   const double hold_for = loop->continuous ? 0 : loop->dt;
-  const double *extra = loop->extra ? loop->extra + n * NU : 0;
-  const Real *kept[5];
-  Real u[NU], command[NU], next[NS], y[NY], told[NY], tau[NT], w[NW];
-  const int64_t sizes[5] = {NX, NY, NU, NS, NT};
-
-  take(u, group->commands + (sample + ring - 1) % ring * NU * LANES, NU);
-  outputs(group->x, u, group->p, t, y);
-  report(group, sample, y, loop->noise ? loop->noise + (g * samples + n) * NY * LANES : 0, told);
-  control(told, group->r, group->s, group->k, &hold_for, command, next, tau);
+  Real room[NU], y[NY], tau[NT], w[NW];
+  if (row >= 0) record(loop, row, 0, group->x, NX);
+  outputs(group->x, group->command, group->p, t, y);
+  report(group, sample, noise, y);
+  control(y, group->r, group->s, group->k, &hold_for, group->command, group->s, tau);
   if (row >= 0) {
-    kept[0] = group->x, kept[1] = told, kept[2] = command, kept[3] = next, kept[4] = tau;
-    for (int j = 0; j < 5; j++)
-      if (loop->record[j]) put(loop->record[j] + (g * loop->rows + row) * sizes[j] * LANES, kept[j], sizes[j]);
+    record(loop, row, 1, y, NY), record(loop, row, 2, group->command, NU);
+    record(loop, row, 3, group->s, NS), record(loop, row, 4, tau, NT);
   }
-  for (int i = 0; i < NS; i++) group->s[i] = next[i];
-  put(group->commands + sample % ring * NU * LANES, command, NU);
-  if (ring > 1) {
-    if (sample >= loop->input_delay) take(u, group->commands + (sample + 1) % ring * NU * LANES, NU);
-    else for (int i = 0; i < NU; i++) u[i] = real(0);
-  } else {
-    for (int i = 0; i < NU; i++) u[i] = command[i];
-  }
-  if (extra) for (int i = 0; i < NU; i++) u[i] += extra[i];
   if (loop->continuous) {
     for (int64_t k = 0; k < loop->substeps; k++) joint_step(group, extra, t + (double)k * h, h);
     return;
   }
-  hold(u, group->q, w);
+  hold(sent(group, sample, extra, room), group->q, w);
   for (int64_t k = 0; k < loop->substeps; k++) held_step(group, w, t + (double)k * h, h);
 }
 
@@ -155,14 +163,22 @@ void RUN(const Loop *loop, int64_t begin, int64_t end, int64_t first, int64_t sa
     take(group.k, loop->k + g * loop->k_step, NK);
     group.commands = loop->commands + g * (loop->input_delay + 1) * NU * LANES;
     group.reports = loop->reports + g * loop->report_ring * NY * LANES;
+    take(group.command, loop->command + g * NU * LANES, NU);
     prepare(group.p, group.q);
     int64_t row = 0, next = (first + stride - 1) / stride * stride;
     for (int64_t n = 0; n < samples; n++) {
-      const int now = first + n == next;
-      one_sample(&group, g, n, samples, first + n, now ? row : -1);
-      if (now) row++, next += stride;
+      const int64_t sample = first + n;
+      const double *noise = loop->noise ? loop->noise + (g * samples + n) * NY * LANES : 0;
+      const double *extra = loop->extra ? loop->extra + n * NU : 0;
+      if (sample == next) {
+        one_sample(&group, sample, noise, extra, g * loop->rows + row);
+        row++, next += stride;
+      } else {
+        one_sample(&group, sample, noise, extra, -1);
+      }
     }
     put(loop->x + g * NX * LANES, group.x, NX);
     put(loop->s + g * NS * LANES, group.s, NS);
+    put(loop->command + g * NU * LANES, group.command, NU);
   }
 }

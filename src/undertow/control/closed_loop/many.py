@@ -164,6 +164,10 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
         runs.states[share, rows] = found.x
         runs.commands[share, rows] = found.u[:, :, loop.parts.commanded]
         row = rows.stop
-    gone = np.maximum.accumulate(~np.isfinite(runs.states[share]).all(axis=2), axis=1)
+    # Zero times what is not finite is NaN.
+    lost = np.isnan(runs.states[share] @ np.zeros(runs.states.shape[2]))
+    gone = np.maximum.accumulate(lost, axis=1)
+    if not gone[:, -1].any():
+        return
     runs.states[share][gone] = np.nan
     runs.commands[share][gone] = np.nan

@@ -129,9 +129,12 @@ class Parts:
     def lateness(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Dead time of the commands, shape (b,), and of each report, shape (b, ny), for parameters (b, np)."""
         f, b = self.functions, len(p)
-        ages = ca.Function("report_age", [f.p], [ca.densify(f.report_age)])
-        commands, reports = (np.asarray(g.map(b)(p.T)).T for g in (f.dead_time, ages))
-        return np.broadcast_to(commands, (b, 1))[:, 0], reports
+        late = ca.Function("late", [f.p], [ca.densify(ca.vertcat(f.dead_time(f.p), f.report_age))])
+        if late.jac_sparsity(0, 0).nnz():
+            found = np.asarray(late.map(b)(p.T)).T
+        else:
+            found = np.broadcast_to(np.asarray(late(p[0])).T, (b, late.size1_out(0)))
+        return found[:, 0], found[:, 1:]
 
 
 def _pushes(vehicle: Vehicle) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from undertow.errors import UndertowError
 
 from .parts import Parts
 
-_OF_RUNS = ("p", "r", "k", "x", "s", "commands", "reports")
+_OF_RUNS = ("p", "r", "k", "x", "s", "command", "commands", "reports")
 
 
 @dataclass
@@ -34,6 +34,8 @@ class LoopProblem:
         Parameters, desired pose of the controller, gains.
     x, s : ndarray, shape (b, n)
         States of vehicle and controller; the first ones are given.
+    command : ndarray, shape (b, nu)
+        The last command.
     commands, reports : ndarray, shape (b, ring, n)
         Those of the last samples, one row for each, in a ring.
     """
@@ -48,6 +50,7 @@ class LoopProblem:
     k: np.ndarray
     x: np.ndarray
     s: np.ndarray
+    command: np.ndarray
     commands: np.ndarray
     reports: np.ndarray
 
@@ -117,13 +120,13 @@ class Block:
         begin = -(-self.first // self.stride) * self.stride
         return range(begin, self.first + self.samples, self.stride)
 
-    def rows(self, parts: Parts, runs: int) -> Rows:
-        """Rows to be filled."""
+    def rows(self, parts: Parts, groups: int, *lanes: int) -> Rows:
+        """Rows to be filled, of so many runs or groups of runs in lanes."""
         f, control = parts.functions, parts.control
         sizes = (f.x.numel(), len(parts.reported_names), f.u.numel(), *map(control.size1_out, (1, 2)))
         count = len(self.recorded)
         counts = (count if name in self.wanted else 0 for name in ALL)
-        return Rows(*(np.full((runs, c, n), np.nan) for c, n in zip(counts, sizes, strict=True)))
+        return Rows(*(np.empty((groups, c, n, *lanes)) for c, n in zip(counts, sizes, strict=True)))
 
 
 class LoopStepper(Protocol):
@@ -192,6 +195,7 @@ def problem_of(
         k,
         _at_rest(parts, start, p),
         np.tile(np.array(parts.controller.initial_states()), (runs, 1)),
+        np.zeros((runs, parts.functions.u.numel())),
         np.zeros((runs, delay + 1, parts.functions.u.numel())),
         np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),
     )

@@ -51,21 +51,20 @@ class VirtualLoop:
     def _sample(self, problem: LoopProblem, block: Block, i: int) -> dict[str, np.ndarray]:
         sample, ring = block.first + i, problem.input_delay + 1
         t, x = sample * problem.dt, problem.x.copy()
-        last = problem.commands[:, (sample + ring - 1) % ring]
-        told = self._told(problem, sample, last, t)
+        told = self._told(problem, sample, t)
         if block.noise is not None:
             told = told + block.noise[:, i]
         hold = 0.0 if problem.continuous else problem.dt
         u, s, tau = self._evaluate("control", told, problem.r, problem.s, problem.k, hold)
         problem.s[:] = s
-        problem.commands[:, sample % ring] = u
+        problem.command[:] = problem.commands[:, sample % ring] = u
         sent = problem.commands[:, (sample + 1) % ring] if sample >= problem.input_delay else np.zeros_like(u)
         extra = np.zeros(u.shape[1]) if block.extra is None else block.extra[i]
         self._advance(problem, sent + extra, extra, t)
         return {"x": x, "y": told, "u": u, "s": s, "tau": tau}
 
-    def _told(self, problem: LoopProblem, sample: int, last: np.ndarray, t: float) -> np.ndarray:
-        (y,) = self._evaluate("outputs", problem.x, last, problem.p, t)
+    def _told(self, problem: LoopProblem, sample: int, t: float) -> np.ndarray:
+        (y,) = self._evaluate("outputs", problem.x, problem.command, problem.p, t)
         size = problem.reports.shape[1]
         problem.reports[:, sample % size] = y
         since = np.maximum(sample - problem.output_delay, 0)
