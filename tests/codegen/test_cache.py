@@ -20,7 +20,7 @@ from undertow import UndertowError
 from undertow.codegen import Compiled, Simulator, cache
 from undertow.codegen.cache import cache_folder, library_for
 from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.codegen.driver import driver_source
+from undertow.codegen.rollout import rollout_source
 
 SOURCE = "double undertow_test_answer(void);\ndouble undertow_test_answer(void) { return 42; }\n"
 posix = pytest.mark.skipif(sys.platform == "win32", reason="permission bits of POSIX")
@@ -260,11 +260,12 @@ def _python(program: str, *arguments: str, **environment: str) -> subprocess.Com
 HASHES = """
 from tests.codegen.support import functions_of
 from undertow.codegen.driver import driver_source
+from undertow.codegen.rollout import rollout_source
 from undertow.codegen.source import c_source, digest
 for name in ("bluerov2", "full"):
     functions = functions_of(name)
-    for sensitivities in (False, True):
-        print(driver_source(functions, sensitivities=sensitivities)[1])
+    print(rollout_source(functions, 1)[1])
+    print(driver_source(functions)[1])
     print(digest(c_source(functions.regressor)))
 """
 
@@ -273,7 +274,7 @@ def test_the_same_model_is_the_same_source_in_every_process() -> None:
     first, second = (_python(HASHES, PYTHONHASHSEED=seed).stdout for seed in ("1", "2"))
     assert first == second
     here = functions_of("bluerov2")
-    assert driver_source(here, sensitivities=False)[1] == first.split()[0]
+    assert rollout_source(here, 1)[1] == first.split()[0]
 
 
 # --- no compiler --------------------------------------------------------------------------------

@@ -130,14 +130,33 @@ int main(void) {
 """
 
 
-@pytest.mark.parametrize("sensitivities", [False, True])
-def test_the_driver_is_clean_too(sensitivities: bool, c_compiler: Compiler, tmp_path: Path) -> None:
-    from undertow.codegen.driver import driver_source
+ROLLOUT_MAIN = """
+int main(void) {
+  enum { GROUPS = 2, SAMPLES = 5 };
+  static double t[SAMPLES * LANES], u[SAMPLES * NU * LANES], p[NP * LANES], x[GROUPS * SAMPLES * NX * LANES];
+  static double count[SAMPLES * LANES];
+  for (int i = 0; i < NP * LANES; i++) p[i] = 1;
+  for (int i = 0; i < SAMPLES * LANES; i++) t[i] = 0.1 * (i / LANES), count[i] = 1 + i % 3;
+  for (int i = 0; i < SAMPLES * NU * LANES; i++) u[i] = 0.1;
+  const Logs logs = {SAMPLES, 0, 0, 0, 0, t, count, u, p, x};
+  RUN(&logs, GROUPS);
+  return 0;
+}
+"""
 
-    source, _ = driver_source(functions_of("mini-auv"), sensitivities=sensitivities)
-    (tmp_path / "driver.c").write_text(source + DRIVER_MAIN)
+
+@pytest.mark.parametrize("lanes", [0, 1, 4, 8])
+def test_the_loops_are_clean_too(lanes: int, c_compiler: Compiler, tmp_path: Path) -> None:
+    """Zero lanes: the driver with sensitivities."""
+    from undertow.codegen.driver import driver_source
+    from undertow.codegen.rollout import rollout_source
+
+    functions = functions_of("mini-auv")
+    source = rollout_source(functions, lanes)[0] if lanes else driver_source(functions)[0]
+    (tmp_path / "driver.c").write_text(source + (ROLLOUT_MAIN if lanes else DRIVER_MAIN))
     for flags in ((), SANITIZERS):
-        command = [*c_compiler.command, *STRICT, "-O1", *flags, "driver.c", "-lm", "-o", "driver"]
+        options = [*STRICT, "-Wno-psabi", "-O1", *flags]
+        command = [*c_compiler.command, *options, "driver.c", "-lm", "-o", "driver"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         if flags and done.returncode:
             pytest.skip(f"{c_compiler.command[0]} has no address and undefined-behaviour sanitizers")

@@ -2,7 +2,8 @@
 
 from .adaptive import AdaptiveSimulator
 from .functions import Functions
+from .known import KnownFunctions
 from .library import Compiled
 from .simulate import Simulator
 
-__all__ = ["AdaptiveSimulator", "Compiled", "Functions", "Simulator"]
+__all__ = ["AdaptiveSimulator", "Compiled", "Functions", "KnownFunctions", "Simulator"]

@@ -1,10 +1,9 @@
 /* Classical fourth-order Runge-Kutta over a whole log, inputs held between samples.
 
-   Compiled together with the generated functions. What stands before this defines
+   Compiled together with the generated function. What stands before this defines
      NX, NU           numbers of states and inputs
      ND               number of degrees of freedom; rows ND .. 2 ND - 1 of x_dot hold the acceleration
-     DYNAMICS         name of the function f(x, u, p, t, x_dot)
-   or, for sensitivities, TANGENTS (x, u, p, t, x_dot, W, R_x, R_p) in its place and the sparsity of R_x and R_p:
+     tangents         (x, u, p, t, x_dot, W, R_x, R_p), and the sparsity of R_x and R_p:
      RX_COLUMN, RX_ROW, RX_NONZEROS, RP_COLUMN, RP_ROW, RP_NONZEROS
    and SIMULATE, the name under which the entry point is exported.
 
@@ -14,11 +13,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 
-#ifdef TANGENTS
 #define SLOPES_PER_CALL (NX + ND * ND + RX_NONZEROS + RP_NONZEROS)
-#else
-#define SLOPES_PER_CALL NX
-#endif
 
 typedef struct {
   const double *u, *p;  /* held inputs, parameters */
@@ -40,16 +35,10 @@ static void fill_nan(double *x, int64_t n) {
 }
 
 static void evaluate(Workspace *work, const double *x, double t) {
-  double *f = work->slopes;
-#ifdef TANGENTS
-  double *w = f + NX, *rx = w + ND * ND, *rp = rx + RX_NONZEROS;
-  TANGENTS(x, work->u, work->p, t, f, w, rx, rp);
-#else
-  DYNAMICS(x, work->u, work->p, t, f);
-#endif
+  double *f = work->slopes, *w = f + NX, *rx = w + ND * ND, *rp = rx + RX_NONZEROS;
+  tangents(x, work->u, work->p, t, f, w, rx, rp);
 }
 
-#ifdef TANGENTS
 static void add_multiple(int64_t n, double factor, const double *restrict from, double *restrict to) {
   for (int64_t i = 0; i < n; i++) to[i] += factor * from[i];
 }
@@ -73,7 +62,6 @@ static void tangent_rate(Workspace *work, const double *z) {
   for (int64_t i = 0; i < ND; i++)
     for (int64_t j = 0; j < ND; j++) add_multiple(m, w[j * ND + i], force + j * m, acceleration + i * m);
 }
-#endif
 
 /* One step of length h from t; x (NX) and, with sensitivities, s (NX x columns) are advanced in place. */
 static void step(Workspace *work, double t, double h, double *x, double *s) {
@@ -81,28 +69,20 @@ static void step(Workspace *work, double t, double h, double *x, double *s) {
   double stage[NX], total[NX];
   const double *f = work->slopes;
   for (int64_t i = 0; i < NX; i++) stage[i] = x[i], total[i] = 0;
-#ifdef TANGENTS
   const int64_t size = NX * work->columns;
   for (int64_t i = 0; i < size; i++) work->z[i] = s[i], work->sum[i] = 0;
-#endif
   for (int k = 0; k < 4; k++) {
     evaluate(work, stage, t + reach[k] * h);
     const double next = k < 3 ? reach[k + 1] * h : 0;
     for (int64_t i = 0; i < NX; i++) total[i] += weight[k] * f[i], stage[i] = x[i] + next * f[i];
-#ifdef TANGENTS
     tangent_rate(work, work->z);
     for (int64_t i = 0; i < size; i++) {
       work->sum[i] += weight[k] * work->dz[i];
       work->z[i] = s[i] + next * work->dz[i];
     }
-#endif
   }
   for (int64_t i = 0; i < NX; i++) x[i] += h / 6 * total[i];
-#ifdef TANGENTS
   for (int64_t i = 0; i < size; i++) s[i] += h / 6 * work->sum[i];
-#else
-  (void)s;
-#endif
 }
 
 /* From sample i to sample i + 1 of one run; states that are not finite become NaN and stay so. */

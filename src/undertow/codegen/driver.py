@@ -1,4 +1,4 @@
-"""Simulation by the compiled driver: one call for all samples of all runs."""
+"""Simulation with sensitivities by the compiled driver: one call for all samples of all runs."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from undertow.errors import UndertowError
 from .cache import library_for
 from .compiler import Compiler
 from .functions import Functions
+from .lanes import LANES_HEADER, defines
 from .plain import plain_c
 from .problem import Array, Problem
-from .source import digest
+from .source import EXPORTED, digest
 
 
 class CompiledStepper:
-    """The driver in C around the generated dynamics or tangents: one call for all samples of all runs."""
+    """The driver in C around the generated tangents: one call for all samples of all runs."""
 
     def __init__(self, functions: Functions, compiler: Compiler) -> None:
-        source, name = driver_source(functions.tangents("x", "p"), functions.nu_dot.numel())
+        source, name = driver_source(functions)
         self.library: Path = library_for(source, compiler.for_this_machine())
         self._simulate = getattr(loaded(self.library), name)
         self._simulate.restype = ctypes.c_int
@@ -69,39 +70,18 @@ def shared(array: Array) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return pointer(array), ctypes.c_int64(0 if array.shape[0] == 1 else array[0].size)
 
 
-# Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
-SEPARATE = """\
-#if defined(__GNUC__)
-#define SEPARATE __attribute__((noinline))
-#else
-#define SEPARATE
-#endif
-"""
-
-EXPORTED = """\
-#if defined(_WIN32)
-#define EXPORTED __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORTED __attribute__((visibility("default")))
-#else
-#define EXPORTED
-#endif
-"""
-
-
-def driver_source(function: ca.Function, n_dof: int) -> tuple[str, str]:
-    """C source of a simulation around `function` (dynamics or tangents), and the name of its entry point.
+def driver_source(functions: Functions) -> tuple[str, str]:
+    """C source of a simulation with sensitivities and the name of its entry point.
 
     The entry point carries the hash of the source, so that no other library in the process has the same one.
     """
-    sizes = {"NX": function.size1_in(0), "NU": function.size1_in(1), "ND": n_dof}
-    defines = [f"#define {k} {v}" for k, v in sizes.items()]
-    defines += [f"#define {function.name().upper()} {function.name()}"]
-    if function.name() == "tangents":
-        defines += _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
+    function = functions.tangents("x", "p")
+    sizes = {"NX": functions.x.numel(), "NU": functions.u.numel(), "ND": functions.nu_dot.numel()}
+    patterns = _pattern("RX", function.sparsity_out("R_x")) + _pattern("RP", function.sparsity_out("R_p"))
+    # Compiled into its only caller, a large model takes almost twice as long to compile and runs no faster.
+    model = plain_c(function, "tangents", packed=("R_x", "R_p"), prefix="static SEPARATE ")
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
-    model = plain_c(function, function.name(), packed=("R_x", "R_p"), prefix="static SEPARATE ")
-    text = "\n".join([*defines, SEPARATE, EXPORTED, "#include <math.h>", "", model, driver])
+    text = "\n".join([defines(sizes.items()), EXPORTED, LANES_HEADER, *patterns, model, driver])
     name = f"undertow_{digest(text)[:16]}_simulate"
     return f"#define SIMULATE {name}\n{text}", name
 

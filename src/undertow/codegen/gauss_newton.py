@@ -12,11 +12,11 @@ import numpy as np
 
 from .cache import library_for
 from .compiler import Compiler
-from .driver import EXPORTED, SEPARATE, loaded, pointer, shared
+from .driver import loaded, pointer, shared
 from .functions import Functions, solve_symmetric
 from .plain import plain_c
 from .problem import Array, Problem
-from .source import digest
+from .source import EXPORTED, SEPARATE, digest
 
 # Doubles side by side in a vector; the compiler splits it where the processor has narrower ones.
 _LANES = 8

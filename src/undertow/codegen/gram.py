@@ -16,12 +16,12 @@ from undertow.errors import UndertowError
 
 from .cache import library_for
 from .compiler import Compiler
-from .driver import EXPORTED, loaded, pointer
+from .driver import loaded, pointer
 from .functions import Functions
 from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
 from .problem import Array
-from .source import digest
+from .source import EXPORTED, digest
 
 # As many samples as fit in one instruction.
 _LANES = """\

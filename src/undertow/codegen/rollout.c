@@ -10,14 +10,6 @@
    Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Calls for
    different groups may run in parallel. */
 
-#if defined(_WIN32)
-#define EXPORTED __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORTED __attribute__((visibility("default")))
-#else
-#define EXPORTED
-#endif
-
 typedef struct {
   int64_t samples;                        /* of a run in these arrays */
   int64_t t_step, count_step, u_step, p_step; /* distances from group to group, zero for what all runs share */

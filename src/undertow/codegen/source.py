@@ -36,3 +36,24 @@ def with_unique_symbols(source: str, names: Sequence[str]) -> tuple[str, str]:
 def digest(text: str) -> str:
     """SHA-256 of a text, hexadecimal."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+EXPORTED = """\
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#elif defined(__GNUC__)
+#define EXPORTED __attribute__((visibility("default")))
+#else
+#define EXPORTED
+#endif
+"""
+"""What stands before a function that a library offers."""
+
+SEPARATE = """\
+#if defined(__GNUC__)
+#define SEPARATE __attribute__((noinline))
+#else
+#define SEPARATE
+#endif
+"""
+"""What stands before a model: in its only caller it takes twice as long to compile and runs no faster."""

@@ -11,7 +11,7 @@ from undertow.codegen.compiler import Compiler
 from undertow.codegen.lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.rollout import Entries
-from undertow.codegen.source import digest
+from undertow.codegen.source import EXPORTED, digest
 
 from .parts import Parts
 from .problem import ALL, Block, LoopProblem, Rows
@@ -98,6 +98,6 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
         for f in functions
     ]
     loop = (files("undertow.control.closed_loop") / "loop.c").read_text(encoding="utf-8")
-    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
+    text = "\n".join([defines(sizes.items()), EXPORTED, LANES_HEADER, *model, loop])
     name = f"undertow_{digest(text)[:16]}_run"
     return f"#define RUN {name}\n{text}", name

@@ -13,14 +13,6 @@
    Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Everything
    a call changes is in the groups that it is told: calls for different groups may run in parallel. */
 
-#if defined(_WIN32)
-#define EXPORTED __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORTED __attribute__((visibility("default")))
-#else
-#define EXPORTED
-#endif
-
 typedef struct {
   double dt;                   /* sampling interval, s */
   int64_t substeps;            /* Runge-Kutta steps in it */
