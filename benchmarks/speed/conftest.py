@@ -60,6 +60,11 @@ class Speed:
         else:
             self._benchmark.pedantic(action, rounds=rounds, iterations=1, warmup_rounds=int(rounds > 1))
 
+    def elsewhere(self, what: str, who: str, seconds: float, **more: float | str) -> None:
+        """Tell what another process has measured; `more` as for a call."""
+        self._benchmark.extra_info["seconds"] = seconds
+        self(what, who, lambda: None, rounds=1, **more)  # type: ignore[arg-type]
+
 
 @pytest.fixture
 def speed(benchmark: Any) -> Speed:

@@ -26,7 +26,7 @@ class Timing:
     more: dict[str, Any]
 
 
-_OWN = ("what", "who", "calls", "apart", "limit", "size")
+_OWN = ("what", "who", "calls", "seconds", "apart", "limit", "size")
 
 
 def read(path: Path) -> tuple[list[Timing], dict[str, Any]]:
@@ -38,7 +38,7 @@ def read(path: Path) -> tuple[list[Timing], dict[str, Any]]:
 def _timing(stored: dict[str, Any]) -> Timing:
     told = stored["extra_info"]
     more = {k: v for k, v in told.items() if k not in _OWN}
-    seconds = stored["stats"]["min"] / told.get("calls", 1)
+    seconds = told.get("seconds", stored["stats"]["min"] / told.get("calls", 1))
     return Timing(
         told["what"], told["who"], seconds, told.get("apart"), told.get("limit"), told.get("size"), more
     )

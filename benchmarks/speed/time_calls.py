@@ -10,9 +10,42 @@ from . import vehicle
 from .conftest import Speed
 from .goals import CALL
 
+EXACT = 1e-12
+
+
+def _point() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return vehicle.states(1)[0], vehicle.commands(1)[0], np.array(vehicle.functions().values())
+
+
+def _apart(found: np.ndarray) -> float:
+    x, u, p = _point()
+    expected = np.array(vehicle.functions().dynamics(x, u, p, 0.0)).ravel()
+    return float(np.abs(found - expected).max() / np.abs(expected).max())
+
+
+def time_direct_call(speed: Speed) -> None:
+    direct = Compiled(vehicle.functions(), compiled=True).direct("dynamics")
+    for name, value in zip("xup", _point(), strict=True):
+        direct.inputs[name][:] = value
+    direct()
+    speed(CALL, "undertow, buffer", direct.run, apart=_apart(direct.outputs["x_dot"]), limit=EXACT)
+
+
+def time_evaluator_call(speed: Speed) -> None:
+    evaluator = Compiled(vehicle.functions(), compiled=True).evaluator("dynamics")
+    x, u, p = _point()
+    found = evaluator(x, u, p, 0.0)[0].ravel()
+    speed(CALL, "undertow, arrays copied", lambda: evaluator(x, u, p, 0.0), apart=_apart(found), limit=EXACT)
+
 
 def time_function_call(speed: Speed) -> None:
     compiled = Compiled(vehicle.functions(), compiled=True)
-    x, u = vehicle.states(1)[0], vehicle.commands(1)[0]
-    p = np.array(vehicle.functions().values())
-    speed(CALL, "CasADi Function.__call__", lambda: compiled.dynamics(x, u, p, 0.0))
+    x, u, p = _point()
+    found = np.array(compiled.dynamics(x, u, p, 0.0)).ravel()
+    speed(
+        CALL,
+        "CasADi Function.__call__",
+        lambda: compiled.dynamics(x, u, p, 0.0),
+        apart=_apart(found),
+        limit=EXACT,
+    )

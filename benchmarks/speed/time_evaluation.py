@@ -39,7 +39,8 @@ void over_states(long n, const double *x, const double *u, const double *p, doub
 """
 # A function of its own: inlined into the loop it is slower.
 _BY_HAND = """
-static __attribute__((noinline)) void by_hand(const double *x, const double *u, const void *p, double *x_dot) {
+static __attribute__((noinline))
+void by_hand(const double *x, const double *u, const void *p, double *x_dot) {
   hand_dynamics(x, u, p, x_dot);
 }
 """
@@ -120,7 +121,7 @@ def _apart(found: np.ndarray, expected: np.ndarray) -> float:
 def time_evaluation(speed: Speed, who: str, tmp_path: Path) -> None:
     x, u, p, expected = _data()
     run = _ours(vehicle.functions(), tmp_path, x, u, p) if who == OURS else _by_hand(tmp_path, x, u)
-    speed(EVALUATION, who, run, calls=STATES, apart=_apart(run(), expected), limit=EXACT, rounds=500)
+    speed(EVALUATION, who, run, calls=STATES, apart=_apart(run(), expected), limit=EXACT, rounds=4000)
 
 
 def time_evaluation_in_python(speed: Speed) -> None:

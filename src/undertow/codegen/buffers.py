@@ -6,6 +6,37 @@ import casadi as ca
 import numpy as np
 
 
+class Direct:
+    """A CasADi function on fixed arrays: write into `inputs`, call, read `outputs`; nothing is copied.
+
+    Each array holds the nonzeros, column by column, of the input or output of that name.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        The function.
+
+    Attributes
+    ----------
+    inputs, outputs : dict of ndarray
+        The arrays by name.
+    run : callable
+        Evaluates the function; calling it costs less than calling the object.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self.run = function.buffer()
+        self.inputs = {n: np.zeros(function.nnz_in(i)) for i, n in enumerate(function.name_in())}
+        self.outputs = {n: np.zeros(function.nnz_out(i)) for i, n in enumerate(function.name_out())}
+        for i, array in enumerate(self.inputs.values()):
+            self._buffer.set_arg(i, memoryview(array.data))  # type: ignore[call-arg]
+        for i, array in enumerate(self.outputs.values()):
+            self._buffer.set_res(i, memoryview(array.data))  # type: ignore[call-arg]
+
+    def __call__(self) -> None:
+        self.run()
+
+
 class Evaluator:
     """A CasADi function evaluated through its buffer for a fixed number of runs at once.
 
@@ -18,16 +49,11 @@ class Evaluator:
     """
 
     def __init__(self, function: ca.Function, batch: int = 1) -> None:
-        mapped = function.map(batch) if batch > 1 else function
-        self._batch = batch
-        self._buffer, self._call = mapped.buffer()
+        direct = Direct(function.map(batch) if batch > 1 else function)
+        self._call = direct
         # CasADi stores columns one after the other, so a run is a row of these arrays.
-        self._inputs = [np.zeros((batch, function.nnz_in(i))) for i in range(function.n_in())]
-        self._outputs = [np.zeros((batch, function.nnz_out(i))) for i in range(function.n_out())]
-        for i, array in enumerate(self._inputs):
-            self._buffer.set_arg(i, memoryview(array.data))  # type: ignore[call-arg]
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, memoryview(array.data))  # type: ignore[call-arg]
+        self._inputs = [a.reshape(batch, a.size // batch) for a in direct.inputs.values()]
+        self._outputs = [a.reshape(batch, a.size // batch) for a in direct.outputs.values()]
         self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
 
     def __call__(self, *inputs: np.ndarray | float) -> list[np.ndarray]:

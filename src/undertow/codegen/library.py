@@ -8,7 +8,7 @@ import casadi as ca
 
 from undertow.errors import UndertowError
 
-from .buffers import Evaluator
+from .buffers import Direct, Evaluator
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
 from .functions import Functions
@@ -64,6 +64,10 @@ class Compiled:
     def evaluator(self, name: str, batch: int = 1) -> Evaluator:
         """One of the functions for NumPy arrays, `batch` evaluations in a call, through its buffer."""
         return Evaluator(getattr(self, name), batch)
+
+    def direct(self, name: str) -> Direct:
+        """One of the functions on fixed arrays: the cheapest call from Python."""
+        return Direct(getattr(self, name))
 
     def _ready(self, function: ca.Function) -> ca.Function:
         return compiled_or_virtual(self._wish, lambda compiler: load(function, compiler), lambda: function)
