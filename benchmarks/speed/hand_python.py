@@ -189,8 +189,9 @@ def numba_rollout() -> Callable[..., None]:
     @jit
     def rollout(samples, dt, desired, k_p, k_v, k_i, share, mass, inverse, damping, allocation, quadratic,
                 moment, weight, current, stride, log):  # fmt: skip
-        work = (np.zeros((4, 3)), np.zeros(3), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(3), np.zeros(3),
-                np.zeros(3), np.zeros(3))  # fmt: skip
+        a, b, c, d = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+        work = (np.zeros((4, 3)), np.zeros(3), np.zeros(6), np.zeros(6), np.zeros(6), a, b, c, d)
+        model = (mass, inverse, damping, allocation, quadratic, moment, weight, current)
         x, total, u, error = np.zeros(12), np.zeros(6), np.zeros(8), np.zeros(6)
         f, sums, stage = np.zeros(12), np.zeros(12), np.zeros(12)
         for n in range(samples):
@@ -199,7 +200,7 @@ def numba_rollout() -> Callable[..., None]:
             control(x, total, k_p, k_v, k_i, desired, moment, weight, share, work, u, error)
             for i in range(6):
                 total[i] += dt * error[i]
-            dynamics(x, u, mass, inverse, damping, allocation, quadratic, moment, weight, current, work, f)
+            dynamics(x, u, *model, work, f)
             for i in range(12):
                 sums[i], stage[i] = f[i], x[i] + 0.5 * dt * f[i]
             for ahead in (0.5, 1.0):

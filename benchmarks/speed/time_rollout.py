@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DURATION, CHECKED = 240.0, 10.0
 LIMIT = 1e-10
-ROUNDS = 7
+ROUNDS = 25
 # Of slow peers a piece is run and scaled up, and of the virtual machine's memory a call.
 PIECE, SHORT, CHUNK = 0.5, 0.1, 2400
 

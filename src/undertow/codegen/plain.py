@@ -206,7 +206,10 @@ class _Body:
     # --- what is computed together --------------------------------------------------------------
     def _look_ahead(self) -> tuple[list[str], set[int]]:
         """Inputs that are angles: they can be turned at once. Divisions by what divides others, too."""
-        f, made, angles, divisions = self._function, {}, {}, defaultdict(list)
+        f = self._function
+        made: dict[int, int] = {}
+        angles: dict[int, None] = {}
+        divisions = defaultdict(list)
         for k in range(f.n_instructions()):
             operation, operands = _OPERATION[f.instruction_id(k)], f.instruction_input(k)
             if operation in _ANGLES:

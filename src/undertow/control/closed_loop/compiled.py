@@ -33,7 +33,7 @@ class _Loop(ctypes.Structure):
 
 
 class CompiledLoop:
-    """Model, sensors, controller, allocation, schedule and integrator in one library for each number of lanes."""
+    """Model, sensors, controller, allocation, schedule and integrator in a library for each lane count."""
 
     parallel = True
 

@@ -143,13 +143,15 @@ def run_many(
     def simulate(share: slice) -> None:
         _simulate(loop, scenario, problem.part(share), share, runs)
 
+    done = 0
+
     def tell(share: slice) -> None:
         nonlocal done
         done += share.stop - share.start
         if progress is not None:
             progress(done, loop.gains.name)
 
-    done, steps = 0, scenario.samples * problem.substeps
+    steps = scenario.samples * problem.substeps
     threads = threads if loop.stepper.parallel else 1
     in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, tell)
     return runs

@@ -127,7 +127,7 @@ class Parts:
         return float(commands[0]), reports[0]
 
     def lateness(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Dead time of the commands, shape (b,), and of each report, shape (b, ny), for parameters (b, np)."""
+        """Dead time of commands, shape (b,), and of each report, (b, ny), for parameters (b, np)."""
         f, b = self.functions, len(p)
         late = ca.Function("late", [f.p], [ca.densify(ca.vertcat(f.dead_time(f.p), f.report_age))])
         if late.jac_sparsity(0, 0).nnz():

@@ -190,7 +190,7 @@ class ClosedLoop:
     def _substeps(
         self, scenario: Scenario, start: Mapping[str, float], to: Mapping[str, float], desired: np.ndarray
     ) -> int:
-        """Runge-Kutta steps in an interval; refuses one that is too long. Known for the last one asked for."""
+        """Runge-Kutta steps in an interval that is not too long; kept for the last one asked for."""
         key = (scenario.dt, scenario.continuous, scenario.samples, *start.values(), *to.values())
         if key not in self._known_substeps:
             linear = SampledLoop(self.parts, np.array(list(to.values())), desired)
