@@ -14,6 +14,7 @@ from undertow.files import write_whole
 
 from . import costs
 from .made import days, folder_with_vehicle, fouling, write
+from .names import counted, table
 from .page import Costs, page
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="page to write; printed where it is not given")
     options = parser.parse_args(arguments)
     shown, report = example()
-    text = page(shown, report, measured())
+    text = page(shown, report, table(counted()), measured())
     if options.out is None:
         print(text)
     else:
@@ -50,7 +51,12 @@ def example() -> tuple[list[tuple[str, str]], str]:
         write(Path("logs"), vehicle, "charlie", [(d, {"gain_error_port": -0.25 * s}) for d, s in shares])
         (Path("logs") / "vehicle=alfa" / f"day={own[3]}" / "part.parquet").write_bytes(b"PAR1 cut off")
         shown = [(command, _printed(command)) for command in _COMMANDS]
-        return shown, Path("report/report.md").read_text(encoding="utf-8")
+        return shown, _plain(Path("report/report.md").read_text(encoding="utf-8"))
+
+
+def _plain(printed: str) -> str:
+    """Without the folder in which it was printed."""
+    return printed.replace(f"{Path.cwd().resolve()}/", "")
 
 
 def _printed(command: str) -> str:
@@ -63,8 +69,7 @@ def _printed(command: str) -> str:
         text=True,
         check=False,
     )
-    here = str(Path.cwd().resolve())
-    return f"{done.stdout}{done.stderr}".replace(f"{here}/", "") + f"(exit code {done.returncode})"
+    return f"{_plain(done.stdout + done.stderr)}(exit code {done.returncode})"
 
 
 def measured() -> Costs:

@@ -43,12 +43,12 @@ class Costs:
     cores: int
 
 
-def page(shown: Sequence[tuple[str, str]], report: str, costs: Costs) -> str:
+def page(shown: Sequence[tuple[str, str]], report: str, names: str, costs: Costs) -> str:
     """The page."""
     example = "\n".join(f"```\n$ {command}\n{printed}\n```\n" for command, printed in shown)
     template = Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8"))
     return template.substitute(
-        example=example, report=_quoted(report), costs=_costs(costs), paper=_paper(costs)
+        example=example, report=_quoted(report), names=names, costs=_costs(costs), paper=_paper(costs)
     )
 
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.fleet.made import days, folder_with_vehicle, fouling, run
-from undertow.fleet.changes import Changes, shift, trend
-from undertow.fleet.combine import Day, by_month, days_of
+from benchmarks.fleet.made import folder_with_vehicle, fouling
+from benchmarks.fleet.names import asked, logged
 from undertow.fleet.panel import Panel
-from undertow.fleet.reduction import Job, marked, reduce_runs
+from undertow.fleet.reduction import Job, marked
 from undertow.fleet.summary import summarised
-from undertow.fleet.verdicts import Asked, Statement, holm, statements
+from undertow.fleet.verdicts import Statement, holm, statements
 
-Drift = Callable[[float], Mapping[str, float]]
+Drift = Mapping[str, float]
 
 
 @pytest.fixture(scope="module")
@@ -30,28 +29,12 @@ def panel(craft: Path) -> Panel:
     return marked(Job(str(craft)))[1]
 
 
-def logged(panel: Panel, craft: Path, drift: Drift, seed: int, months: int = 3, each: int = 4) -> list[Day]:
-    """Days whose vehicle drifts with the share of the year that has passed, from 0 to 1 over the months."""
-    random, all_days = np.random.default_rng(seed), days(months, each)
-    length = (all_days[-1] - all_days[0]).days
-    shares = [(d - all_days[0]).days / length for d in all_days]
-    runs = [run(craft, drift(share), random) for share in shares]
-    return days_of((d, reduce_runs([r], panel, "day")) for d, r in zip(all_days, runs, strict=True))
-
-
-def asked(panel: Panel, own: list[Day]) -> list[Asked]:
-    """All days, then every month against the first."""
-    changes, months = Changes(panel), list(by_month(own).values())
-    spans = [trend(own), *(shift(months[0], later) for later in months[1:])]
-    return [Asked(changes, span, tuple(changes.over(span))) for span in spans]
-
-
 def said(panel: Panel, craft: Path, drift: Drift, seed: int, **more: int) -> list[Statement]:
     return statements(asked(panel, logged(panel, craft, drift, seed, **more)))
 
 
 def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
-    own = asked(panel, logged(panel, craft, lambda share: fouling(0.4 * share), 1))
+    own = asked(panel, logged(panel, craft, fouling(0.4), 1))
     statement = statements(own)[0]
     assert (statement.answer, statement.effects) == ("grew", ("fouling",))
     grown = {c.direction.name: c for c in own[0].changes}
@@ -62,14 +45,14 @@ def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
 
 
 def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Path) -> None:
-    for statement in said(panel, craft, lambda share: {"gain_error_port": -0.2 * share}, 2):
+    for statement in said(panel, craft, {"gain_error_port": -0.2}, 2):
         assert (statement.answer, statement.effects) == ("grew", ("thruster wear",))
         assert "thrust of port -" in statement.words
         assert "starboard" not in statement.words
 
 
 def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> None:
-    statement = said(panel, craft, lambda s: fouling(0.4 * s) | {"gain_error_bow": -0.3 * s}, 3)[0]
+    statement = said(panel, craft, fouling(0.4) | {"gain_error_bow": -0.3}, 3)[0]
     assert statement.answer == "grew"
     assert "thruster wear" in statement.effects
     assert "thrust of bow -" in statement.words
@@ -77,7 +60,7 @@ def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> Non
 
 
 def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> None:
-    own = logged(panel, craft, lambda share: {}, 4)
+    own = logged(panel, craft, {}, 4)
     of = summarised({"it": (panel, own)}).vehicles[0]
     assert {p.statement.answer for p in (*of.months[1:], of.whole)} == {"none seen"}
     for parameter in of.whole.parameters:
@@ -89,10 +72,10 @@ def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> No
 @pytest.mark.parametrize(
     "drift",
     [
-        pytest.param(lambda s: {"m_w": 5.0 * s}, id="water in the hull"),
-        pytest.param(lambda s: {"scale_velocity": 0.15 * s}, id="a velocity sensor that drifts"),
-        pytest.param(lambda s: {"N_r": 0.4 * s}, id="a bent fin: drag in yaw alone"),
-        pytest.param(lambda s: fouling(-0.3 * s), id="a hull that was cleaned"),
+        pytest.param({"m_w": 5.0}, id="water in the hull"),
+        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts"),
+        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone"),
+        pytest.param(fouling(-0.3), id="a hull that was cleaned"),
     ],
 )
 def test_what_is_neither_is_called_neither(panel: Panel, craft: Path, drift: Drift) -> None:
@@ -104,7 +87,7 @@ def test_what_is_neither_is_called_neither(panel: Panel, craft: Path, drift: Dri
 
 
 def test_two_days_a_month_tell_nothing(panel: Panel, craft: Path) -> None:
-    statement = said(panel, craft, lambda share: fouling(0.3 * share), 6, months=2, each=2)[1]
+    statement = said(panel, craft, fouling(0.3), 6, months=2, each=2)[1]
     assert statement.answer == "cannot tell"
     assert "at least 3" in statement.words
 
@@ -118,7 +101,7 @@ def test_more_vehicles_ask_for_more() -> None:
 
 def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
     """Days of an unchanged craft in random order, a hundred reports: two false ones at the most."""
-    own, random = logged(panel, craft, lambda share: {}, 8, months=2, each=5), np.random.default_rng(0)
+    own, random = logged(panel, craft, {}, 8, months=2, each=5), np.random.default_rng(0)
     names = 0
     for _ in range(100):
         order = random.permutation(len(own))

@@ -94,6 +94,10 @@ def show(found: Fleet) -> None:
         out.print(text(f"left out: {path} has the content of {other}", "yellow"), soft_wrap=True)
 
 
+def _failed(path: str, words: str) -> str:
+    return words if path in words else f"{path}: {words}"
+
+
 def _heads(of: Of) -> list[str]:
     return [*(p.name for p in of.months[-_MONTHS:]), "all days"]
 
@@ -134,7 +138,7 @@ def page(found: Fleet) -> str:
     parts = ["# Fleet\n", f"{found.done} of {found.found} files count.\n"]
     parts += [_section(of) for of in found.vehicles]
     if found.failed:
-        lines = [f"- {path}: {words.removeprefix(path).lstrip(': ')}" for path, words in found.failed.items()]
+        lines = [f"- {_failed(path, words)}" for path, words in found.failed.items()]
         parts.append("\n".join(["## Left out\n", *lines, ""]))
     if found.unscored:
         parts.append(f"Not looked at, since they have to be searched for: {', '.join(found.unscored)}.\n")
@@ -144,8 +148,9 @@ def page(found: Fleet) -> str:
 _HOW = """\
 A change is told where it stands out of the scatter from day to day (jackknife over days, Student's t, Holm's
 rule over all vehicles, months and effects: 1 % for a single false one in this report), and is named where no
-other cause that was tried explains all of it. Values are one linear step from those of the vehicle file. ± is
-one standard error by the scatter of the days, or by the noise where that is more; days count as independent.
+other cause that was tried explains all of it. Values are one linear step from those of the vehicle file, with
+thrust as the file states it: where a thruster wears, drag and added mass of a month make up for it. ± is one
+standard error by the scatter of the days, or by the noise where that is more; days count as independent.
 """
 
 

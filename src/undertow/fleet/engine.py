@@ -183,7 +183,12 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     import dask
     import distributed  # noqa: F401  # first: it adds settings, which would go when ours are put back
 
-    with dask.config.set({"distributed.comm.timeouts.connect": f"{_REACH:g}s"}):
+    # The profiler of workers looks at them a hundred times a second, which doubles the time of this work.
+    settings = {
+        "distributed.comm.timeouts.connect": f"{_REACH:g}s",
+        "distributed.worker.profile.enabled": False,
+    }
+    with dask.config.set(settings):
         if scheduler is None:
             with _local(workers) as cluster, _connected(cluster, "of this machine") as client:
                 yield client

@@ -89,7 +89,8 @@ def _period(
         seconds=sum(d.seconds for d in days),
         misfit=float(np.sqrt(max(total - solved.fall, 0.0) / entries)),
         parameters=tuple(_parameter(panel, i, solved) for i in range(len(panel.free))),
-        changes=tuple(_shift(c) for c in found),
+        # Inertia is free by itself there, which only says how wear would look as added mass.
+        changes=tuple(_shift(c) for c in found if c.direction.kind != "inertia"),
         statement=statement,
     )
 
