@@ -28,8 +28,8 @@ _GNU_FLAGS = (
     *("-fPIC", "-shared", "-fvisibility=hidden"),
 )
 _MSVC_FLAGS = ("/nologo", "/std:c11", "/O1", "/fp:precise", "/LD", "/w")
-# For loops on this machine alone: exported code never has them. Fused multiply-add is in them: what they run is
-# a form that agrees with the expressions of the virtual machine to rounding anyway.
+# For loops on this machine alone: exported code never has them. Fused multiply-add is in them: what they run
+# is a form that agrees with the expressions of the virtual machine to rounding anyway.
 _LOCAL_FLAGS = ("-O2", "-march=native", "-ffp-contract=fast")
 # Macro that is defined where the processor has vectors of so many doubles, and how many runs then are fastest
 # side by side. Measured on x86-64: 8 lanes in narrower vectors are slower than 4, and 4 without AVX than one.
