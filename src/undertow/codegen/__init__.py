@@ -1,7 +1,8 @@
 """From the symbolic model to CasADi functions, C source and compiled libraries."""
 
 from .functions import Functions
+from .known import KnownFunctions
 from .library import Compiled
 from .simulate import Simulator
 
-__all__ = ["Compiled", "Functions", "Simulator"]
+__all__ = ["Compiled", "Functions", "KnownFunctions", "Simulator"]

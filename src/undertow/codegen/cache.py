@@ -13,17 +13,22 @@ import stat
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from undertow.errors import UndertowError
+from undertow.files import write_whole
 
-from .compiler import Compiler
 from .source import digest
 
+if TYPE_CHECKING:
+    from .compiler import Compiler
+
 _LOG = logging.getLogger("undertow")
-_OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -105,6 +110,34 @@ def _forget_old(folder: Path) -> None:
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- notes --------------------------------------------------------------------------------------
+
+
+def noted(question: str, find_out: Callable[[], str]) -> str:
+    """The answer to a question that always has the same one, found out once and kept beside the libraries.
+
+    Parameters
+    ----------
+    question : str
+        All that the answer depends on.
+    find_out : callable
+        Gives the answer where none is kept; an empty one is not kept.
+    """
+    note = cache_folder() / f"{digest(question)[:24]}.note"
+    try:
+        whole, _, answer = note.read_text(encoding="utf-8").partition("\n")
+        if whole == digest(question + answer):
+            os.utime(note)
+            return answer
+    except (OSError, ValueError):
+        pass
+    answer = find_out()
+    if answer:
+        with suppress(OSError, UndertowError):
+            write_whole(note, f"{digest(question + answer)}\n{answer}")
+    return answer
 
 
 # --- the folder ---------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -16,6 +17,7 @@ from typing import TypeVar
 
 from undertow.errors import UndertowError
 
+from .cache import noted
 from .source import digest
 
 T = TypeVar("T")
@@ -28,8 +30,8 @@ _GNU_FLAGS = (
     *("-fPIC", "-shared", "-fvisibility=hidden"),
 )
 _MSVC_FLAGS = ("/nologo", "/std:c11", "/O1", "/fp:precise", "/LD", "/w")
-# For loops on this machine alone: exported code never has them. Fused multiply-add is in them: what they run
-# is a form that agrees with the expressions of the virtual machine to rounding anyway.
+# For loops on this machine alone: exported code never has them. Multiply and add may be fused: what these
+# loops run is not the expressions of the virtual machine anyway, but a form that agrees to rounding.
 _LOCAL_FLAGS = ("-O2", "-march=native", "-ffp-contract=fast")
 # Macro that is defined where the processor has vectors of so many doubles, and how many runs then are fastest
 # side by side. Measured on x86-64: 8 lanes in narrower vectors are slower than 4, and 4 without AVX than one.
@@ -145,11 +147,35 @@ def _version(command: tuple[str, ...], path: str) -> str:
 @cache
 def _processor(command: tuple[str, ...]) -> str:
     """What the compiler defines for this processor, a macro on each line; empty where it cannot tell."""
+
+    def ask() -> str:
+        try:
+            answer = _run([*command, *_LOCAL_FLAGS, "-dM", "-E", "-x", "c", os.devnull], Path.cwd())
+        except UndertowError:
+            return ""
+        return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
+
+    return noted("\n".join(["processor", *_LOCAL_FLAGS, *command, _program(command), _this_processor()]), ask)
+
+
+def _program(command: tuple[str, ...]) -> str:
+    """What tells one installation of a program from another, without asking it."""
+    found = Path(shutil.which(command[0]) or command[0]).resolve()
     try:
-        answer = _run([*command, *_LOCAL_FLAGS, "-dM", "-E", "-x", "c", os.devnull], Path.cwd())
-    except UndertowError:
-        return ""
-    return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
+        known = found.stat()
+    except OSError:
+        return str(found)
+    return f"{found} {known.st_size} {known.st_mtime_ns}"
+
+
+def _this_processor() -> str:
+    """Model and flags of the processor, as the system tells them."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
+    except OSError:
+        return " ".join(platform.uname())
+    told = ("vendor_id", "cpu family", "model", "stepping", "flags", "CPU", "Features")
+    return "\n".join(line for line in lines if line.startswith(told))
 
 
 def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:

@@ -99,20 +99,23 @@ def _address(array: Array) -> ctypes.c_void_p:
 
 def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
     """C source of a simulation and the name of its entry point, which carries the hash of the source."""
+    model = functions.known_model_source or model_source(functions)
+    loop = (files("undertow.codegen") / "rollout.c").read_text(encoding="utf-8")
+    text = "\n".join([defines([("LANES", lanes)]), LANES_HEADER, model, loop])
+    name = f"undertow_{digest(text)[:16]}_simulate"
+    return f"#define RUN {name}\n{text}", name
+
+
+def model_source(functions: Functions) -> str:
+    """C source of the prepared form, for any number of lanes, with its sizes."""
     form = functions.prepared
     sizes = {
-        "LANES": lanes,
         "NX": functions.x.numel(),
         "NU": functions.u.numel(),
         "NP": functions.p.numel(),
         "NQ": form.prepare.size1_out("q"),
         "NW": form.hold.size1_out("w"),
     }
-    model = [
-        plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES)
-        for f in (form.prepare, form.hold, form.held_dynamics)
-    ]
-    loop = (files("undertow.codegen") / "rollout.c").read_text(encoding="utf-8")
-    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
-    name = f"undertow_{digest(text)[:16]}_simulate"
-    return f"#define RUN {name}\n{text}", name
+    steps = form.prepare, form.hold, form.held_dynamics
+    model = [plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES) for f in steps]
+    return "\n".join([defines(sizes.items()), *model])
