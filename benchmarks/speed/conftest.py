@@ -37,8 +37,8 @@ class Speed:
             Who does it: "undertow", or a peer.
         action : callable
             The work.
-        calls : int
-            How often the action does it, less than one for a piece of it: times are divided by this.
+        calls : float
+            How often the action does it, below one for a part of it: times are divided by this.
         apart : float, optional
             Distance of the result from the reference.
         limit : float, optional

@@ -111,14 +111,16 @@ def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slic
     lanes : int
         Runs in a group.
     """
-    groups = -(-runs // lanes)
-    most = max(int(_STEPS_IN_SHARE / max(work, 1) / lanes), 1)
-    each = lanes * max(min(most, -(-groups // (threads or processors()))), 1)
+    groups, wanted = -(-runs // lanes), threads or processors()
+    least, most = (max(int(steps / max(work, 1) / lanes), 1) for steps in _STEPS_IN_SHARE)
+    each = lanes * min(max(-(-groups // (_SHARES * wanted)), least), most)
     return [slice(a, min(a + each, runs)) for a in range(0, runs, each)]
 
 
-# About a tenth of a second.
-_STEPS_IN_SHARE = 500_000
+# From what is worth a thread of its own, a millisecond, to the tenth of a second in which Ctrl-C is heard.
+_STEPS_IN_SHARE = (20_000, 1_000_000)
+# For each thread, so that none waits long for the others.
+_SHARES = 4
 
 
 def defines(sizes: Iterable[tuple[str, int]]) -> str:

@@ -159,6 +159,12 @@ class ClosedLoop:
         ------
         UndertowError
             As for `run`, and if a name is not known, numbers of values differ, or dead times do.
+
+        Examples
+        --------
+        >>> masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
+        >>> runs = loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses})
+        >>> runs.state("z")[:, -1].std()
         """
         return run_many(self, scenario, Differences(parameters, gains, starts), threads, progress)
 
