@@ -12,7 +12,6 @@ from threading import Thread
 
 import casadi as ca
 import numpy as np
-import pysindy
 import pytest
 
 from undertow.codegen import Compiled
@@ -134,6 +133,7 @@ def by_numpy(count: int = SAMPLES) -> np.ndarray:
 
 def by_sindy() -> np.ndarray:
     """The same rows as the library of PySINDy's least squares without a threshold."""
+    pysindy = pytest.importorskip("pysindy", reason="PySINDy is not installed")
     H, target = numpy_rows().rows(some(PIECE))
     optimizer = pysindy.STLSQ(threshold=0.0, alpha=0.0)
     optimizer.fit(H, target[:, None])

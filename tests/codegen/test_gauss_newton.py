@@ -105,6 +105,14 @@ def test_a_window_that_diverges_is_told(compiled: bool, c_compiler: Compiler) ->
     assert given.products(compiled).diverged
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_sums_that_overflow_are_told_as_divergence(compiled: bool, c_compiler: Compiler) -> None:
+    """Finite states and finite derivatives whose products are not."""
+    given = case("bluerov2")
+    given.weight[0, 1] = 1e160
+    assert given.products(compiled).diverged
+
+
 class Swelling(Wrench):
     """A mass that grows with the speed, which the catalogue has none of."""
 

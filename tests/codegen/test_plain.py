@@ -51,6 +51,14 @@ def test_every_operation_is_casadis(c_compiler: Compiler, tmp_path: Path) -> Non
             assert found == pytest.approx(wanted, rel=1e-14, abs=0, nan_ok=True), (name, x)
 
 
+def test_the_sign_of_what_is_no_number_is_none(c_compiler: Compiler, tmp_path: Path) -> None:
+    library = _library(plain_c(ca.Function("f", [A], [ca.sign(A)], ["x"], ["y"]), "f"), c_compiler, tmp_path)
+    for x, expected in ((math.nan, math.nan), (-3.0, -1.0), (0.0, 0.0), (math.inf, 1.0)):
+        y = np.empty(1)
+        library.f(_array(np.array([x])), _array(y))
+        assert y[0] == pytest.approx(expected, abs=0, nan_ok=True)
+
+
 def test_matrices_are_stored_row_by_row_and_zeros_are_written(c_compiler: Compiler, tmp_path: Path) -> None:
     matrix = ca.SX(3, 2)
     matrix[0, 1], matrix[2, 0] = A, B

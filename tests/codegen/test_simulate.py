@@ -280,13 +280,26 @@ def test_indices_that_do_not_exist_are_told(wrt: Sequence[int], initial: Sequenc
         )
 
 
-def test_a_lag_faster_than_the_samples_is_followed(compiled: bool | None) -> None:
-    """Commands change every 0.05 s, the thrust follows in 0.02 s: steps of 0.05 s would slur it."""
+def _lagging(seconds: float) -> tuple[Functions, np.ndarray]:
+    """A mass pushed by a thruster that follows its command late, and its parameters."""
     stern = Thruster("f1", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     effects = (catalogue()["rigid_body"](("f1",)), catalogue()["thruster_lag"](("f1",)))
     functions = Functions(Vehicle("pushed", ("surge",), effects, {}, (stern,)))
-    values = {"thrust_f1": 1.0}
-    p = parameters(functions, m=8.0, T_lag=0.02, **values)
+    return functions, parameters(functions, m=8.0, T_lag=seconds, thrust_f1=1.0)
+
+
+@pytest.mark.parametrize("seconds", [1e-3, 5e-5])
+def test_a_lag_too_fast_to_be_followed_stays_stable(seconds: float, compiled: bool | None) -> None:
+    functions, p = _lagging(seconds)
+    t = np.arange(0.0, 0.3, 0.05)
+    x = Simulator(functions, compiled=compiled).run(np.zeros(3), t, np.ones((len(t), 1)), p)
+    np.testing.assert_allclose(x[1:, functions.state_names.index("lagged_f1")], 1.0, atol=1e-6)
+    np.testing.assert_allclose(x[:, 1], np.maximum(t - seconds, 0.0) / 8.0, atol=seconds / 8.0)
+
+
+def test_a_lag_faster_than_the_samples_is_followed(compiled: bool | None) -> None:
+    """Commands change every 0.05 s, the thrust follows in 0.02 s: steps of 0.05 s would slur it."""
+    functions, p = _lagging(0.02)
     t = np.arange(0.0, 1.0, 0.05)
     x = Simulator(functions, compiled=compiled).run(np.zeros(3), t, np.ones((len(t), 1)), p)
     lagged = functions.state_names.index("lagged_f1")

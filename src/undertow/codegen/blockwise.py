@@ -85,6 +85,7 @@ class Blockwise:
             If there is no memory.
         """
         inputs = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+        assert all(a.ndim == 1 or len(a) == count for a in inputs)
         results = [np.zeros((count, size)) for size in self._outputs]
         strides = [a.shape[1] if a.ndim > 1 else 0 for a in inputs]
         failed = self._run(

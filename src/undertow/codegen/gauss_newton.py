@@ -77,8 +77,9 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
     both = np.concatenate([rows, error[..., None]], axis=3)
     for g in range(groups):
         part = np.where((group == g)[:, :, None, None], both, 0.0).reshape(b, -1, m + 1)
-        found.table[:, g] = np.swapaxes(part, 1, 2) @ part
-    return found
+        with np.errstate(over="ignore", invalid="ignore"):
+            found.table[:, g] = np.swapaxes(part, 1, 2) @ part
+    return Products(found.table, squares, diverged=not np.isfinite(found.table).all())
 
 
 class CompiledProducts:
@@ -115,6 +116,8 @@ class CompiledProducts:
             rows = slice(first, first + each)
             if self._called(problem, rows, groups, [a[rows] for a in arrays]):
                 return Products(found.table, found.squares, diverged=True)
+        if not np.isfinite(found.table).all():
+            return Products(found.table, found.squares, diverged=True)
         lower = np.tril_indices(self._size + 1, -1)
         found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]
         return found

@@ -146,7 +146,7 @@ INLINE Real real_and(Real a, Real b) { return real_truth((a != 0.0) & (b != 0.0)
 INLINE Real real_or(Real a, Real b) { return real_truth((a != 0.0) | (b != 0.0)); }
 INLINE Real real_not(Real a) { return real_truth(a == 0.0); }
 INLINE Real real_if(Real which, Real a) { return real_where(which != 0.0, a, real(0.0)); }
-INLINE Real real_sign(Real a) { return real_truth(a > 0.0) - real_truth(a < 0.0); }
+INLINE Real real_sign(Real a) { return real_where(a == a, real_truth(a > 0.0) - real_truth(a < 0.0), a); }
 /* As those of C: of a number and NaN the number. */
 INLINE Real real_fmin(Real a, Real b) { return real_where((a < b) | (b != b), a, b); }
 INLINE Real real_fmax(Real a, Real b) { return real_where((a > b) | (b != b), a, b); }

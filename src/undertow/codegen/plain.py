@@ -28,7 +28,7 @@ _FORM: dict[str, str] = {
     "OP_TWICE": "2 * {0}",
     "OP_INV": "1 / {0}",
     "OP_NOT": "!{0}",
-    "OP_SIGN": "({0} > 0) - ({0} < 0)",
+    "OP_SIGN": "{0} != {0} ? {0} : ({0} > 0) - ({0} < 0)",
     "OP_IF_ELSE_ZERO": "{0} != 0 ? {1} : 0",
     **{k: f"{{0}} {v} {{1}}" for k, v in _INFIX.items()},
     **{k: f"{v}({{0}}, {{1}})" if k in _TWO_OPERANDS else f"{v}({{0}})" for k, v in _CALL.items()},

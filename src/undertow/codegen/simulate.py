@@ -25,8 +25,9 @@ from .virtual import VirtualStepper
 _STEPS_PER_CALL = 200_000
 # A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
 _REACH = 0.7
-# What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds.
-_MOST_PARTS = 16
+# What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds. That
+# is stable down to microseconds; what is faster yet needs `AdaptiveSimulator`.
+_MOST_PARTS, _STABLE, _MOST_STEPS = 16, 2.0, 20_000
 
 
 class Simulator:
@@ -244,7 +245,10 @@ class Simulator:
         columns = [np.broadcast_to(a, (len(a), batch)) for a in at_first]
         slopes = np.asarray(self._own.map(batch)(*columns)).reshape(self._size, batch, -1)
         rates = np.abs(np.linalg.eigvals(np.nan_to_num(slopes.transpose(1, 0, 2)))).max(initial=0.0)
-        return max_step if rates * max_step <= _REACH else max(_REACH / rates, max_step / _MOST_PARTS)
+        if rates * max_step <= _REACH:
+            return max_step
+        longest = max(_REACH / rates, max_step / _MOST_PARTS)
+        return longest if rates * longest <= _STABLE else max(_STABLE / rates, max_step / _MOST_STEPS)
 
 
 def _pauses(problem: Problem) -> list[int]:
