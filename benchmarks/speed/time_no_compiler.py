@@ -96,7 +96,7 @@ def _loop(who: str, monkeypatch: pytest.MonkeyPatch) -> ClosedLoop:
     monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
     loop = ClosedLoop(_gains())
     monkeypatch.delenv("UNDERTOW_NO_COMPILER")
-    assert not isinstance(loop._stepper, VirtualLoop)
+    assert not isinstance(loop.stepper, VirtualLoop)
     return loop
 
 

@@ -170,11 +170,12 @@ class Story:
     def _ranked(self, finding: Finding) -> Ranked:
         trial = finding.trial
         helps = finding.significant or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
+        names = _new_parameters(finding) if helps else ()
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
             about=trial.candidate.effect.about(),
-            parameters=[estimate(trial.fit, n, self.vehicle) for n in _new_parameters(finding) if helps],
+            parameters=[estimate(trial.fit, n, self.vehicle) for n in names],
             error_before=self._before,
             error_after=self._normalised(trial.fit) if helps else self._before,
             explained=finding.explained,

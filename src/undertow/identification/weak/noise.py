@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from math import comb
 
 import numpy as np
@@ -68,8 +69,22 @@ class Whitening:
 
     def __init__(self, covariance: csr_array, overlap: csr_array, intensity: Array) -> None:
         self._covariance, self._overlap = covariance, overlap
-        spread = diags_array(np.sqrt(intensity))
-        self._factor = _cholesky(csr_array(covariance + spread @ overlap @ spread))
+        self._bands = _banded(covariance), _banded(overlap)
+        self._take(intensity)
+
+    def _take(self, intensity: Array) -> None:
+        """Factor with a disturbance."""
+        measured, white = self._bands
+        if not np.any(intensity):
+            self._factor = _cholesky(measured)
+            return
+        total = np.zeros((max(len(measured), len(white)), measured.shape[1]))
+        total[: len(measured)] = measured
+        spread = np.sqrt(intensity)
+        for offset, diagonal in enumerate(white):
+            last = len(spread) - offset
+            total[offset, :last] += spread[offset:] * diagonal[:last] * spread[:last]
+        self._factor = _cholesky(total)
 
     @property
     def covariance(self) -> csr_array:
@@ -78,7 +93,9 @@ class Whitening:
 
     def with_disturbance(self, intensity: Array) -> Whitening:
         """The same noise with another disturbance."""
-        return Whitening(self._covariance, self._overlap, intensity)
+        other = copy(self)
+        other._take(intensity)
+        return other
 
     def __call__(self, right: Array) -> Array:
         """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
@@ -88,18 +105,24 @@ class Whitening:
 
     def noise_sample(self, rng: np.random.Generator) -> Array:
         """What the noise of the channels alone would look like after whitening: one draw, shape (m,)."""
-        factor = _cholesky(self._covariance)
+        factor = _cholesky(self._bands[0])
         draw = np.asarray(rng.standard_normal(factor.shape[1]))
         return self(_times(factor, draw))
 
 
-def _cholesky(covariance: csr_array) -> Array:
-    """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
-    coordinates = covariance.tocoo()
+def _banded(matrix: csr_array) -> Array:
+    """Lower half of a symmetric banded matrix in LAPACK's storage: a row for each diagonal."""
+    coordinates = matrix.tocoo()
     offset = coordinates.row - coordinates.col
-    banded = np.zeros((int(np.max(offset, initial=0)) + 1, covariance.shape[0]))
+    banded = np.zeros((int(np.max(offset, initial=0)) + 1, matrix.shape[0]))
     lower = offset >= 0
     banded[offset[lower], coordinates.col[lower]] = coordinates.data[lower]
+    return banded
+
+
+def _cholesky(bands: Array) -> Array:
+    """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
+    banded = bands.copy()
     # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
     banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
     return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
