@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -12,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow import __version__
 from undertow.errors import UndertowError
+from undertow.files import sha256_of
 from undertow.identification.logs import Mapping, Run, velocities_from_pose
 from undertow.identification.logs.chunks import LongLog, hash_of
 from undertow.identification.logs.mapping import CommandPolicy
@@ -21,6 +20,7 @@ from undertow.identification.triangle import Triangle
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.loading import load_vehicle
 
+from .fingerprint import content_of, digest
 from .panel import DAILY, Panel
 from .partitions import Partition, partition_of
 
@@ -30,7 +30,7 @@ ROWS = 20_000
 # Models that one process holds ready: in a fleet, neighbours in the queue are often of the same vehicle.
 _MOST_PANELS = 4
 # Raised when what is stored changes its meaning.
-_FORMAT = 1
+_FORMAT = 2
 # Stiffness of a value for one day, as a share of the information: it only keeps the factor regular.
 _LOOSE = 1e-6
 
@@ -147,19 +147,16 @@ def _made(job: Job) -> Panel:
 
 def fingerprint(job: Job, panel: Panel) -> str:
     """Hash of all that decides what a log is reduced to, the log itself left out."""
-    functions = panel.base.functions
     content = {
-        "format": [_FORMAT, __version__],
-        "equations": panel.equations,
-        "values": [
-            [n, float(v).hex()] for n, v in zip(functions.parameter_names, functions.values(), strict=True)
-        ],
+        "format": _FORMAT,
+        "models": [content_of(model) for model in panel.models],
+        "effects": [sha256_of(f) for f in job.effects],
         "environment": dict(panel.vehicle.environment),
         "columns": [*panel.daily, *panel.names],
         "mapping": json.loads(job.mapping),
         "reading": [job.rows, job.fill],
     }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return digest(content)
 
 
 def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
