@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -101,6 +102,20 @@ def test_a_scheduler_that_is_not_there_is_refused(cluster: OnDask, monkeypatch: 
         pass
     with pytest.raises(UndertowError, match="does not answer"), engine("nonsense://"):
         pass
+
+
+@pytest.mark.parametrize("address", ["nonsense", "nonsense:x", "", "tls://127.0.0.1:9"])
+def test_what_is_no_address_is_refused_once_and_for_all(
+    address: str, cluster: OnDask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of a client is left that complains when it is thrown away."""
+    complaints: list[Any] = []
+    monkeypatch.setattr("undertow.fleet.engine._REACH", 0.1)
+    monkeypatch.setattr("sys.unraisablehook", complaints.append)
+    with pytest.raises(UndertowError, match="does not answer"), engine(address):
+        pass
+    gc.collect()
+    assert not complaints
 
 
 class _Future:

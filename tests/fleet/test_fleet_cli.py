@@ -70,7 +70,7 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
     words = ["fleet", "diagnose", "own/{vehicle}.toml", "logs", "--workers", "0", "--passes", "2"]
     assert main(words) == 0
     assert Path("fleet-results/report.md").exists()
-    capsys.readouterr()
+    assert "4 of 4 files count (4 worked out now, 0 known before)" in capsys.readouterr().out
     (small / "own/bravo.toml").unlink()
     assert main(words) == 2
     assert "neither a file nor a bundled vehicle" in capsys.readouterr().err

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
-from undertow.fleet.fingerprint import content_of
+from undertow.errors import UndertowError
+from undertow.files import sha256_of
+from undertow.fleet.engine import Here
+from undertow.fleet.fingerprint import content_of, files_digest
 from undertow.fleet.reduction import Job, Reduced, marked
+from undertow.fleet.rollouts import Flights, Source, rollouts, windows_of
 from undertow.fleet.store import Store
 
 SIDE = """
@@ -90,3 +96,35 @@ def test_a_damaged_stored_file_is_not_known(tmp_path: Path) -> None:
         assert store.get("job", "log") is None
     path.write_bytes(whole)
     assert store.get("job", "log").samples == 7
+
+
+def test_a_living_worker_reads_changed_files_again(fleet: Path, tmp_path: Path) -> None:
+    """Another vehicle or log at the same place is never mistaken for the one before."""
+    vehicle, log = tmp_path / "craft.toml", tmp_path / "log.parquet"
+    text, table = (
+        (fleet / "craft.toml").read_text(),
+        pl.read_parquet(next((fleet / "logs").rglob("*.parquet"))),
+    )
+    vehicle.write_text(text)
+    table.write_parquet(log)
+    flights = Flights(str(vehicle), horizon=10.0)
+    seen = [rollouts(flights, [str(log)], 5, Here())[0]]
+    table.with_columns(pl.col("u") + 1.0).write_parquet(log)
+    seen.append(rollouts(flights, [str(log)], 5, Here())[0])
+    vehicle.write_text(text.replace("m = 20.0", "m = 40.0"))
+    seen.append(rollouts(flights, [str(log)], 5, Here())[0])
+    first, moved, heavy = (one[0] for one in seen)
+    u = first.names.index("u")
+    np.testing.assert_allclose(moved.measured[:, u], first.measured[:, u] + 1.0)
+    assert np.abs(heavy.median - moved.median).max() > 0.1
+
+
+def test_a_worker_with_other_files_refuses(fleet: Path, tmp_path: Path) -> None:
+    log = next((fleet / "logs").rglob("*.parquet"))
+    flights = Flights(str(fleet / "craft.toml"), horizon=10.0)
+    with pytest.raises(UndertowError, match="this worker reads another"):
+        windows_of(replace(flights, files="0" * 64), Source(str(log), sha256_of(log)))
+    mine = replace(flights, files=files_digest(flights.vehicle, ()))
+    with pytest.raises(UndertowError, match="another file for this worker"):
+        windows_of(mine, Source(str(log), "0" * 64))
+    assert windows_of(mine, Source(str(log), sha256_of(log))) == 5

@@ -51,7 +51,7 @@ class _Known:
 
     partitions: dict[Partition, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
-    worked: int = 0
+    worked: set[Path] = field(default_factory=set)
 
 
 def diagnose(
@@ -99,7 +99,7 @@ def diagnose(
         twins={str(p.path): str(other.path) for p, other in same.items()},
         done=len(known.partitions),
         found=len(paths),
-        worked=known.worked,
+        worked=sum(p.path in known.worked for p in known.partitions),
     )
 
 
@@ -143,7 +143,7 @@ def _reduced(jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Stor
             del known.partitions[partition]
         else:
             store.put(jobs[partition.vehicle].fingerprint, sha256, answer)
-            known.worked += 1
+            known.worked.add(partition.path)
     return {v: (panel_of(job), _days(v, job, known, store)) for v, job in jobs.items() if _has(v, known)}
 
 
