@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.fleet.engine import Here
 from undertow.fleet.fingerprint import content_of, files_digest
-from undertow.fleet.reduction import Job, Reduced, marked
+from undertow.fleet.reduction import Job, Reduced, marked, reduce_log
 from undertow.fleet.rollouts import Flights, Source, rollouts, windows_of
 from undertow.fleet.store import Store
 
@@ -128,3 +128,11 @@ def test_a_worker_with_other_files_refuses(fleet: Path, tmp_path: Path) -> None:
     with pytest.raises(UndertowError, match="another file for this worker"):
         windows_of(mine, Source(str(log), "0" * 64))
     assert windows_of(mine, Source(str(log), sha256_of(log))) == 5
+
+
+def test_a_log_that_is_still_written_to_is_not_kept(fleet: Path) -> None:
+    job = marked(Job(str(fleet / "craft.toml")))[0]
+    log = next((fleet / "logs").rglob("*.parquet"))
+    with pytest.raises(UndertowError, match="was changed while it was read"):
+        reduce_log(job, str(log), "0" * 64)
+    assert reduce_log(job, str(log), sha256_of(log)).samples > 0

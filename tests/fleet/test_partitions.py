@@ -48,6 +48,8 @@ def test_folders_columns_names_and_clocks(
         ("v/2026-13-03.parquet", {}, "is no day"),
         ("vehicle=v/day=monday/x.parquet", {}, "does not say its day"),
         ("v/2026-02-03.parquet", {"vehicle": ["a", "b"]}, "more than one vehicle"),
+        ("vehicle=/2026-02-03.parquet", {}, "names its vehicle with nothing"),
+        ("v/2026-02-03.parquet", {"vehicle": [None, None]}, "names its vehicle with nothing"),
     ],
 )
 def test_what_does_not_say_it_is_refused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +25,9 @@ from .summary import Vehicles, summarised
 
 Tell = Callable[[float, str], None]
 PLACE = "{vehicle}"
+# What may stand for a vehicle in the path of its file: it leads to no other folder.
+_NAME = re.compile(r"(?!\.\.?$)[^/\\\0]+")
+_NO_NAME = "'{}' is no name that a file may have: rename the vehicle, or give one file for all vehicles"
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,10 @@ def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Tell) -> _
             known.failed[str(paths[place])] = answer.words
         else:
             partition, sha256 = answer
-            known.partitions[partition] = sha256
+            if PLACE in job.vehicle and not _NAME.fullmatch(partition.vehicle):
+                known.failed[str(partition.path)] = _NO_NAME.format(partition.vehicle)
+            else:
+                known.partitions[partition] = sha256
     known.partitions = dict(sorted(known.partitions.items()))
     return known
 
@@ -134,7 +141,7 @@ def _reduced(jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Stor
     missing = [
         (p, h) for p, h in known.partitions.items() if store.get(jobs[p.vehicle].fingerprint, h) is None
     ]
-    items = [(jobs[p.vehicle], str(p.path)) for p, _ in missing]
+    items = [(jobs[p.vehicle], str(p.path), sha256) for p, sha256 in missing]
     for count, (place, answer) in enumerate(engine.results(reduce_log, items), start=1):
         partition, sha256 = missing[place]
         tell(count / len(missing), f"{count} of {len(missing)}: {partition.name}")

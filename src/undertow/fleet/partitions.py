@@ -95,7 +95,9 @@ def partition_of(path: Path, mapping: Mapping) -> Partition:
             raise UndertowError(f"{path} is no Parquet file: write the table as Parquet")
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
     head = {} if len(keys) == 2 else _said_inside(path, mapping)
-    vehicle = keys.get("vehicle") or head.get("vehicle") or path.parent.name
+    vehicle = keys.get("vehicle", head.get("vehicle", path.parent.name))
+    if vehicle is None or not str(vehicle).strip():
+        raise UndertowError(f"{path} names its vehicle with nothing: name its folder, such as vehicle=rov7")
     return Partition(str(vehicle), _day(path, keys.get("day"), head), path)
 
 

@@ -174,7 +174,7 @@ def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
     return partition_of(Path(path), Mapping.model_validate_json(mapping)), sha256
 
 
-def reduce_log(job: Job, path: str) -> Reduced:
+def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
     """Reduce a log, some rows at a time.
 
     Parameters
@@ -183,15 +183,21 @@ def reduce_log(job: Job, path: str) -> Reduced:
         What is done.
     path : str
         Parquet file.
+    sha256 : str
+        Of its bytes, where it is known.
 
     Raises
     ------
     UndertowError
-        If the file cannot be read, does not fit the vehicle, or has no stretch that is long enough.
+        If the file cannot be read, is another by now, does not fit the vehicle, or has no stretch that is
+        long enough.
     """
     panel = panel_of(job)
     log = LongLog(Path(path), job.log_mapping, panel.vehicle.command_names, (None, None), job.fill)
-    return reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path)
+    reduced = reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path)
+    if sha256 and sha256_of(path) != sha256:  # after it was read: it may still be written to
+        raise UndertowError(f"{path} was changed while it was read, or is another for this worker: run again")
+    return reduced
 
 
 def reduce_runs(runs: Iterable[Run], panel: Panel, where: str) -> Reduced:
