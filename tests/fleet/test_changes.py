@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
 from benchmarks.fleet.made import folder_with_vehicle, fouling
 from benchmarks.fleet.names import asked, logged
+from undertow.fleet.changes import Change, Changes, Direction, Kind, Span, chance
 from undertow.fleet.panel import Panel
 from undertow.fleet.reduction import Job, marked
 from undertow.fleet.summary import summarised
-from undertow.fleet.verdicts import Statement, holm, statements
+from undertow.fleet.verdicts import Asked, Statement, holm, statements
 
 Drift = Mapping[str, float]
 
@@ -108,3 +110,31 @@ def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
         mixed = [replace(own[i], day=d.day) for d, i in zip(own, order, strict=True)]
         names += any(s.answer == "grew" for s in statements(asked(panel, mixed)))
     assert names <= 2
+
+
+def told(*changes: tuple[Kind, str, float, float]) -> Statement:
+    """What is said of changes of kind, place, value and error five days against five, among many others."""
+    own = tuple(
+        Change(Direction(kind, of, np.zeros(1)), value, error, 8.0, chance(value, error, 8.0))
+        for kind, of, value, error in changes
+    )
+    still = tuple(Change(Direction("inertia", "surge", np.zeros(1)), 0.0, 1.0, 8.0, 1.0) for _ in range(500))
+    span = Span((), lambda day: 0.0, (5, 5))
+    return statements([Asked(cast("Changes", None), span, own), Asked(cast("Changes", None), span, still)])[0]
+
+
+def test_none_seen_is_said_of_what_would_have_shown() -> None:
+    """A narrow direction does not speak for another kind, nor for one that is nearly sure."""
+    good: tuple[Kind, str, float, float] = ("thrust", "port", 0.001, 0.01)
+    calm = told(good, ("drag", "surge", 0.0, 0.02))
+    assert calm.answer == "none seen"
+    assert "would have shown from, %: drag in surge 20, thrust of port 9.8" in calm.words
+    likely = told(good, ("drag", "surge", 0.41, 0.06))
+    assert likely.answer == "cannot tell"
+    assert "drag in surge +41 ± 6 % may be a change, but is not sure enough" in likely.words
+    blind = told(good, ("drag", "surge", 0.0, 0.3))
+    assert blind.answer == "cannot tell"
+    assert "a change of drag in surge below" in blind.words
+    assert "otherwise no change seen; would have shown from, %: thrust of port" in blind.words
+    none = told(good, ("drag", "surge", 0.0, np.inf))
+    assert none.words.startswith("cannot tell: these days do not determine drag; otherwise no change seen")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -101,6 +102,31 @@ def test_a_scheduler_that_is_not_there_is_refused(cluster: OnDask, monkeypatch: 
         pass
     with pytest.raises(UndertowError, match="does not answer"), engine("nonsense://"):
         pass
+
+
+def _page(dask_scheduler: Any = None) -> int:
+    return dask_scheduler.http_server.port
+
+
+def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: OnDask) -> None:
+    """The page of the scheduler is at any port that is free, so that Dask has nothing to warn of."""
+    assert cluster.client.run_on_scheduler(_page) != 8787
+    with engine(workers=1) as other:
+        assert list(other.results(abs, [(-1,)])) == [(0, 1)]
+
+
+@pytest.mark.parametrize("address", ["nonsense", "nonsense:x", "", "tls://127.0.0.1:9"])
+def test_what_is_no_address_is_refused_once_and_for_all(
+    address: str, cluster: OnDask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of a client is left that complains when it is thrown away."""
+    complaints: list[Any] = []
+    monkeypatch.setattr("undertow.fleet.engine._REACH", 0.1)
+    monkeypatch.setattr("sys.unraisablehook", complaints.append)
+    with pytest.raises(UndertowError, match="does not answer"), engine(address):
+        pass
+    gc.collect()
+    assert not complaints
 
 
 class _Future:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
     words = ["fleet", "diagnose", "own/{vehicle}.toml", "logs", "--workers", "0", "--passes", "2"]
     assert main(words) == 0
     assert Path("fleet-results/report.md").exists()
-    capsys.readouterr()
+    assert "4 of 4 files count (4 worked out now, 0 known before)" in capsys.readouterr().out
     (small / "own/bravo.toml").unlink()
     assert main(words) == 2
     assert "neither a file nor a bundled vehicle" in capsys.readouterr().err
@@ -86,15 +87,39 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
         (["craft.toml", "logs", "--daily", "lag"], "'lag' is no effect"),
         (["craft.toml", "logs", "--out", "craft.toml"], "is no folder"),
         (["craft.toml", "logs", "--map", "none.toml"], "none.toml"),
+        (["craft.toml", "logs", "--map", "fresh.toml"], "`fresh` need whole logs"),
+        (["{vehicle}.toml", "outside"], "'../craft' is no name that a file may have"),
     ],
 )
 def test_mistakes_are_told_in_one_line(
     small: Path, capsys: Capture, words: list[str], complaint: str
 ) -> None:
+    Path("fresh.toml").write_text(
+        'schema = "undertow/mapping/1"\n[columns]\nu = { channel = "u", fresh = "new" }\n'
+    )
+    outside = Path("outside/vehicle=..%2Fcraft/2026-02-03.parquet")
+    outside.parent.mkdir(parents=True)
+    shutil.copy(next(Path("logs").rglob("*.parquet")), outside)
     assert main(["fleet", "diagnose", *words, "--workers", "0"]) == 2
     error = capsys.readouterr().err
     assert complaint in error
     assert error.count("\n") == 1
+
+
+def test_what_is_no_address_leaves_one_line() -> None:
+    """Also when the process ends and throws away what is left of Dask."""
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")
+    command = [sys.executable, "-m", "undertow", "fleet", "diagnose", "mini-auv", "logs"]
+    done = subprocess.run(
+        [*command, "--scheduler", "nonsense"],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "missing port number in address 'nonsense'" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_without_dask_it_says_what_to_install(

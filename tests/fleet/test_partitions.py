@@ -11,6 +11,7 @@ import pytest
 from undertow.errors import UndertowError
 from undertow.fleet.partitions import Partition, find, partition_of, twins
 from undertow.identification.logs import Mapping
+from undertow.identification.logs.table import read_rows
 
 PLAIN = {"t": [0.0, 0.1], "u": [1.0, 2.0]}
 
@@ -47,6 +48,8 @@ def test_folders_columns_names_and_clocks(
         ("v/2026-13-03.parquet", {}, "is no day"),
         ("vehicle=v/day=monday/x.parquet", {}, "does not say its day"),
         ("v/2026-02-03.parquet", {"vehicle": ["a", "b"]}, "more than one vehicle"),
+        ("vehicle=/2026-02-03.parquet", {}, "names its vehicle with nothing"),
+        ("v/2026-02-03.parquet", {"vehicle": [None, None]}, "names its vehicle with nothing"),
     ],
 )
 def test_what_does_not_say_it_is_refused(
@@ -77,3 +80,24 @@ def test_patterns_and_folders_find_each_file_once(tmp_path: Path) -> None:
 def test_a_copy_counts_once() -> None:
     one, copy, other = (Partition("v", date(2026, 2, i), Path(f"{i}")) for i in (1, 2, 3))
     assert twins([(copy, "h"), (one, "h"), (other, "g")]) == {copy: one}
+
+
+def test_names_with_brackets_are_names(tmp_path: Path) -> None:
+    """Neither a folder nor a file with [1] in its name stands for another."""
+    first = written(tmp_path / "logs [1]" / "v" / "x[1].parquet", day=[date(2026, 2, 3)] * 2)
+    decoy = written(tmp_path / "logs [1]" / "v" / "x1.parquet", day=[date(2026, 5, 5)] * 2, w=[1.0, 2.0])
+    assert find([str(tmp_path / "logs [1]")]) == sorted([first, decoy])
+    assert find([str(first)]) == [first]
+    assert partition_of(first, Mapping()).day == date(2026, 2, 3)
+    assert read_rows(first, 0, 10, "log").columns == ["t", "u", "day"]
+
+
+def test_a_clock_counts_in_the_unit_of_the_mapping(tmp_path: Path) -> None:
+    ms = Mapping.model_validate({"time": {"column": "t", "unit": "ms"}})
+    path = written(tmp_path / "rov7/x.parquet", t=[1770076800000, 1770076800100])
+    assert partition_of(path, ms).day == date(2026, 2, 3)
+    with pytest.raises(UndertowError, match=r"1\.77008e\+12 s after 1970, which is no day: give the unit"):
+        partition_of(path, Mapping())
+    two_days = written(tmp_path / "rov7/y.parquet", t=[172800000.0, 172800000.1])
+    with pytest.raises(UndertowError, match="does not say its day"):
+        partition_of(two_days, ms)

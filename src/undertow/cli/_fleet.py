@@ -64,10 +64,10 @@ def _job(
     path = Path(vehicle)
     seen = str(path.absolute()) if PLACE in vehicle or path.is_file() else vehicle
     mapping = Mapping() if map is None else read_mapping(map)
-    if mapping.time.unit == "iso" or mapping.time.every > 1:
+    if mapping.time.unit == "iso" or mapping.time.every > 1 or any(c.fresh for c in mapping.columns.values()):
         raise UndertowError(
-            f"mapping {map}: dates in words and `every` need whole logs, which a fleet does not read: give "
-            "the time as a number"
+            f"mapping {map}: dates in words, `every` and `fresh` need whole logs, which a fleet does not "
+            "read: give the time as a number, and leave out the others"
         )
     chosen = DAILY if daily is None else tuple(daily)
     return Job(seen, files, mapping.model_dump_json(), daily=chosen, fill=fill)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +25,9 @@ from .summary import Vehicles, summarised
 
 Tell = Callable[[float, str], None]
 PLACE = "{vehicle}"
+# What may stand for a vehicle in the path of its file: it leads to no other folder.
+_NAME = re.compile(r"(?!\.\.?$)[^/\\\0]+")
+_NO_NAME = "'{}' is no name that a file may have: rename the vehicle, or give one file for all vehicles"
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class _Known:
 
     partitions: dict[Partition, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
-    worked: int = 0
+    worked: set[Path] = field(default_factory=set)
 
 
 def diagnose(
@@ -99,7 +103,7 @@ def diagnose(
         twins={str(p.path): str(other.path) for p, other in same.items()},
         done=len(known.partitions),
         found=len(paths),
-        worked=known.worked,
+        worked=sum(p.path in known.worked for p in known.partitions),
     )
 
 
@@ -112,7 +116,10 @@ def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Tell) -> _
             known.failed[str(paths[place])] = answer.words
         else:
             partition, sha256 = answer
-            known.partitions[partition] = sha256
+            if PLACE in job.vehicle and not _NAME.fullmatch(partition.vehicle):
+                known.failed[str(partition.path)] = _NO_NAME.format(partition.vehicle)
+            else:
+                known.partitions[partition] = sha256
     known.partitions = dict(sorted(known.partitions.items()))
     return known
 
@@ -134,7 +141,7 @@ def _reduced(jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Stor
     missing = [
         (p, h) for p, h in known.partitions.items() if store.get(jobs[p.vehicle].fingerprint, h) is None
     ]
-    items = [(jobs[p.vehicle], str(p.path)) for p, _ in missing]
+    items = [(jobs[p.vehicle], str(p.path), sha256) for p, sha256 in missing]
     for count, (place, answer) in enumerate(engine.results(reduce_log, items), start=1):
         partition, sha256 = missing[place]
         tell(count / len(missing), f"{count} of {len(missing)}: {partition.name}")
@@ -143,7 +150,7 @@ def _reduced(jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Stor
             del known.partitions[partition]
         else:
             store.put(jobs[partition.vehicle].fingerprint, sha256, answer)
-            known.worked += 1
+            known.worked.add(partition.path)
     return {v: (panel_of(job), _days(v, job, known, store)) for v, job in jobs.items() if _has(v, known)}
 
 

@@ -210,6 +210,8 @@ def _local(workers: int | None) -> Iterator[Any]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
+            # Dask opens its page even so, by default at a port that another cluster of this machine may have.
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.CRITICAL,
         )
     except (OSError, RuntimeError, TimeoutError) as error:
@@ -225,9 +227,12 @@ def _local(workers: int | None) -> Iterator[Any]:
 def _connected(address: Any, where: str) -> Iterator[Any]:
     from distributed import Client
 
+    client = Client.__new__(Client)
     try:
-        client = Client(address, timeout=_REACH, set_as_default=False)
-    except (OSError, ValueError, TimeoutError, ImportError) as error:
+        _check_address(address)
+        Client.__init__(client, address, timeout=_REACH, set_as_default=False)
+    except (OSError, ValueError, TypeError, TimeoutError, ImportError) as error:
+        client.status = "closed"  # Dask would wait, at some later time, for what never began
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise UndertowError(
             f"the Dask scheduler {where} does not answer ({reason}): start one with `dask scheduler`, and "
@@ -237,3 +242,14 @@ def _connected(address: Any, where: str) -> Iterator[Any]:
         yield client
     finally:
         client.close(timeout=_REACH)
+
+
+def _check_address(address: Any) -> None:
+    """Refuse what cannot be an address before Dask begins to look for it."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+
+    if isinstance(address, str):
+        scheme, place = parse_address(address)
+        get_backend(scheme)
+        parse_host_port(place)

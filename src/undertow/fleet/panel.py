@@ -99,10 +99,10 @@ class Panel:
         own = tuple(dict.fromkeys((*self.free, *(n for c in forces for n in _names(c)))))
         return [WeakModel(Functions(together), own), *(c.model(_names(c)) for c in sensors)]
 
-    @cached_property
-    def equations(self) -> str:
-        """The equations that the columns are made from, as text."""
-        return "\n".join(str(m.functions.vehicle.residual) for m in (self.base, *self._extended))
+    @property
+    def models(self) -> tuple[WeakModel, ...]:
+        """The models that the columns are made from, the one as it is first."""
+        return (self.base, *self._extended)
 
     def table(self, run: Run) -> Linearised:
         """Rows of a log in units of their noise; the columns that differ from day to day come first.

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
-from glob import glob
+from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -59,8 +59,7 @@ def find(patterns: Sequence[str]) -> list[Path]:
     """
     found: list[Path] = []
     for pattern in patterns:
-        wanted = f"{pattern}/**/*.parquet" if Path(pattern).is_dir() else pattern
-        files = [p for p in map(Path, glob(wanted, recursive=True)) if p.is_file()]
+        files = [p for p in map(Path, glob(_pattern(pattern), recursive=True)) if p.is_file()]
         if not files:
             raise UndertowError(
                 f"no file fits '{pattern}': give Parquet files, such as 'logs/**/*.parquet' (quoted, so that "
@@ -68,6 +67,14 @@ def find(patterns: Sequence[str]) -> list[Path]:
             )
         found += files
     return sorted({p.absolute() for p in found})
+
+
+def _pattern(said: str) -> str:
+    """The pattern that is meant: a file or a folder that is there may have brackets in its name."""
+    path = Path(said)
+    if path.is_dir():
+        return f"{escape(said)}/**/*.parquet"
+    return escape(said) if path.is_file() else said
 
 
 def partition_of(path: Path, mapping: Mapping) -> Partition:
@@ -88,19 +95,32 @@ def partition_of(path: Path, mapping: Mapping) -> Partition:
             raise UndertowError(f"{path} is no Parquet file: write the table as Parquet")
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
     head = {} if len(keys) == 2 else _said_inside(path, mapping)
-    vehicle = keys.get("vehicle") or head.get("vehicle") or path.parent.name
+    vehicle = keys.get("vehicle", head.get("vehicle", path.parent.name))
+    if vehicle is None or not str(vehicle).strip():
+        raise UndertowError(f"{path} names its vehicle with nothing: name its folder, such as vehicle=rov7")
     return Partition(str(vehicle), _day(path, keys.get("day"), head), path)
+
+
+def _clock(time: Any, mapping: Mapping) -> Any:
+    """A number of a clock in seconds; anything else as it is."""
+    from undertow.model.units import scale_offset
+
+    if not isinstance(time, int | float) or mapping.time.unit == "iso":
+        return time
+    return scale_offset(mapping.time.unit, "s", of=f"time unit {mapping.time.unit!r}")[0] * time
 
 
 def _said_inside(path: Path, mapping: Mapping) -> dict[str, Any]:
     import polars as pl
 
     try:
-        table = pl.scan_parquet(path, hive_partitioning=False)
+        table = pl.scan_parquet(path, hive_partitioning=False, glob=False)
         columns = table.collect_schema().names()
-        said = {n: _only(table, n, path) for n in ("vehicle", "day") if n in columns}
+        said: dict[str, Any] = {n: _only(table, n, path) for n in ("vehicle", "day") if n in columns}
         clock = mapping.time.column
-        return said | ({"time": table.select(clock).head(1).collect().item()} if clock in columns else {})
+        if clock in columns:
+            said["time"] = _clock(table.select(clock).head(1).collect().item(), mapping)
+        return said
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         raise UndertowError(f"{path} cannot be read: {str(error).splitlines()[0]}") from error
 
@@ -119,20 +139,34 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     if isinstance(said, date):
         return said.date() if isinstance(said, datetime) else said
     match = _DATE.search(str(said) if said is not None else path.stem)
+    if match:
+        return _date(path, match)
     time = head.get("time")
-    try:
-        if match:
-            return date(*map(int, match.groups()))
-        if said is None and isinstance(time, datetime):
-            return time.date()
-        if said is None and isinstance(time, int | float) and time > _EPOCH:
-            return datetime.fromtimestamp(time, UTC).date()
-    except ValueError as error:
-        raise UndertowError(f"{path}: '{match and match[0]}' is no day: {error}") from error
+    if said is None and isinstance(time, datetime):
+        return time.date()
+    if said is None and isinstance(time, int | float) and time > _EPOCH:
+        return _date_of(path, time)
     raise UndertowError(
         f"{path} does not say its day: name its folder day=2026-05-01, its file 2026-05-01.parquet, or give "
         "it a column day"
     )
+
+
+def _date(path: Path, match: re.Match[str]) -> date:
+    try:
+        return date(*map(int, match.groups()))
+    except ValueError as error:
+        raise UndertowError(f"{path}: '{match[0]}' is no day: {error}") from error
+
+
+def _date_of(path: Path, time: float) -> date:
+    try:
+        return datetime.fromtimestamp(time, UTC).date()
+    except (ValueError, OverflowError, OSError) as error:
+        raise UndertowError(
+            f"{path}: its time begins at {time:.6g} s after 1970, which is no day: give the unit of the time "
+            'column in a mapping file (--map), such as [time] unit = "ms"'
+        ) from error
 
 
 def twins(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -12,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow import __version__
 from undertow.errors import UndertowError
+from undertow.files import sha256_of
 from undertow.identification.logs import Mapping, Run, velocities_from_pose
 from undertow.identification.logs.chunks import LongLog, hash_of
 from undertow.identification.logs.mapping import CommandPolicy
@@ -21,6 +20,7 @@ from undertow.identification.triangle import Triangle
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.loading import load_vehicle
 
+from .fingerprint import content_of, digest
 from .panel import DAILY, Panel
 from .partitions import Partition, partition_of
 
@@ -30,7 +30,7 @@ ROWS = 20_000
 # Models that one process holds ready: in a fleet, neighbours in the queue are often of the same vehicle.
 _MOST_PANELS = 4
 # Raised when what is stored changes its meaning.
-_FORMAT = 1
+_FORMAT = 2
 # Stiffness of a value for one day, as a share of the information: it only keeps the factor regular.
 _LOOSE = 1e-6
 
@@ -147,19 +147,16 @@ def _made(job: Job) -> Panel:
 
 def fingerprint(job: Job, panel: Panel) -> str:
     """Hash of all that decides what a log is reduced to, the log itself left out."""
-    functions = panel.base.functions
     content = {
-        "format": [_FORMAT, __version__],
-        "equations": panel.equations,
-        "values": [
-            [n, float(v).hex()] for n, v in zip(functions.parameter_names, functions.values(), strict=True)
-        ],
+        "format": _FORMAT,
+        "models": [content_of(model) for model in panel.models],
+        "effects": [sha256_of(f) for f in job.effects],
         "environment": dict(panel.vehicle.environment),
         "columns": [*panel.daily, *panel.names],
         "mapping": json.loads(job.mapping),
         "reading": [job.rows, job.fill],
     }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return digest(content)
 
 
 def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
@@ -177,7 +174,7 @@ def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
     return partition_of(Path(path), Mapping.model_validate_json(mapping)), sha256
 
 
-def reduce_log(job: Job, path: str) -> Reduced:
+def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
     """Reduce a log, some rows at a time.
 
     Parameters
@@ -186,15 +183,21 @@ def reduce_log(job: Job, path: str) -> Reduced:
         What is done.
     path : str
         Parquet file.
+    sha256 : str
+        Of its bytes, where it is known.
 
     Raises
     ------
     UndertowError
-        If the file cannot be read, does not fit the vehicle, or has no stretch that is long enough.
+        If the file cannot be read, is another by now, does not fit the vehicle, or has no stretch that is
+        long enough.
     """
     panel = panel_of(job)
     log = LongLog(Path(path), job.log_mapping, panel.vehicle.command_names, (None, None), job.fill)
-    return reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path)
+    reduced = reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path)
+    if sha256 and sha256_of(path) != sha256:  # after it was read: it may still be written to
+        raise UndertowError(f"{path} was changed while it was read, or is another for this worker: run again")
+    return reduced
 
 
 def reduce_runs(runs: Iterable[Run], panel: Panel, where: str) -> Reduced:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.files import sha256_of
 from undertow.identification.compare.cutting import Windows, cut
 from undertow.identification.compare.predictor import Predictor
 from undertow.identification.logs import Mapping, read_log, velocities_from_pose
@@ -21,6 +22,7 @@ from undertow.model.parameter import bare_name
 from undertow.model.vehicle import Vehicle
 
 from .engine import Engine, Failure
+from .fingerprint import files_digest
 
 Array = NDArray[np.float64]
 Tell = Callable[[float, str], None]
@@ -52,6 +54,9 @@ class Flights:
         Share of the rollouts within the band.
     seed : int
         Of all that is drawn.
+    files : str
+        Hash of the vehicle file and the effects, by which workers see that they have the same; empty where
+        it is not known yet.
     """
 
     vehicle: str
@@ -61,6 +66,15 @@ class Flights:
     horizon: float = 10.0
     coverage: float = 0.9
     seed: int = 0
+    files: str = ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A log, and the SHA-256 of its bytes by which workers see that they have the same."""
+
+    log: str
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -135,20 +149,20 @@ def _inside(vehicle: Vehicle, name: str, value: float) -> float:
     return float(min(max(value, low), high))
 
 
-def windows_of(flights: Flights, log: str) -> int:
+def windows_of(flights: Flights, source: Source) -> int:
     """How many windows a log has."""
-    return len(_cut(flights, log))
+    return len(_cut(flights, source))
 
 
-def rolled_out(flights: Flights, log: str, window: int, place: int, p: Array) -> Band:
+def rolled_out(flights: Flights, source: Source, window: int, place: int, p: Array) -> Band:
     """The band of one window.
 
     Parameters
     ----------
     flights : Flights
         What is simulated.
-    log : str
-        Path of the log.
+    source : Source
+        The log.
     window : int
         Place of the window in the log.
     place : int
@@ -156,21 +170,21 @@ def rolled_out(flights: Flights, log: str, window: int, place: int, p: Array) ->
     p : (count, n_parameters) array
         Parameters of the rollouts.
     """
-    chosen = _cut(flights, log).take(np.array([window]), np.iinfo(np.int64).max)
+    chosen = _cut(flights, source).take(np.array([window]), np.iinfo(np.int64).max)
     count, samples = len(p), int(chosen.count[0])
-    predictor = _predictor(flights.vehicle, flights.effects)
+    predictor = _predictor(flights.vehicle, flights.effects, flights.files)
     _refuse_large(count, samples, len(predictor.functions.state_names))
     random = np.random.default_rng([flights.seed, place])
     sigma = chosen.sigma
     paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
     good = np.isfinite(paths).all(axis=(1, 2))
     if not good.any():
-        raise UndertowError(f"{log}, window {window}: all rollouts diverge")
+        raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")
     noisy = paths[good] + sigma * random.standard_normal(paths[good].shape)
     tail = (1 - flights.coverage) / 2
     low, median, high = np.quantile(noisy, [tail, 0.5, 1 - tail], axis=0)
     t, measured = chosen.t[0], chosen.measured[0]
-    return Band(log, window, chosen.names, t, measured, low, median, high, int(np.sum(~good)))
+    return Band(source.log, window, chosen.names, t, measured, low, median, high, int(np.sum(~good)))
 
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
@@ -200,15 +214,25 @@ def _refuse_large(count: int, samples: int, states: int) -> None:
 
 
 @lru_cache(maxsize=2)
-def _predictor(vehicle: str, effects: tuple[str, ...]) -> Predictor:
-    return Predictor(load_vehicle(vehicle, effect_files=[Path(f) for f in effects]))
+def _predictor(vehicle: str, effects: tuple[str, ...], files: str) -> Predictor:
+    predictor = Predictor(load_vehicle(vehicle, effect_files=[Path(f) for f in effects]))
+    if files_digest(vehicle, effects) != files:
+        raise UndertowError(
+            f"this worker reads another '{vehicle}' or other effects, or has another version of undertow: "
+            "give workers the same files and versions, and do not change files meanwhile"
+        )
+    return predictor
 
 
 @lru_cache(maxsize=4)
-def _cut(flights: Flights, log: str) -> Windows:
-    vehicle = _predictor(flights.vehicle, flights.effects).functions.vehicle
+def _cut(flights: Flights, source: Source) -> Windows:
+    vehicle = _predictor(flights.vehicle, flights.effects, flights.files).functions.vehicle
     mapping = Mapping.model_validate_json(flights.mapping)
-    run = read_log(log, mapping, vehicle.command_names, missing_commands=flights.fill)
+    run = read_log(source.log, mapping, vehicle.command_names, missing_commands=flights.fill)
+    if run.sha256 != source.sha256:
+        raise UndertowError(
+            f"{source.log} is another file for this worker, or was changed meanwhile: try again"
+        )
     return cut([velocities_from_pose(run, vehicle.degrees_of_freedom)], vehicle, flights.horizon)
 
 
@@ -224,16 +248,18 @@ def rollouts(
     UndertowError
         If the vehicle file states no uncertainty, or no log can be used.
     """
+    flights = replace(flights, files=files_digest(flights.vehicle, flights.effects))
     p, source = drawn(flights.vehicle, flights.effects, count, flights.seed)
-    found = dict(engine.results(windows_of, [(flights, log) for log in logs]))
+    sources = [Source(log, sha256_of(log)) for log in logs]
+    found = dict(engine.results(windows_of, [(flights, one) for one in sources]))
     failed = {log: found[i].words for i, log in enumerate(logs) if isinstance(found[i], Failure)}
     if len(failed) == len(logs):
         raise UndertowError(next(iter(failed.values())))
-    items = [(log, w) for i, log in enumerate(logs) if log not in failed for w in range(found[i])]
-    work = [(flights, log, window, place, p) for place, (log, window) in enumerate(items)]
+    items = [(s, w) for i, s in enumerate(sources) if s.log not in failed for w in range(found[i])]
+    work = [(flights, one, window, place, p) for place, (one, window) in enumerate(items)]
     bands: dict[int, Band] = {}
     for done, (place, answer) in enumerate(engine.results(rolled_out, work), start=1):
-        log, window = items[place]
+        log, window = items[place][0].log, items[place][1]
         tell(done / len(work), f"{Path(log).name}, window {window}")
         if isinstance(answer, Failure):
             failed[f"{log}, window {window}"] = answer.words

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,16 @@ from undertow.files import check_folder, write_whole
 from .reduction import Reduced
 
 _KINDS = ("samples", "seconds", "entries")
+# What reading a damaged file raises: its packing, its list of contents, or a flag for what is not supported.
+_DAMAGED = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    RuntimeError,  # "encrypted", or NotImplementedError
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class Store:
@@ -48,14 +59,9 @@ class Store:
     def get(self, fingerprint: str, sha256: str) -> Reduced | None:
         """What is known of a log; None where nothing is, or the file is damaged."""
         path = self._path(fingerprint, sha256)
-        if not path.is_file():
-            return None
         try:
-            with np.load(path, allow_pickle=False) as stored:
-                samples, seconds, entries = (stored[kind].item() for kind in _KINDS)
-                names = tuple(str(n) for n in stored["names"])
-                return Reduced(names, stored["factor"], samples, seconds, entries)
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            return _read(path.read_bytes()) if path.is_file() else None
+        except _DAMAGED:
             return None
 
     def put(self, fingerprint: str, sha256: str, reduced: Reduced) -> None:
@@ -70,3 +76,13 @@ class Store:
             entries=np.array(reduced.entries),
         )
         write_whole(self._path(fingerprint, sha256), stream.getvalue())
+
+
+def _read(data: bytes) -> Reduced | None:
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        if packed.testzip() is not None:  # NumPy reads on without the checksum
+            return None
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+        samples, seconds, entries = (stored[kind].item() for kind in _KINDS)
+        names = tuple(str(n) for n in stored["names"])
+        return Reduced(names, stored["factor"], samples, seconds, entries)

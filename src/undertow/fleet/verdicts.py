@@ -129,15 +129,31 @@ def _lacking(span: Span) -> str:
 
 def _nothing(asked: Asked, limit: float) -> Statement:
     """Nothing stands out: because nothing changed, or because it would not have shown."""
-    visible = {c.direction.name: _half(c, limit) for c in asked.changes if c.direction.kind != "inertia"}
-    seen = {n: v for n, v in visible.items() if v <= _WORTH}
-    if seen:
-        told = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
+    kinds = [k for k in KINDS if k != "inertia" and any(c.direction.kind == k for c in asked.changes)]
+    halves = {k: _halves(asked, k, limit) for k in kinds}
+    seen = {n: v for own in halves.values() for n, v in own.items() if v <= _WORTH}
+    told = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
+    open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > _WORTH]
+    likely = [c for c in asked.changes if min(c.p_value, c.alone) <= ALPHA]
+    if seen and not open_ and not likely:
         return Statement("none seen", (), f"no change seen; would have shown from, %: {told}")
-    name, least = min(visible.items(), key=lambda pair: pair[1], default=("", np.inf))
-    if not np.isfinite(least):
+    words = [f"{_told(c)} may be a change, but is not sure enough" for c in likely] + open_
+    if not words:
         return Statement("cannot tell", (), "cannot tell: these days determine neither drag nor thrust")
-    return Statement("cannot tell", (), f"cannot tell: a change of {name} below {least:.0%} would not show")
+    rest = f"; otherwise no change seen; would have shown from, %: {told}" if seen else ""
+    return Statement("cannot tell", (), f"cannot tell: {'; '.join(words)}{rest}")
+
+
+def _halves(asked: Asked, kind: str, limit: float) -> dict[str, float]:
+    """From which size a change of each direction of a kind would have been seen."""
+    return {c.direction.name: _half(c, limit) for c in asked.changes if c.direction.kind == kind}
+
+
+def _unseen(kind: str, halves: dict[str, float]) -> str:
+    name, least = min(halves.items(), key=lambda pair: pair[1])
+    if not np.isfinite(least):
+        return f"these days do not determine {kind}"
+    return f"a change of {name} below {least:.0%} would not show"
 
 
 _READING = {"drag": "fouling", "thrust": "thruster wear", "inertia": "added mass"}
