@@ -137,11 +137,20 @@ def _nothing(asked: Asked, limit: float) -> Statement:
     likely = [c for c in asked.changes if min(c.p_value, c.alone) <= ALPHA]
     if seen and not open_ and not likely:
         return Statement("none seen", (), f"no change seen; would have shown from, %: {told}")
-    words = [f"{_told(c)} may be a change, but is not sure enough" for c in likely] + open_
+    words = _perhaps(likely) + open_
     if not words:
         return Statement("cannot tell", (), "cannot tell: these days determine neither drag nor thrust")
     rest = f"; otherwise no change seen; would have shown from, %: {told}" if seen else ""
     return Statement("cannot tell", (), f"cannot tell: {'; '.join(words)}{rest}")
+
+
+def _perhaps(likely: Sequence[Change]) -> list[str]:
+    """What may have changed: what stands out beside the other kinds, else what would if it were alone."""
+    beside = [c for c in likely if c.p_value <= ALPHA]
+    if beside or not likely:
+        return [f"{_told(c)} may be a change, but is not sure enough" for c in beside]
+    names = " or ".join(c.direction.name for c in likely)
+    return [f"something may have changed ({names}), but is not sure enough"]
 
 
 def _halves(asked: Asked, kind: str, limit: float) -> dict[str, float]:
