@@ -21,7 +21,7 @@ from .compiler import Compiler, compiled_or_virtual
 from .driver import loaded
 from .plain import operation_forms
 from .problem import Array
-from .source import EXPORTED, digest
+from .source import EXPORTED, with_entry
 
 # Samples in a block: the registers of a large model (a thousand) stay in the second-level cache.
 _BLOCK = 64
@@ -137,5 +137,4 @@ def loop_source() -> tuple[str, str]:
     )
     loop = (files("undertow.codegen") / "blockwise.c").read_text(encoding="utf-8")
     text = "\n".join([*defines, EXPORTED, f"#define CASES {cases}", loop])
-    name = f"undertow_{digest(text)[:16]}_blockwise"
-    return f"#define RUN {name}\n{text}", name
+    return with_entry(text, "RUN", "blockwise")

@@ -16,7 +16,7 @@ from .functions import Functions
 from .lanes import LANES_HEADER, defines
 from .plain import plain_c
 from .problem import Array, Problem
-from .source import EXPORTED, digest
+from .source import EXPORTED, integers, with_entry
 
 
 class CompiledStepper:
@@ -82,15 +82,13 @@ def driver_source(functions: Functions) -> tuple[str, str]:
     model = plain_c(function, "tangents", packed=("R_x", "R_p"), prefix="static SEPARATE ")
     driver = (files("undertow.codegen") / "driver.c").read_text(encoding="utf-8")
     text = "\n".join([defines(sizes.items()), EXPORTED, LANES_HEADER, *patterns, model, driver])
-    name = f"undertow_{digest(text)[:16]}_simulate"
-    return f"#define SIMULATE {name}\n{text}", name
+    return with_entry(text, "SIMULATE", "simulate")
 
 
 def _pattern(name: str, sparsity: ca.Sparsity) -> list[str]:
     column, row = sparsity.get_ccs()
     return [
         f"#define {name}_NONZEROS {len(row)}",
-        f"static const int {name}_COLUMN[] = {{{', '.join(map(str, column))}}};",
-        # C has no empty arrays.
-        f"static const int {name}_ROW[] = {{{', '.join(map(str, row or [0]))}}};",
+        integers(f"{name}_COLUMN", column),
+        integers(f"{name}_ROW", row),
     ]

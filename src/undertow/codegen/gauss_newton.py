@@ -16,7 +16,7 @@ from .driver import loaded, pointer, shared
 from .functions import Functions, solve_symmetric
 from .plain import plain_c
 from .problem import Array, Problem
-from .source import EXPORTED, SEPARATE, digest
+from .source import EXPORTED, SEPARATE, integers, with_entry
 
 # Doubles side by side in a vector; the compiler splits it where the processor has narrower ones.
 _LANES = 8
@@ -160,8 +160,7 @@ def _source(functions: Functions, places: Sequence[int]) -> tuple[str, str]:
     driver = (files("undertow.codegen") / "gauss_newton.c").read_text(encoding="utf-8")
     headers = "#include <math.h>\n#include <stdint.h>\n"
     text = "\n".join([*lines, SEPARATE, EXPORTED, _VECTORS, headers, model, driver])
-    name = f"undertow_{digest(text)[:16]}_products"
-    return f"#define PRODUCTS {name}\n{text}", name
+    return with_entry(text, "PRODUCTS", "products")
 
 
 def _parts(functions: Functions, places: Sequence[int]) -> tuple[ca.Function, ca.Function, bool]:
@@ -193,12 +192,7 @@ def _by_rows(name: str, sparsity: ca.Sparsity) -> list[str]:
     start = [sum(r < i for r in rows) for i in range(sparsity.size1() + 1)]
     return [
         f"#define {name}_NONZEROS {len(rows)}",
-        _table(f"{name}_START", start),
-        _table(f"{name}_COLUMN", [columns[k] for k in order]),
-        _table(f"{name}_PLACE", order),
+        integers(f"{name}_START", start),
+        integers(f"{name}_COLUMN", [columns[k] for k in order]),
+        integers(f"{name}_PLACE", order),
     ]
-
-
-def _table(name: str, values: Sequence[int]) -> str:
-    # C has no empty arrays.
-    return f"static const int {name}[] = {{{', '.join(map(str, values or [0]))}}};"

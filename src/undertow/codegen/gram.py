@@ -21,7 +21,7 @@ from .functions import Functions
 from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
 from .problem import Array
-from .source import EXPORTED, digest
+from .source import EXPORTED, digest, integers
 
 # As many samples as fit in one instruction.
 _LANES = """\
@@ -213,7 +213,7 @@ def gram_source(rows: Layout) -> tuple[str, str]:
     lines = [_LANES, LANES_HEADER, "#include <string.h>", EXPORTED, "#define ROWS entries_of_rows"]
     lines += [f"#define {k} {v}" for k, v in sizes.items()]
     for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.needed)):
-        lines.append(f"static const int {name}[] = {{{', '.join(map(str, values or [0]))}}};")
+        lines.append(integers(name, values))
     lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
     lines.append((files("undertow.codegen") / "gram.c").read_text(encoding="utf-8"))
     text = "\n".join(lines)

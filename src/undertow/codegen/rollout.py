@@ -13,12 +13,12 @@ import numpy as np
 
 from .cache import library_for
 from .compiler import Compiler
-from .driver import loaded
+from .driver import loaded, pointer
 from .functions import Functions
 from .lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from .plain import LANES, plain_c
 from .problem import Array, Problem
-from .source import EXPORTED, digest
+from .source import EXPORTED, with_entry
 
 _SHARED = ("t", "count", "u", "p")
 
@@ -92,9 +92,8 @@ class CompiledRollout:
 
 
 def _address(array: Array) -> ctypes.c_void_p:
-    assert array.flags.c_contiguous
     assert array.dtype == np.float64
-    return ctypes.c_void_p(array.ctypes.data)
+    return pointer(array)
 
 
 def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
@@ -102,8 +101,7 @@ def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
     model = functions.known_model_source or model_source(functions)
     loop = (files("undertow.codegen") / "rollout.c").read_text(encoding="utf-8")
     text = "\n".join([defines([("LANES", lanes)]), EXPORTED, LANES_HEADER, model, loop])
-    name = f"undertow_{digest(text)[:16]}_simulate"
-    return f"#define RUN {name}\n{text}", name
+    return with_entry(text, "RUN", "simulate")
 
 
 def model_source(functions: Functions) -> str:

@@ -33,6 +33,17 @@ def with_unique_symbols(source: str, names: Sequence[str]) -> tuple[str, str]:
     return re.sub(rf"\b(?=(?:{exported})(?:_[a-z]+)*\b)", prefix, source), prefix
 
 
+def with_entry(text: str, macro: str, ending: str) -> tuple[str, str]:
+    """The source with its entry point, which it calls by a macro, named by its own hash, and that name."""
+    name = f"undertow_{digest(text)[:16]}_{ending}"
+    return f"#define {macro} {name}\n{text}", name
+
+
+def integers(name: str, values: Sequence[int]) -> str:
+    """A constant array in C, which has no empty ones."""
+    return f"static const int {name}[] = {{{', '.join(map(str, values or [0]))}}};"
+
+
 def digest(text: str) -> str:
     """SHA-256 of a text, hexadecimal."""
     return hashlib.sha256(text.encode()).hexdigest()

@@ -8,10 +8,11 @@ from importlib.resources import files
 import numpy as np
 
 from undertow.codegen.compiler import Compiler
+from undertow.codegen.driver import pointer
 from undertow.codegen.lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.rollout import Entries
-from undertow.codegen.source import EXPORTED, digest
+from undertow.codegen.source import EXPORTED, with_entry
 
 from .parts import Parts
 from .problem import ALL, Block, LoopProblem, Rows
@@ -63,10 +64,7 @@ class CompiledLoop:
 
 
 def _address(array: np.ndarray | None) -> ctypes.c_void_p:
-    if array is None:
-        return ctypes.c_void_p(None)
-    assert array.flags.c_contiguous
-    return ctypes.c_void_p(array.ctypes.data)
+    return ctypes.c_void_p(None) if array is None else pointer(array)
 
 
 def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
@@ -99,5 +97,4 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
     ]
     loop = (files("undertow.control.closed_loop") / "loop.c").read_text(encoding="utf-8")
     text = "\n".join([defines(sizes.items()), EXPORTED, LANES_HEADER, *model, loop])
-    name = f"undertow_{digest(text)[:16]}_run"
-    return f"#define RUN {name}\n{text}", name
+    return with_entry(text, "RUN", "run")
