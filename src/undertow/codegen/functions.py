@@ -8,6 +8,7 @@ from functools import cached_property
 import casadi as ca
 import sympy as sm
 
+from undertow.model.composition import stated
 from undertow.model.effect import Wrench
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
@@ -149,9 +150,7 @@ class Functions:
     @cached_property
     def stated(self) -> dict[str, sm.Matrix]:
         """Wrench of every effect by id as it states it, shape (6, 1)."""
-        s = self.vehicle.composition.signals
-        effects = [e for e in self.vehicle.all_effects if isinstance(e, Wrench)]
-        return {e.id: e.spelled_out(e.wrench(s), s) for e in effects}
+        return {e.id: stated(e).as_mutable() for e in self.vehicle.all_effects if isinstance(e, Wrench)}
 
     @cached_property
     def residual(self) -> ca.SX:

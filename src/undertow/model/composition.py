@@ -3,16 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import sympy as sm
 
 from .catalogue import catalogue
 from .effect import Actuation, Effect, Flow, Measurement, Wrench
 from .kinematics import pose_jacobian, rotation, skew
-from .symbols import FORCE, Signals, column, signals, symbol
+from .symbols import FORCE, Signals, column, signals, spelled_out, symbol
 
 _HALF = sm.Rational(1, 2)
+# Statements of effects that are remembered: those of a whole catalogue on some vehicles.
+_REMEMBERED = 512
+Meanings = tuple[tuple[sm.Symbol, sm.Expr], ...]
+
+
+class _Setting(NamedTuple):
+    """What the equations of one effect depend on besides the effect.
+
+    Vehicles that differ by one effect, as the candidates of a diagnosis do, mostly have it in common.
+    """
+
+    dofs: tuple[int, ...]
+    meanings: Meanings
+
+    def reduce(self, expression: sm.Matrix) -> sm.Matrix:
+        """An expression of effects in terms of the vehicle's own motion, commands and parameters."""
+        return expression.xreplace(dict(self.meanings))
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def stated(effect: Wrench) -> sm.ImmutableMatrix:
+    """Wrench of an effect as it states it, abbreviations spelled out, shape (6, 1)."""
+    s = signals(effect.thrusters)
+    return effect.spelled_out(effect.wrench(s), s).as_immutable()
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _reduced(effect: Wrench, setting: _Setting) -> sm.ImmutableMatrix:
+    """Wrench of an effect in the degrees of freedom of a vehicle."""
+    return setting.reduce(stated(effect).extract(list(setting.dofs), [0]))
 
 
 class Composition:
@@ -129,16 +160,19 @@ class Composition:
 
     def reduce(self, expression: sm.Matrix) -> sm.Matrix:
         """An expression of effects in terms of the vehicle's own motion, commands and parameters."""
-        chained = expression.xreplace(self.directional).xreplace(self.relative_motion)
-        return chained.xreplace(self.locked)
+        return self._setting.reduce(expression)
+
+    @cached_property
+    def _setting(self) -> _Setting:
+        meanings = spelled_out([self.locked, self.relative_motion, self.directional])
+        return _Setting(self.dofs, tuple(meanings.items()))
 
     # --- the sums -----------------------------------------------------------------------------
     @cached_property
     def wrenches(self) -> dict[Wrench, sm.Matrix]:
         """Wrench of every effect in the vehicle's degrees of freedom."""
         effects = [e for e in self.effects if isinstance(e, Wrench)]
-        s = self.signals
-        return {e: self.reduce(self._rows(e.spelled_out(e.wrench(s), s))) for e in effects}
+        return {e: _reduced(e, self._setting).as_mutable() for e in effects}
 
     @cached_property
     def residual(self) -> sm.Matrix:

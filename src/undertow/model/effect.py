@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import sympy as sm
 
 from .parameter import Parameter, declared
-from .symbols import Signals, column
+from .symbols import Signals, column, spelled_out
 
 
 class Effect(abc.ABC):
@@ -50,6 +50,13 @@ class Effect(abc.ABC):
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
         self.thrusters = thrusters
         self.allocation = sm.zeros(6, len(thrusters))
+
+    def __eq__(self, other: object) -> bool:
+        """The same effect on the same hardware: what is derived from one serves for the other."""
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.thrusters))
 
     def placed(self, allocation: sm.Matrix) -> Self:
         """The effect on a vehicle whose thrusters press on it like this, `allocation` of shape (6, n)."""
@@ -93,9 +100,8 @@ class Effect(abc.ABC):
 
     def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
         """What a method of a wrench or a flow returned, without abbreviations."""
-        for name, meaning in reversed(self.abbreviations(s).items()):
-            stated = stated.xreplace({name: meaning})
-        return stated
+        meanings = ({name: meaning} for name, meaning in self.abbreviations(s).items())
+        return stated.xreplace(spelled_out(meanings))
 
     @property
     def constants(self) -> dict[sm.Symbol, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -25,6 +26,14 @@ def symbol(name: str) -> sm.Symbol:
 def column(names: tuple[str, ...] | list[str]) -> sm.Matrix:
     """Column of real symbols, shape (len(names), 1)."""
     return sm.Matrix(len(names), 1, [symbol(n) for n in names])
+
+
+def spelled_out(meanings: Iterable[Mapping[sm.Symbol, sm.Expr]]) -> dict[sm.Symbol, sm.Expr]:
+    """Meanings of symbols, of which a later group may use the symbols of earlier ones, in terms of none."""
+    known: dict[sm.Symbol, sm.Expr] = {}
+    for group in meanings:
+        known |= {name: meaning.xreplace(known) for name, meaning in group.items()}
+    return known
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ motion.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 
-from .mapping import call, nonzeros
+from .carried import Carried, Inputs
+from .mapping import mapped
 
 Array = NDArray[np.float64]
-_SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
@@ -67,19 +67,15 @@ class Chain:
         if not self.functions.actuator_states.shape[0]:
             return self._delayed(t, self._static(t, u, p), p)
         step = np.append(np.diff(t), 0.0)
-        (start,) = call(self._rest, [u[0], p, t[:1]])
-        _, flat = call(_accumulated(self._advance, count), [start, u, t, step, np.tile(p, (count, 1))])
-        table = flat.reshape(count, -1)
-        return self._delayed(t, _spread(table, size, self._felt, len(self.free)), p)
+        start, slope = (np.asarray(v) for v in self._rest(u[0], p, t[0]))
+        _, _, mean, slopes = self._carried.along(start[:, 0], slope, [u], p, t, step)
+        return self._delayed(t, _driven(mean, slopes, self._felt, len(self.free)), p)
 
     def _static(self, t: Array, u: Array, p: Array) -> Driven:
         """A chain without states: its output in the middle of every interval."""
-        function, count = self._output, len(u)
         middle = t + np.append(np.diff(t), 0.0) / 2
-        value, slope = nonzeros(function, [u, p, middle[:, None]], count)
-        size = self.functions.actuation.shape[0]
-        table = np.concatenate([value.reshape(count, size), slope.reshape(count, -1)], axis=1)
-        return _spread(table, size, self._felt, len(self.free))
+        value, slope = mapped(self._output, [u], p, middle)
+        return _driven(value[:, :, 0], slope, self._felt, len(self.free))
 
     @cached_property
     def _output(self) -> ca.Function:
@@ -89,10 +85,10 @@ class Chain:
 
     @cached_property
     def _rest(self) -> ca.Function:
-        """States at rest with their derivatives, stacked."""
+        """States at rest, and their derivatives."""
         f = self.functions
-        slope = ca.horzcat(ca.jacobian(f.chain_rest, self._free), ca.SX.eye(f.chain_rest.shape[0]))
-        return ca.Function("rest", [f.u, f.p, f.t], [ca.vertcat(f.chain_rest, ca.vec(ca.densify(slope)))])
+        slope = ca.jacobian(f.chain_rest, self._free)
+        return ca.Function("rest", [f.u, f.p, f.t], [ca.densify(f.chain_rest), ca.densify(slope)])
 
     @cached_property
     def _felt(self) -> list[int]:
@@ -105,25 +101,19 @@ class Chain:
         return _chosen(self.functions, [self.free[k] for k in self._felt])
 
     @cached_property
-    def _advance(self) -> ca.Function:
-        """One sampling interval: states and slopes on, mean output and its slope out."""
-        f = self.functions
-        z, dt = f.actuator_states, ca.SX.sym("dt")
+    def _carried(self) -> Carried:
+        f, dt = self.functions, ca.SX.sym("dt")
+        z = f.actuator_states
         rates, output = (
             ca.Function("step", [z, f.u, f.p, f.t], [v]) for v in (f.chain_rates, f.chain_output)
         )
-        end, mean = _integrated(
+        return Carried(
+            z,
+            Inputs([f.u], f.p, f.t, dt),
+            self._free,
             lambda state, share: rates(state, f.u, f.p, f.t + share * dt),
             lambda state, share: output(state, f.u, f.p, f.t + share * dt),
-            z,
-            dt,
         )
-        slope = ca.SX.sym("slope", z.shape[0], self._free.shape[0] + z.shape[0])
-        new_slope, mean_slope = (_moved(v, z, slope, self._free) for v in (end, mean))
-        carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
-        emitted = ca.vertcat(mean, ca.vec(ca.densify(mean_slope)))
-        state = ca.vertcat(z, ca.vec(slope))
-        return ca.Function("advance", [state, f.u, f.t, dt, f.p], [carried, emitted])
 
     @cached_property
     def _dead_time(self) -> ca.Function:
@@ -201,13 +191,10 @@ class Memory:
         size, count = self.functions.memory.shape[0], len(t)
         if size == 0:
             return _nothing(count, len(self.free))
-        steps = np.diff(t)
-        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1], t[:-1], steps]
-        columns.append(np.tile(p, (count - 1, 1)))
-        start = np.concatenate([np.zeros(size * (1 + len(self._felt))), np.eye(size).ravel()])
-        states, _ = call(_accumulated(self._advance, count - 1), [start, *columns])
-        table = np.vstack([start, states.reshape(count - 1, -1)])
-        return _spread(table, size, self._felt, len(self.free))
+        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
+        start, slope = np.zeros(size), np.zeros((size, len(self._felt)))
+        states, slopes, _, _ = self._carried.along(start, slope, columns, p, t[:-1], np.diff(t))
+        return _driven(states, slopes, self._felt, len(self.free))
 
     @cached_property
     def _rates(self) -> ca.SX:
@@ -220,23 +207,21 @@ class Memory:
         return _dependence(self.functions, self.free, self._rates)
 
     @cached_property
-    def _advance(self) -> ca.Function:
-        f = self.functions
-        z, dt, after = f.memory, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
-        free = _chosen(f, [self.free[k] for k in self._felt])
-        rate = ca.Function("rate", [z, self._measured, f.actuation, f.u, f.p, f.t], [self._rates])
+    def _carried(self) -> Carried:
+        f, dt, after = self.functions, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
+        rate = ca.Function("rate", [f.memory, self._measured, f.actuation, f.u, f.p, f.t], [self._rates])
 
         def at(state: ca.SX, share: float) -> ca.SX:
             here = self._measured + share * (after - self._measured)
             return rate(state, here, f.actuation, f.u, f.p, f.t + share * dt)
 
-        end, _ = _integrated(at, lambda state, share: ca.SX(0, 1), z, dt)
-        slope = ca.SX.sym("slope", z.shape[0], free.shape[0] + z.shape[0])
-        new_slope = _moved(end, z, slope, free)
-        state = ca.vertcat(z, ca.vec(slope))
-        carried = ca.vertcat(end, ca.vec(ca.densify(new_slope)))
-        inputs = [state, self._measured, after, f.actuation, f.u, f.t, dt, f.p]
-        return ca.Function("advance", inputs, [carried, ca.SX(0)])
+        return Carried(
+            f.memory,
+            Inputs([self._measured, after, f.actuation, f.u], f.p, f.t, dt),
+            _chosen(f, [self.free[k] for k in self._felt]),
+            at,
+            lambda state, share: ca.SX(0, 1),
+        )
 
 
 def _refuse_motion(functions: Functions) -> None:
@@ -252,12 +237,6 @@ def _nothing(count: int, n_free: int) -> Driven:
     return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)), np.zeros((count, 0, 0)))
 
 
-def _moved(value: ca.SX, z: ca.SX, slope: ca.SX, free: ca.SX) -> ca.SX:
-    """Slopes of `value` in the free parameters and in the first states, from those of z."""
-    direct = ca.horzcat(ca.jacobian(value, free), ca.SX(value.shape[0], z.shape[0]))
-    return ca.jacobian(value, z) @ slope + direct
-
-
 def _chosen(functions: Functions, places: list[int]) -> ca.SX:
     return ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
 
@@ -268,33 +247,8 @@ def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) 
     return [k for k, place in enumerate(free) if place in used]
 
 
-def _spread(table: Array, size: int, felt: list[int], n_free: int) -> Driven:
+def _driven(value: Array, slopes: Array, felt: list[int], n_free: int) -> Driven:
     """Values, and slopes put in the columns of the parameters that they belong to."""
-    slopes = table[:, size:].reshape(len(table), -1, size).transpose(0, 2, 1)
-    slope = np.zeros((len(table), size, n_free))
+    slope = np.zeros((*value.shape, n_free))
     slope[:, :, felt] = slopes[:, :, : len(felt)]
-    return Driven(table[:, :size], slope, slopes[:, :, len(felt) :])
-
-
-def _integrated(rate, output, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:  # type: ignore[no-untyped-def]
-    """Runge-Kutta over one interval, and Simpson's mean of an output along it."""
-    h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
-    mean = output(z, 0.0)
-    for step in range(_SUBSTEPS):
-        z = _runge_kutta(rate, z, h, step * share, share)
-        weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
-        mean = mean + weight * output(z, (step + 1) * share)
-    return z, mean / (3 * _SUBSTEPS)
-
-
-def _runge_kutta(rate, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:  # type: ignore[no-untyped-def]
-    k1 = rate(z, share)
-    k2 = rate(z + h / 2 * k1, share + width / 2)
-    k3 = rate(z + h / 2 * k2, share + width / 2)
-    k4 = rate(z + h * k3, share + width)
-    return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-@lru_cache(maxsize=64)
-def _accumulated(function: ca.Function, count: int) -> ca.Function:
-    return function.mapaccum("accumulated", count)
+    return Driven(value, slope, slopes[:, :, len(felt) :])

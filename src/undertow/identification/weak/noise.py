@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
-from .entries import Entries
+from .covariance import banded, banded_sum, unbanded
 from .testfunctions import TestFunctions
 
 Array = NDArray[np.float64]
@@ -58,18 +58,17 @@ class Whitening:
 
     Parameters
     ----------
-    covariance : sparse (m, m)
+    covariance : (b, m) array
         Covariance of the residual from the noise of the channels, rows ordered by test function,
-        then by equation.
-    overlap : sparse (m, m)
+        then by equation; its lower half in LAPACK's banded storage.
+    overlap : (b, m) array
         Integrals of products of test functions of the same equation: the covariance of a white disturbance.
     intensity : (m,) array
         Intensity of the disturbance in each row's equation: what the model leaves beyond the noise.
     """
 
-    def __init__(self, covariance: csr_array, overlap: csr_array, intensity: Array) -> None:
-        self._covariance, self._overlap = covariance, overlap
-        self._bands = _banded(covariance), _banded(overlap)
+    def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
+        self._bands = covariance, overlap
         self._take(intensity)
 
     def _take(self, intensity: Array) -> None:
@@ -78,18 +77,16 @@ class Whitening:
         if not np.any(intensity):
             self._factor = _cholesky(measured)
             return
-        total = np.zeros((max(len(measured), len(white)), measured.shape[1]))
-        total[: len(measured)] = measured
-        spread = np.sqrt(intensity)
+        spread, disturbance = np.sqrt(intensity), np.zeros_like(white)
         for offset, diagonal in enumerate(white):
             last = len(spread) - offset
-            total[offset, :last] += spread[offset:] * diagonal[:last] * spread[:last]
-        self._factor = _cholesky(total)
+            disturbance[offset, :last] = spread[offset:] * diagonal[:last] * spread[:last]
+        self._factor = _cholesky(banded_sum(measured, disturbance))
 
-    @property
+    @cached_property
     def covariance(self) -> csr_array:
         """Covariance of the residual from the noise of the channels alone, in the order of its rows."""
-        return self._covariance
+        return unbanded(self._bands[0])
 
     def with_disturbance(self, intensity: Array) -> Whitening:
         """The same noise with another disturbance."""
@@ -110,16 +107,6 @@ class Whitening:
         return self(_times(factor, draw))
 
 
-def _banded(matrix: csr_array) -> Array:
-    """Lower half of a symmetric banded matrix in LAPACK's storage: a row for each diagonal."""
-    coordinates = matrix.tocoo()
-    offset = coordinates.row - coordinates.col
-    banded = np.zeros((int(np.max(offset, initial=0)) + 1, matrix.shape[0]))
-    lower = offset >= 0
-    banded[offset[lower], coordinates.col[lower]] = coordinates.data[lower]
-    return banded
-
-
 def _cholesky(bands: Array) -> Array:
     """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
     banded = bands.copy()
@@ -137,100 +124,8 @@ def _times(factor: Array, vector: Array) -> Array:
     return result
 
 
-def overlap(functions: TestFunctions, t: Array, equations: int) -> csr_array:
-    """Covariance of the weak residual under a white disturbance of unit intensity, shape (m, m)."""
+def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
+    """Covariance of the weak residual under a white disturbance of unit intensity, in bands."""
     step = np.append(np.diff(t), 1.0)
     gram = functions.held @ diags_array(1.0 / step) @ functions.held.T
-    return csr_array(kron(gram, eye_array(equations)))
-
-
-def residual_covariance(
-    functions: TestFunctions,
-    slopes: Entries,
-    sigma: Array,
-    rows: Sequence[int],
-    derived: Sequence[int] = (),
-    t: Array | None = None,
-) -> csr_array:
-    """Covariance of the weak residual from noise on the measured channels.
-
-    Parameters
-    ----------
-    functions : TestFunctions
-        K test functions over N samples.
-    slopes : Entries
-        Derivative of the 5n pointwise rows in the 2n measured poses and velocities, at the samples.
-    sigma : (2n,) or (N, 2n) array
-        Standard deviations of the measured channels, the same at all samples or not.
-    rows : sequence of int
-        Equations that are used, among the 2n (forces first, then kinematics).
-    derived : sequence of int
-        Channels that are the time derivative of a pose: their noise is that of the pose, differentiated.
-    t : (N,) array, optional
-        Time of the samples, s; needed with `derived`.
-
-    Returns
-    -------
-    sparse (K len(rows), K len(rows))
-        Ordered by test function, then by equation.
-    """
-    n = sigma.shape[-1] // 2
-    block = slopes.row // n
-    equation = slopes.row % n + np.where((block == 2) | (block == 3), n, 0)
-    weights = _on_one_pattern(functions)
-    pattern = weights[0]
-    felt: list[list[tuple[int, int, Array]]] = [[], []]
-    for row in rows:
-        for channel in range(2 * n):
-            chosen = np.flatnonzero((equation == row) & (slopes.column == channel))
-            level = sigma[..., channel - n if channel in derived else channel]
-            if level.ndim:
-                level = level[pattern.indices]
-            if np.all(level > 0) and len(chosen):
-                terms = (weights[_WEIGHTS[block[e]]].data * slopes.data[pattern.indices, e] for e in chosen)
-                felt[channel in derived].append((rows.index(row), channel, level * sum(terms)))
-    measured = _stacked(felt[0], pattern, len(rows), 2 * n)
-    covariance = measured @ measured.T
-    if felt[1] and t is not None:
-        rates = _stacked(felt[1], pattern, len(rows), 2 * n) @ kron(_difference(t), eye_array(2 * n))
-        covariance = covariance + rates @ rates.T
-    return csr_array(covariance)
-
-
-def _difference(t: Array) -> csr_array:
-    """Central differences of a signal at the samples, shape (N, N)."""
-    count = len(t)
-    after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)
-    step = 1.0 / (t[after] - t[before])
-    place = np.tile(np.arange(count), 2)
-    return csr_array((np.concatenate([step, -step]), (place, np.concatenate([after, before]))))
-
-
-# Which test weights (value, rate, held) a block of pointwise rows meets.
-_WEIGHTS = (1, 0, 1, 0, 2)
-
-
-def _on_one_pattern(functions: TestFunctions) -> list[csr_array]:
-    """Weights of value, rate and held with explicit zeros, so that all have the same nonzeros."""
-    parts = [functions.value, functions.rate, functions.held]
-    one = csr_array(sum(abs(w) for w in parts))
-    one.sort_indices()
-    one.data[:] = 1.0  # some weights are so small that a share of them would be lost as zero
-    found = []
-    for w in parts:
-        padded = csr_array((1e-300 * one) + w)
-        padded.sort_indices()
-        found.append(padded)
-    return found
-
-
-def _stacked(felt: list[tuple[int, int, Array]], pattern: csr_array, rows: int, channels: int) -> csr_array:
-    """Sensitivities of all rows (K rows) to all samples (N channels), stacked from their blocks."""
-    count, samples = pattern.shape
-    shape = (count * rows, samples * channels)
-    if not felt:
-        return csr_array(shape)
-    function = np.repeat(np.arange(count), np.diff(pattern.indptr))
-    place = np.concatenate([function * rows + row for row, _, _ in felt])
-    across = np.concatenate([pattern.indices * channels + channel for _, channel, _ in felt])
-    return csr_array((np.concatenate([d for _, _, d in felt]), (place, across)), shape=shape)
+    return banded(csr_array(kron(gram, eye_array(equations))))

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
+from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
 from .drive import Chain, Driven, Memory, without_gaps
 from .entries import Entries
 from .lateness import Lateness
 from .limits import Limits
 from .mapping import nonzeros
-from .noise import Whitening, overlap, residual_covariance
+from .noise import Whitening, overlap
 from .pointwise import Pointwise
 
 Array = NDArray[np.float64]

@@ -14,6 +14,7 @@ from scipy.sparse import bsr_array, csr_array, eye_array, kron
 from undertow.model.symbols import POSE
 
 from ...fitted import Fitted
+from ...weak.covariance import banded
 from ...weak.data import Segment, WeakData
 from ...weak.drive import Chain, without_gaps
 from ...weak.lateness import Lateness
@@ -145,7 +146,7 @@ class ForceRows:
             to_force = self._to_force(mass[:, dof])
             known = None if part.known is None else part.known // rows
             parts.append(Linearised(to_force @ part.r, to_force @ part.J, to_force @ part.start, known))
-            covariance = csr_array(to_force @ noise.covariance @ to_force.T)
+            covariance = banded(csr_array(to_force @ noise.covariance @ to_force.T))
             quiet.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
         weights = np.concatenate([s.functions.held.sum(axis=1) for s in self.data.segments])
         return ForceRow(parts, quiet, float(np.mean(weights)))

@@ -1,0 +1,109 @@
+"""Covariance of the weak residual against dense products, and carried states against exact solutions."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from undertow.identification.weak.carried import Carried, Inputs
+from undertow.identification.weak.covariance import residual_covariance, unbanded
+from undertow.identification.weak.entries import Entries
+from undertow.identification.weak.testfunctions import boxes
+from undertow.identification.weak.testfunctions import test_functions as functions_on
+
+N_DOF = 2
+ROWS = (0, 1, 3)
+EVEN = np.arange(0.0, 5.001, 0.05)
+UNEVEN = np.sort(np.random.default_rng(1).permutation(EVEN)[:80])
+
+
+def _entries(samples: int) -> Entries:
+    """Derivatives of 5 n rows in 2 n channels, at random places and of random values."""
+    rng = np.random.default_rng(2)
+    places = np.argwhere(rng.random((5 * N_DOF, 2 * N_DOF)) < 0.7)
+    data = rng.standard_normal((samples, len(places)))
+    return Entries(places[:, 0], places[:, 1], data, 2 * N_DOF)
+
+
+def _dense(functions, entries: Entries, samples: int) -> np.ndarray:
+    """What every row feels of every channel at every sample, (K, rows, samples, channels)."""
+    felt = np.zeros((functions.count, 2 * N_DOF, samples, 2 * N_DOF))
+    weights = [functions.rate, functions.value, functions.rate, functions.value, functions.held]
+    for row, column, values in zip(entries.row, entries.column, entries.data.T, strict=True):
+        block = row // N_DOF
+        equation = row % N_DOF + (N_DOF if block in (2, 3) else 0)
+        felt[:, equation, :, column] += weights[block].toarray() * values
+    return felt[:, list(ROWS)]
+
+
+def _difference(t: np.ndarray) -> np.ndarray:
+    """Central differences as a matrix, one-sided at the ends."""
+    return np.gradient(np.eye(len(t)), axis=0) / np.gradient(t)[:, None]
+
+
+@pytest.mark.parametrize("derived", [(), (2,), (2, 3)])
+@pytest.mark.parametrize("varying", [False, True])
+@pytest.mark.parametrize("make", [functions_on, boxes])
+@pytest.mark.parametrize("t", [EVEN, UNEVEN])
+def test_covariance_is_that_of_dense_products(t, make, varying: bool, derived: tuple[int, ...]) -> None:
+    functions = make(t, 0.25)
+    entries, count = _entries(len(t)), len(t)
+    sigma = np.array([0.3, 0.5, 1.0, 2.0])
+    if varying:
+        sigma = sigma * np.random.default_rng(3).uniform(1.0, 5.0, (count, 1))
+    bands = residual_covariance(functions, entries, sigma, ROWS, derived, t)
+    felt = _dense(functions, entries, count)
+    expected = 0.0
+    for channel in range(2 * N_DOF):
+        level = np.broadcast_to(sigma[..., channel - N_DOF if channel in derived else channel], count)
+        one = (felt[..., channel] * level).reshape(-1, count)
+        one = one @ _difference(t) if channel in derived else one
+        expected = expected + one @ one.T
+    np.testing.assert_allclose(unbanded(bands).toarray(), expected, atol=1e-13 * np.max(np.abs(expected)))
+
+
+def test_bands_are_no_wider_than_what_overlaps() -> None:
+    functions = functions_on(EVEN, 0.25)
+    bands = residual_covariance(functions, _entries(len(EVEN)), np.ones(2 * N_DOF), ROWS)
+    assert len(bands) <= 4 * len(ROWS)  # a cubic spline meets the three that follow it
+    assert np.all(np.any(bands[[0, -1]], axis=1))
+
+
+def _lag() -> Carried:
+    """Two states that follow u, one behind the other: T z1' = u - z1, T z2' = z1 - c z2^3."""
+    z, u, p, t, dt = (ca.SX.sym(n, k) for n, k in (("z", 2), ("u", 1), ("p", 2), ("t", 1), ("dt", 1)))
+
+    def rate(state: ca.SX, share: float) -> ca.SX:
+        return ca.vertcat(u - state[0], state[0] - p[1] * state[1] ** 3) / p[0]
+
+    return Carried(z, Inputs([u], p, t, dt), p, rate, lambda state, share: state[0] * state[1])
+
+
+def test_a_first_order_lag_is_carried_as_it_is_solved() -> None:
+    rng = np.random.default_rng(4)
+    dt, u = rng.uniform(0.02, 0.05, 60), rng.standard_normal((60, 1))
+    p = np.array([0.4, 1.0])
+    states = _lag().states(np.array([0.5, 0.0]), [u], p, np.cumsum(dt) - dt, dt)
+    exact = [0.5]
+    for step, command in zip(dt, u[:, 0], strict=True):
+        exact.append(command + (exact[-1] - command) * np.exp(-step / p[0]))
+    np.testing.assert_allclose(states[:, 0], exact, atol=1e-8)
+
+
+def test_carried_derivatives_are_those_of_finite_differences() -> None:
+    rng = np.random.default_rng(5)
+    dt, u = rng.uniform(0.02, 0.05, 40), rng.standard_normal((40, 1))
+    t, p, start = np.cumsum(dt) - dt, np.array([0.4, 1.3]), np.array([0.5, -0.2])
+    start_slope, carried = np.array([[0.3, 0.0], [0.0, 0.7]]), _lag()
+
+    def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        moved = start + start_slope @ (x[:2] - p) + x[2:]
+        states, _, mean, _ = carried.along(moved, start_slope, [u], x[:2], t, dt)
+        return states, mean
+
+    x = np.concatenate([p, np.zeros(2)])
+    _, slopes, _, means = carried.along(start, start_slope, [u], p, t, dt)
+    for k, step in enumerate(1e-6 * np.eye(4)):
+        for found, high, low in zip((slopes, means), at(x + step), at(x - step), strict=True):
+            np.testing.assert_allclose(found[:, :, k], (high - low) / 2e-6, atol=1e-8)
