@@ -19,15 +19,17 @@ from undertow.model.symbols import Signals
 from undertow.model.vehicle import Thruster, Vehicle
 
 
-@pytest.fixture(params=["compiled", "virtual", "numba"])
+@pytest.fixture(params=["compiled", "uncompiled", "virtual", "numba"])
 def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool | None:
-    if request.param == "compiled" and find_compiler() is None:
-        pytest.skip("no C compiler on this machine")
+    if request.param in ("compiled", "uncompiled"):
+        if find_compiler() is None:
+            pytest.skip("no C compiler on this machine")
+        return bool(request.param == "compiled")
+    monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
     if request.param == "numba":
         pytest.importorskip("numba", reason="numba is not installed")
-        monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
         return None
-    return request.param == "compiled"
+    return False
 
 
 def surge(*effects: str) -> Functions:
@@ -115,23 +117,27 @@ def _batch(functions: Functions, runs: int, samples: int) -> tuple[np.ndarray, n
     return x0, t, rng.normal(size=(runs, samples, functions.u.numel()))
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("runs", [3, 21])  # in one group and in two
 @pytest.mark.parametrize("name", [*BUNDLED, "full"])
-def test_compiled_and_virtual_agree(name: str, c_compiler: Compiler) -> None:
+def test_the_driver_in_c_and_the_virtual_machine_agree(
+    name: str, runs: int, compiled: bool, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
+) -> None:
     functions = functions_of(name)
     p = random_parameters(functions, 1)
     wrt = range(0, p.size, 3)
-    x0, t, u = _batch(functions, 3, 12)
-    runs = [
-        Simulator(functions, compiled=c).run_with_sensitivities(
-            x0, t, u, p, wrt, initial=[0, x0.shape[1] - 1]
-        )
-        for c in (True, False)
-    ]
-    for found, expected in zip(*runs, strict=True):
+    x0, t, u = _batch(functions, runs, 12)
+    simulator, asked = Simulator(functions, compiled=compiled), (x0, t, u, p, wrt)
+    in_c = simulator.run_with_sensitivities(*asked, initial=[0, x0.shape[1] - 1])
+    monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
+    virtual = Simulator(functions, compiled=False).run_with_sensitivities(
+        *asked, initial=[0, x0.shape[1] - 1]
+    )
+    for found, expected in zip(in_c, virtual, strict=True):
         assert np.isfinite(expected).all()
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
-    x = Simulator(functions, compiled=True).run(x0, t, u, p)
-    np.testing.assert_allclose(x, runs[0][0], rtol=1e-12, atol=1e-12 * np.abs(x).max())
+    x = simulator.run(x0, t, u, p)
+    np.testing.assert_allclose(x, in_c[0], rtol=1e-12, atol=1e-12 * np.abs(x).max())
 
 
 def test_a_batch_is_its_runs_one_by_one(compiled: bool | None) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
-from importlib.resources import files
 
 import casadi as ca
 import numpy as np
@@ -19,17 +18,15 @@ from undertow.errors import UndertowError
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
 from .driver import loaded
-from .plain import operation_forms
 from .problem import Array
-from .source import EXPORTED, with_entry
+from .tape import Tape, tape_source
 
 # Samples in a block: the registers of a large model (a thousand) stay in the second-level cache.
 _BLOCK = 64
-_SPECIAL = {"INPUT": ca.OP_INPUT, "OUTPUT": ca.OP_OUTPUT, "CONSTANT": ca.OP_CONST}
 
 
 class Blockwise:
-    """The instructions of a CasADi function of scalars, ready to run.
+    """A CasADi function of scalars, its instructions ready to run.
 
     Parameters
     ----------
@@ -45,29 +42,8 @@ class Blockwise:
     """
 
     def __init__(self, function: ca.Function, run: Callable[..., int]) -> None:
-        self._run = run
+        self._run, self._tape = run, Tape(function)
         self._outputs = [function.nnz_out(i) for i in range(function.n_out())]
-        known = {*operation_forms(), *_SPECIAL.values(), ca.OP_ASSIGN}
-        count = function.n_instructions()
-        self._code = np.zeros((count, 4), dtype=np.int32)
-        self._constants = np.zeros(count)
-        for k in range(count):
-            operation = function.instruction_id(k)
-            if operation not in known:
-                raise UndertowError(
-                    f"operation {operation} of a model has no counterpart in C: restate the effect"
-                )
-            self._set(k, operation, function.instruction_output(k), function.instruction_input(k))
-            if operation == ca.OP_CONST:
-                self._constants[k] = function.instruction_constant(k)
-        self._slots = function.sz_w() + 1
-
-    def _set(self, k: int, operation: int, into: list[int], operands: list[int]) -> None:
-        if operation == ca.OP_OUTPUT:  # from a register to an entry of an output
-            self._code[k] = operation, into[0], operands[0], into[1]
-        else:
-            self._code[k, :2] = operation, into[0]
-            self._code[k, 2 : 2 + len(operands)] = operands
 
     def __call__(self, arguments: Sequence[Array], count: int) -> list[Array]:
         """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
@@ -90,16 +66,13 @@ class Blockwise:
         strides = [a.shape[1] if a.ndim > 1 else 0 for a in inputs]
         failed = self._run(
             ctypes.c_int64(count),
-            ctypes.c_int64(len(self._code)),
-            ctypes.c_void_p(self._code.ctypes.data),
-            ctypes.c_void_p(self._constants.ctypes.data),
-            ctypes.c_int64(self._slots),
+            ctypes.byref(self._tape.data),
             *_table(inputs, strides),
             *_table(results, self._outputs),
         )
         if failed:
             raise UndertowError(
-                f"no memory for {self._slots} registers of {_BLOCK} samples: close other programs"
+                f"no memory for {self._tape.slots} registers of {_BLOCK} samples: close other programs"
             )
         return results
 
@@ -128,13 +101,5 @@ def _compiled(compiler: Compiler) -> Callable[..., int]:
 
 
 def loop_source() -> tuple[str, str]:
-    """C source of the loop, and the name of its entry point, which carries the hash of the source."""
-    defines = [f"#define {name} {code}" for name, code in {"BLOCK": _BLOCK, **_SPECIAL}.items()]
-    forms = {ca.OP_ASSIGN: "{0}", **operation_forms()}
-    cases = " ".join(
-        f"case {code}: for (int l = 0; l < BLOCK; l++) r[l] = {form.format('a[l]', 'b[l]')}; break;"
-        for code, form in forms.items()
-    )
-    loop = (files("undertow.codegen") / "blockwise.c").read_text(encoding="utf-8")
-    text = "\n".join([*defines, EXPORTED, f"#define CASES {cases}", loop])
-    return with_entry(text, "RUN", "blockwise")
+    """C source of the loop, and the name of its entry point."""
+    return tape_source("blockwise.c", "RUN", "blockwise", _BLOCK)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -29,20 +30,32 @@ class CompiledStepper:
         self._simulate.restype = ctypes.c_int
 
     def advance(self, problem: Problem, first: int, last: int) -> None:
-        b, n, _ = problem.x.shape
-        failed = self._simulate(
-            *map(ctypes.c_int64, (b, n, first, last)),
-            *shared(problem.t),
-            pointer(problem.steps),
-            *shared(problem.u),
-            *shared(problem.p),
-            pointer(problem.wrt),
-            ctypes.c_int64(problem.wrt.size),
-            pointer(problem.x),
-            pointer(problem.s),
-        )
-        if failed:
-            raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
+        simulate(self._simulate, problem, first, last)
+
+
+def simulate(run: Callable[..., int], problem: Problem, first: int, last: int, *model: object) -> None:
+    """Call the driver from sample `first` to sample `last`, with the model where that is data.
+
+    Raises
+    ------
+    UndertowError
+        If there is no memory.
+    """
+    b, n, _ = problem.x.shape
+    failed = run(
+        *model,
+        *map(ctypes.c_int64, (b, n, first, last)),
+        *shared(problem.t),
+        pointer(problem.steps),
+        *shared(problem.u),
+        *shared(problem.p),
+        pointer(problem.wrt),
+        ctypes.c_int64(problem.wrt.size),
+        pointer(problem.x),
+        pointer(problem.s),
+    )
+    if failed:
+        raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
 
 
 def loaded(library: Path) -> ctypes.CDLL:

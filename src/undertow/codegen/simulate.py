@@ -19,6 +19,7 @@ from .gauss_newton import CompiledProducts, Products, products_of
 from .lanes import in_threads, shares
 from .problem import Array, Problem, Stepper
 from .rollout import CompiledRollout
+from .uncompiled import UncompiledStepper
 from .virtual import VirtualStepper
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
@@ -38,8 +39,9 @@ class Simulator:
     functions : Functions
         The model.
     compiled : bool, optional
-        True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
-        compiled code is used where a compiler is found, else numba where it is installed, else the virtual
+        True compiles the model (and fails without a C compiler). False does not: its instructions are run by a
+        loop in C that is the same for all models, which begins at once and is slower. By default the model is
+        compiled where a compiler is found; else numba runs it where it is installed, else CasADi's virtual
         machine, and one logged line says so.
 
     Raises
@@ -62,6 +64,8 @@ class Simulator:
 
     def _stepper(self, *, sensitivities: bool) -> Stepper:
         def compiled(compiler: Compiler) -> Stepper:
+            if self._wish is False:
+                return UncompiledStepper(self._functions, compiler, sensitivities=sensitivities)
             if sensitivities:
                 return CompiledStepper(self._functions, compiler)
             return CompiledRollout(self._functions, compiler)
@@ -74,6 +78,9 @@ class Simulator:
 
             return InterpretedStepper(self._functions, sensitivities=sensitivities)
 
+        # A model that is not to be compiled is not worth numba's compilation either.
+        if self._wish is False:
+            return compiled_or_virtual(None, compiled, virtual)
         return compiled_or_virtual(self._wish, compiled, virtual, interpreted)
 
     # --- runs ---------------------------------------------------------------------------------

@@ -1,0 +1,98 @@
+"""The instructions of a CasADi function as data that compiled loops run over, without compiling the function."""
+
+from __future__ import annotations
+
+import ctypes
+from importlib.resources import files
+
+import casadi as ca
+import numpy as np
+
+from undertow.errors import UndertowError
+
+from .plain import operation_forms
+from .source import EXPORTED, with_entry
+
+_SPECIAL = {"INPUT": ca.OP_INPUT, "OUTPUT": ca.OP_OUTPUT, "CONSTANT": ca.OP_CONST}
+
+
+class TapeData(ctypes.Structure):
+    """A tape as tape.c takes it."""
+
+    _fields_ = (
+        ("length", ctypes.c_int64),
+        ("slots", ctypes.c_int64),
+        ("code", ctypes.c_void_p),
+        ("constants", ctypes.c_void_p),
+    )
+
+
+class Tape:
+    """The instructions of a CasADi function of scalars, ready to run.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        An SX function.
+
+    Attributes
+    ----------
+    slots : int
+        Number of registers.
+    data : TapeData
+        What compiled code is given; it points into this object, which has to live as long.
+
+    Raises
+    ------
+    UndertowError
+        If the function has an operation that C lacks.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        known = {*operation_forms(), *_SPECIAL.values(), ca.OP_ASSIGN}
+        count = function.n_instructions()
+        self._code = np.zeros((count, 4), dtype=np.int32)
+        self._constants = np.zeros(count)
+        for k in range(count):
+            operation = function.instruction_id(k)
+            if operation not in known:
+                raise UndertowError(
+                    f"operation {operation} of a model has no counterpart in C: restate the effect"
+                )
+            self._set(k, operation, function.instruction_output(k), function.instruction_input(k))
+            if operation == ca.OP_CONST:
+                self._constants[k] = function.instruction_constant(k)
+        self.slots = function.sz_w() + 1
+        self.data = TapeData(count, self.slots, self._code.ctypes.data, self._constants.ctypes.data)
+
+    def _set(self, k: int, operation: int, into: list[int], operands: list[int]) -> None:
+        if operation == ca.OP_OUTPUT:  # from a register to an entry of an output
+            self._code[k] = operation, into[0], operands[0], into[1]
+        else:
+            self._code[k, :2] = operation, into[0]
+            self._code[k, 2 : 2 + len(operands)] = operands
+
+
+def tape_source(loop: str, macro: str, ending: str, block: int, *others: str) -> tuple[str, str]:
+    """C source of a loop over tapes, and the name of its entry point, which carries the hash of the source.
+
+    Parameters
+    ----------
+    loop : str
+        File with the loop.
+    macro, ending : str
+        What the loop calls its entry point, and how the entry point's name ends.
+    block : int
+        Samples that go through an instruction side by side.
+    *others : str
+        Lines that stand before all.
+    """
+    defines = [f"#define {name} {code}" for name, code in {"BLOCK": block, **_SPECIAL}.items()]
+    forms = {ca.OP_ASSIGN: "{0}", **operation_forms()}
+    cases = " ".join(
+        f"case {code}: for (int l = 0; l < BLOCK; l++) r[l] = {form.format('a[l]', 'b[l]')}; break;"
+        for code, form in forms.items()
+    )
+    folder = files("undertow.codegen")
+    parts = [(folder / name).read_text(encoding="utf-8") for name in ("tape.c", loop)]
+    return with_entry("\n".join([*defines, *others, EXPORTED, f"#define CASES {cases}", *parts]), macro, ending)
