@@ -39,10 +39,10 @@ class Simulator:
     functions : Functions
         The model.
     compiled : bool, optional
-        True compiles the model (and fails without a C compiler). False does not: its instructions are run by a
-        loop in C that is the same for all models, which begins at once and is slower. By default the model is
-        compiled where a compiler is found; else numba runs it where it is installed, else CasADi's virtual
-        machine, and one logged line says so.
+        True compiles the model (and fails without a C compiler). False does not: its instructions are run
+        by a loop in C that is the same for all models, which begins at once and is slower. By default the
+        model is compiled where a compiler is found; else numba runs it where it is installed, else CasADi's
+        virtual machine, and one logged line says so.
 
     Raises
     ------

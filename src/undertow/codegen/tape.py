@@ -1,4 +1,4 @@
-"""The instructions of a CasADi function as data that compiled loops run over, without compiling the function."""
+"""The instructions of a CasADi function as data for compiled loops, without compiling the function."""
 
 from __future__ import annotations
 
@@ -95,4 +95,6 @@ def tape_source(loop: str, macro: str, ending: str, block: int, *others: str) ->
     )
     folder = files("undertow.codegen")
     parts = [(folder / name).read_text(encoding="utf-8") for name in ("tape.c", loop)]
-    return with_entry("\n".join([*defines, *others, EXPORTED, f"#define CASES {cases}", *parts]), macro, ending)
+    return with_entry(
+        "\n".join([*defines, *others, EXPORTED, f"#define CASES {cases}", *parts]), macro, ending
+    )

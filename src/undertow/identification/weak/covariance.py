@@ -3,57 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, dia_array, tril
 
 from .entries import Entries
-from .testfunctions import TestFunctions
+from .sums import products
+from .testfunctions import TestFunctions, meeting
+from .windows import Windows
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-# Which test weights (value, rate, held) a block of pointwise rows meets.
-_WEIGHTS = (1, 0, 1, 0, 2)
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """The samples that each of K test functions sees, as dense windows of one width W.
-
-    Attributes
-    ----------
-    first : (K,) array of int
-        First sample of each window; none begins before the one in front of it.
-    index : (K, W) array of int
-        Samples; beyond the last one, that one again, with weights of zero.
-    weights : tuple of three (K, W) arrays
-        Weights of value, rate and held.
-    """
-
-    first: Index
-    index: Index
-    weights: tuple[Array, ...]
-
-    @classmethod
-    def of(cls, functions: TestFunctions) -> _Windows:
-        parts = [w.tocoo() for w in (functions.value, functions.rate, functions.held)]
-        samples = functions.value.shape[1]
-        first = np.full(functions.count, samples - 1)
-        last = np.zeros(functions.count, dtype=np.intp)
-        for part in parts:
-            np.minimum.at(first, part.row, part.col)
-            np.maximum.at(last, part.row, part.col)
-        first = np.minimum.accumulate(first[::-1])[::-1]
-        width = max(int(np.max(last - first)), 0) + 1
-        dense = []
-        for part in parts:
-            table = np.zeros((functions.count, width))
-            table[part.row, part.col - first[part.row]] = part.data
-            dense.append(table)
-        index = np.minimum(first[:, None] + np.arange(width), samples - 1)
-        return cls(first, index, tuple(dense))
 
 
 def residual_covariance(
@@ -86,44 +46,43 @@ def residual_covariance(
     (b, K len(rows)) array
         Its lower half in LAPACK's banded storage, ordered by test function, then by equation.
     """
-    n, windows = sigma.shape[-1] // 2, _Windows.of(functions)
+    n, windows = sigma.shape[-1] // 2, functions.windows
     # The noise of a rate is that of its pose.
     direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
-    bands = _products(windows.first, _felt(windows, _by_equation(slopes, n), rows, direct))
+    bands = products(windows.first, _felt(windows, _by_equation(slopes, n), rows, direct))
     if derived and t is not None:
         levels = {c: sigma[..., c - n] for c in derived}
         rates = _differenced(_felt(windows, _by_equation(slopes, n), rows, levels), windows, t)
-        bands = banded_sum(bands, _products(windows.first - 1, rates))
+        bands = banded_sum(bands, products(windows.first - 1, rates))
     return bands
 
 
 def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
     """Which weights, equation and channel each entry belongs to, and its values at the samples."""
-    block = slopes.row // n
-    equation = slopes.row % n + np.where((block == 2) | (block == 3), n, 0)
-    weights = [_WEIGHTS[b] for b in block]
-    return list(zip(weights, equation, slopes.column, np.ascontiguousarray(slopes.data.T), strict=True))
+    kind, equation = meeting(slopes.row, n)
+    return list(zip(kind, equation, slopes.column, np.ascontiguousarray(slopes.data.T), strict=True))
 
 
 def _felt(
-    windows: _Windows,
+    windows: Windows,
     entries: list[tuple[int, int, int, Array]],
     rows: Sequence[int],
     levels: Mapping[int, Array],
 ) -> Array:
     """What each row feels of a unit of each channel's noise at each sample, (K, rows, W, channels)."""
     row, channel = ({x: i for i, x in enumerate(them)} for them in (rows, levels))
-    table = np.zeros((len(row), len(channel), *windows.index.shape))
-    for weights, i, j, values in entries:
+    index = windows.index
+    table = np.zeros((len(row), len(channel), *index.shape))
+    for kind, i, j, values in entries:
         if i in row and j in channel:
-            table[row[i], channel[j]] += windows.weights[weights] * values[windows.index]
+            table[row[i], channel[j]] += windows.weights[kind] * values[index]
     for j, level in levels.items():
         known = np.where(level > 0, level, 0.0)
-        table[:, channel[j]] *= known[windows.index] if known.ndim else known
+        table[:, channel[j]] *= known[index] if known.ndim else known
     return np.ascontiguousarray(table.transpose(2, 0, 3, 1))
 
 
-def _differenced(felt: Array, windows: _Windows, t: Array) -> Array:
+def _differenced(felt: Array, windows: Windows, t: Array) -> Array:
     """What is felt of a pose whose central differences are felt like this; windows begin a sample earlier."""
     count = len(t)
     after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)
@@ -138,35 +97,6 @@ def _differenced(felt: Array, windows: _Windows, t: Array) -> Array:
     total[:, :, 1:-1] += rate * (last - first)
     total[:, :, :-2] -= rate * (1.0 - first)
     return total
-
-
-def _products(first: Index, felt: Array) -> Array:
-    """Products of all pairs of rows whose windows overlap, in LAPACK's banded storage."""
-    count, rows, width, channels = felt.shape
-    flat = felt.reshape(count, rows, width * channels)
-    reach = int(np.max(np.searchsorted(first, first + width) - np.arange(count))) - 1
-    bands = np.zeros(((reach + 1) * rows, count * rows))
-    for apart in range(reach + 1):
-        blocks = _shifted_products(flat, first[apart:] - first[: count - apart], channels)
-        for a in range(rows):
-            for b in range(0 if apart else a, rows):
-                bands[apart * rows + b - a, a::rows][: count - apart] = blocks[:, b, a]
-    felt_at_all = np.flatnonzero(np.any(bands, axis=1))
-    return bands[: felt_at_all[-1] + 1] if len(felt_at_all) else bands[:1]
-
-
-def _shifted_products(flat: Array, shift: Index, channels: int) -> Array:
-    """Blocks (rows, rows) between windows and those that begin `shift` samples before them."""
-    apart = len(flat) - len(shift)
-    blocks = np.zeros((len(shift), flat.shape[1], flat.shape[1]))
-    for samples in np.unique(shift):
-        far = int(samples) * channels
-        if far >= flat.shape[2]:
-            continue
-        here = np.flatnonzero(shift == samples)
-        later = flat[here + apart][:, :, : flat.shape[2] - far]
-        blocks[here] = later @ flat[here][:, :, far:].swapaxes(1, 2)
-    return blocks
 
 
 def banded(matrix: csr_array) -> Array:

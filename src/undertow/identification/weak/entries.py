@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -50,12 +49,6 @@ class Entries:
             np.multiply(data[:, e], slope[:, through[e], j], out=table[:, k])
         places = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         return cls(row[places[:, 0]], first + places[:, 1], table, first + width)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Entries], width: int) -> Entries:
-        """All entries in one table."""
-        row, column = (np.concatenate([getattr(e, n) for e in parts]) for n in ("row", "column"))
-        return cls(row, column, np.hstack([e.data for e in parts]), width)
 
     def averaged(self, other: Entries, first: int) -> Entries:
         """Mean with another table of the same places, in rows from `first` on."""

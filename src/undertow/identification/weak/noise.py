@@ -9,10 +9,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
-from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
 from .covariance import banded, banded_sum, unbanded
+from .sums import solved
 from .testfunctions import TestFunctions
 
 Array = NDArray[np.float64]
@@ -96,9 +96,8 @@ class Whitening:
 
     def __call__(self, right: Array) -> Array:
         """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
-        solution, info = dtbtrs(self._factor, np.asarray(right), uplo="L")
-        assert info == 0
-        return np.asarray(solution.reshape(np.shape(right)))
+        table = np.asarray(right)
+        return solved(self._factor, table.reshape(len(table), -1)).reshape(table.shape)
 
     def noise_sample(self, rng: np.random.Generator) -> Array:
         """What the noise of the channels alone would look like after whitening: one draw, shape (m,)."""

@@ -21,6 +21,8 @@ from .limits import Limits
 from .mapping import nonzeros
 from .noise import Whitening, overlap
 from .pointwise import Pointwise
+from .sums import tested
+from .testfunctions import meeting
 
 Array = NDArray[np.float64]
 
@@ -107,44 +109,43 @@ class WeakModel:
         if self._points.held_depends_on_motion:
             later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
             inputs = self._inputs(later[0], actuation.value, later[1], s.u, p)
-            entries = entries.averaged(
-                self._entries(inputs, actuation, memory, p, s.t), 4 * self._points.size
-            )
+            others = self._entries(inputs, actuation, memory, p, s.t)
+            first = 4 * self._points.size
+            entries = [a.averaged(b, first) for a, b in zip(entries, others, strict=True)]
         return self._tested(entries, s, rows)
 
     def _inputs(self, measured: Array, actuation: Array, memory: Array, u: Array, p: Array) -> list[Array]:
         return [measured, actuation, memory, u, self._points.mass_inverse(p)]
 
-    def _entries(self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array) -> Entries:
+    def _entries(
+        self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array
+    ) -> list[Entries]:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
         function = self._points.value_and_derivatives
         value, free, by_actuation, by_memory = nonzeros(function, [*inputs, p, t[:, None]], len(t))
         first, last = 1, 1 + len(self.free)
         patterns = [function.sparsity_out(i) for i in range(4)]
         states = actuation.start.shape[2]
-        return Entries.joined(
-            [
-                Entries.of(value, patterns[0], 0),
-                Entries.of(free, patterns[1], first),
-                Entries.chained(by_actuation, patterns[2], actuation.slope, first),
-                Entries.chained(by_memory, patterns[3], memory.slope, first),
-                Entries.chained(by_actuation, patterns[2], actuation.start, last),
-                Entries.chained(by_memory, patterns[3], memory.start, last + states),
-            ],
-            last + states + memory.start.shape[2],
-        )
+        return [
+            Entries.of(value, patterns[0], 0),
+            Entries.of(free, patterns[1], first),
+            Entries.chained(by_actuation, patterns[2], actuation.slope, first),
+            Entries.chained(by_memory, patterns[3], memory.slope, first),
+            Entries.chained(by_actuation, patterns[2], actuation.start, last),
+            Entries.chained(by_memory, patterns[3], memory.start, last + states),
+        ]
 
-    def _tested(self, entries: Entries, s: Segment, rows: tuple[int, ...]) -> Linearised:
-        n, f = self._points.size, s.functions
-        table = np.zeros((f.count, 2 * n, entries.width))
-        for block, weights in enumerate((f.rate, f.value, f.rate, f.value, f.held)):
-            chosen = np.flatnonzero(entries.row // n == block)
-            tested = weights @ entries.data[:, chosen]
-            equation = entries.row[chosen] % n + (n if block in (2, 3) else 0)
-            for k, (i, j) in enumerate(zip(equation, entries.column[chosen], strict=True)):
-                table[:, i, j] += tested[:, k]
-        stacked = table[:, list(rows)].reshape(-1, entries.width)
-        last = 1 + len(self.free)
+    def _tested(self, entries: list[Entries], s: Segment, rows: tuple[int, ...]) -> Linearised:
+        width, last = entries[-1].width, 1 + len(self.free)
+        place = np.full(2 * self._points.size, -1)
+        place[list(rows)] = np.arange(len(rows))
+        met = [meeting(e.row, self._points.size) for e in entries]
+        target = [
+            np.where(place[equation] >= 0, place[equation] * width + e.column, -1)
+            for e, (_, equation) in zip(entries, met, strict=True)
+        ]
+        table = tested(s.functions.windows, entries, [kind for kind, _ in met], target, len(rows) * width)
+        stacked = table.reshape(-1, width)
         return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_array
+
+from .windows import Windows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -39,10 +42,25 @@ class TestFunctions:
 
     __test__ = False  # not a pytest class
 
+    @cached_property
+    def windows(self) -> Windows:
+        """The weights of value, rate and held, as windows."""
+        return Windows.of([self.value, self.rate, self.held])
+
     @property
     def count(self) -> int:
         """Number of test functions."""
         return len(self.centre)
+
+
+# Which of them a block of pointwise rows meets: velocity, acceleration, pose, pose rate, held acceleration.
+_MET = np.array([1, 0, 1, 0, 2])
+
+
+def meeting(row: Index, n: int) -> tuple[Index, Index]:
+    """Kind of weights that each of the 5n pointwise rows meets, and the equation (of 2n) it is part of."""
+    block = row // n
+    return _MET[block], row % n + np.where((block == 2) | (block == 3), n, 0)
 
 
 def knot_spacing(t: Array) -> float:
