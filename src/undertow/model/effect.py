@@ -100,8 +100,8 @@ class Effect(abc.ABC):
 
     def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
         """What a method of a wrench or a flow returned, without abbreviations."""
-        meanings = ({name: meaning} for name, meaning in self.abbreviations(s).items())
-        return stated.xreplace(spelled_out(meanings))
+        meanings = [{name: meaning} for name, meaning in self.abbreviations(s).items()]
+        return stated.xreplace(spelled_out(meanings)) if meanings else stated
 
     @property
     def constants(self) -> dict[sm.Symbol, str]:

@@ -30,7 +30,8 @@ class TestFunctions:
     rate : sparse (K, N)
         Weights for the integral of d(phi)/dt times a smooth signal.
     held : sparse (K, N)
-        Exact integrals of phi over [t_i, t_i+1), for signals held between samples.
+        Integrals of phi over [t_i, t_i+1), for the mean of a signal over this interval; with `rate` they give
+        exactly zero for such a signal and its integral, whatever its jumps and the spacing of samples.
     centre : (K,) array
         Middle of each support, s.
     """
@@ -85,10 +86,11 @@ def test_functions(t: Array, spacing: float) -> TestFunctions | None:
     weight = _trapezoid(t)
     value = _banded(lambda s, i: _PHI(s) * weight[i], place, count)
     rate = _banded(lambda s, i: _PHI_RATE(s) * weight[i] / spacing, place, count)
+    rate = _exact_for_cubics(rate, value, place, _RATE_MOMENTS)
     return TestFunctions(
         value=_exact_for_cubics(value, value, place, spacing * _VALUE_MOMENTS),
-        rate=_exact_for_cubics(rate, value, place, _RATE_MOMENTS),
-        held=_banded(lambda s, i: spacing * _step_integral(s, place, i), place, count, reach=2),
+        rate=rate,
+        held=_held(rate, t),
         centre=t[0] + spacing * (np.arange(count) + (DEGREE + 1) / 2),
     )
 
@@ -149,17 +151,16 @@ def _interval_integrals(t: Array) -> csr_array:
 _SUPPORT = np.arange(DEGREE + 2.0)
 _PHI = BSpline.basis_element(_SUPPORT, extrapolate=False)
 _PHI_RATE = _PHI.derivative()
-_PHI_INTEGRAL = _PHI.antiderivative()
 # Integrals of phi and of its derivative times 1, s, s^2, s^3, with s counted in knots from the middle.
 _VALUE_MOMENTS = np.array([1.0, 0.0, 1 / 3, 0.0])
 _RATE_MOMENTS = np.array([0.0, -1.0, 0.0, -1.0])
 
 
-def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int, reach: int = 0) -> csr_array:
+def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int) -> csr_array:
     """Sparse (count, N) matrix of entry(s, i), s = place_i - k, for samples in the support of k."""
     rows, columns, values = [], [], []
     first = np.floor(place).astype(np.intp)
-    for offset in range(-reach, DEGREE + 1):
+    for offset in range(DEGREE + 1):
         k = first - offset
         index = np.flatnonzero((k >= 0) & (k < count))
         rows.append(k[index])
@@ -186,14 +187,16 @@ def _exact_for_cubics(weights: csr_array, near: csr_array, place: Array, moments
     return csr_array((weights.data + change, weights.indices, weights.indptr), shape=weights.shape)
 
 
-def _step_integral(s: Array, place: Array, i: Index) -> Array:
-    """Integral of phi from a sample to the next, in units of the spacing."""
-    following = place[np.minimum(i + 1, len(place) - 1)] - place[i]
-    return _total(s + following) - _total(s)
-
-
-def _total(s: Array) -> Array:
-    return np.asarray(_PHI_INTEGRAL(np.clip(s, 0.0, DEGREE + 1.0 - 1e-12)))
+def _held(rate: csr_array, t: Array) -> csr_array:
+    """Weights of interval means with which summation by parts is exact: the integral changes by mean times
+    step from sample to sample, so that each step counts as much as all weights of `rate` up to it.
+    """
+    rate.sort_indices()
+    begin = rate.indptr[:-1]
+    total = np.cumsum(rate.data)
+    total -= np.repeat(total[begin] - rate.data[begin], np.diff(rate.indptr))
+    step = np.append(np.diff(t), 0.0)
+    return csr_array((total * step[rate.indices], rate.indices, rate.indptr), shape=rate.shape)
 
 
 def _trapezoid(t: Array) -> Array:
