@@ -50,10 +50,10 @@ class Entries:
         places = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         return cls(row[places[:, 0]], first + places[:, 1], table, first + width)
 
-    def averaged(self, other: Entries, first: int) -> Entries:
-        """Mean with another table of the same places, in rows from `first` on."""
+    def averaged(self, other: Entries, rows: slice) -> Entries:
+        """Mean with another table of the same places, in some rows."""
         data = self.data.copy()
-        chosen = self.row >= first
+        chosen = (self.row >= rows.start) & (self.row < rows.stop)
         data[:, chosen] = 0.5 * (data[:, chosen] + other.data[:, chosen])
         return Entries(self.row, self.column, data, self.width)
 

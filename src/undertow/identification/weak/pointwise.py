@@ -34,12 +34,16 @@ class Pointwise:
         The model.
     free : tuple of int
         Places in p of the parameters that derivatives are taken in.
+    chain_moves : bool
+        Whether what reaches the thrusters depends on any of these, or on states.
     """
 
-    def __init__(self, functions: Functions, free: tuple[int, ...]) -> None:
-        self.functions, self.free = functions, free
+    def __init__(self, functions: Functions, free: tuple[int, ...], *, chain_moves: bool = True) -> None:
+        self.functions, self.free, self.chain_moves = functions, free, chain_moves
         self.size = len(functions.vehicle.dof_indices)
         self.measured = ca.SX.sym("measured", 2 * self.size)
+        self.jump = ca.SX.sym("jump", self.size)
+        self.delay = ca.SX.sym("delay")
         # Every segment of a log asks for the same one.
         self._inverted: tuple[bytes, Array] = (b"", np.zeros(0))
 
@@ -80,36 +84,67 @@ class Pointwise:
     def _mass(self) -> ca.Function:
         return ca.Function("mass", [self.functions.p], [ca.densify(self.functions.mass_matrix)])
 
-    def _true(self, expression: ca.SX) -> ca.SX:
-        f = self.functions
-        return ca.substitute(expression, ca.vertcat(f.eta, f.nu), self.true_motion)
+    def _true(self, expression: ca.SX, later: ca.SX | None = None) -> ca.SX:
+        """An expression at the true motion, or at one that is faster by so much."""
+        f, motion = self.functions, self.true_motion
+        if later is not None:
+            motion = ca.vertcat(motion[: self.size], motion[self.size :] + later)
+        return ca.substitute(expression, ca.vertcat(f.eta, f.nu), motion)
 
     @cached_property
-    def _forces(self) -> tuple[ca.SX, ca.SX]:
-        """Forcing without the commands, and by the commands."""
-        f = self.functions
+    def _smooth(self) -> tuple[ca.SX, ca.SX]:
+        """Forcing without the commands, and pose rate, at the velocity that quadrature wants.
+
+        Where the commands jump, velocity has a kink, and so has what depends on it. The sum over samples h apart
+        is off by h^2/12 times the jump of the slope there, and right again if the value is that at a velocity
+        h/12 times the jump of the acceleration later.
+        """
+        f, later = self.functions, self.delay * self.jump
         still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
-        return self._true(still), self._true(self._by_commands)
+        return self._true(still, later), self._true(f.pose_rate, later)
+
+    @cached_property
+    def _driven(self) -> ca.SX:
+        """Forcing by the commands."""
+        return self._true(self._by_commands)
 
     @cached_property
     def _rows(self) -> ca.SX:
-        f = self.functions
-        still, driven = self._forces
-        velocity, pose, rate = self._true(f.nu), self._true(f.eta), self._true(f.pose_rate)
-        return ca.cse(ca.vertcat(velocity, self.inverse @ still, pose, rate, self.inverse @ driven))
+        f, (still, rate) = self.functions, self._smooth
+        velocity, pose = self._true(f.nu), self._true(f.eta)
+        rows = ca.vertcat(velocity, self.inverse @ still, pose, rate, self.inverse @ self._driven)
+        return ca.cse(self._jumped(rows))
+
+    @cached_property
+    def _change(self) -> ca.SX:
+        """Jump of the force of the commands since what the drive was before."""
+        return self._driven - ca.substitute(self._driven, self._drive, self.previous)
+
+    def _jumped(self, expression: ca.SX) -> ca.SX:
+        """An expression with the jump of the acceleration put in its place."""
+        return ca.substitute(expression, self.jump, self.inverse @ self._change)
 
     def _slope(self, variables: ca.SX) -> ca.SX:
         """Derivative of the rows: that of an acceleration M^-1 h is M^-1 (dh - dM M^-1 h)."""
-        n = self.size
-        mass = self._true(self.functions.mass_matrix)
-        kinematic = ca.jacobian(self._rows, variables)
-        parts = []
-        for force in self._forces:
-            acceleration = ca.SX.sym("acceleration", n)
-            slope = ca.jacobian(force - mass @ acceleration, variables)
-            given = ca.densify(self.inverse @ force)  # without commands, a force may be empty
-            parts.append(self.inverse @ ca.substitute(slope, acceleration, given))
-        return ca.vertcat(kinematic[:n, :], parts[0], kinematic[2 * n : 4 * n, :], parts[1])
+        f, (still, rate) = self.functions, self._smooth
+        velocity, pose = (ca.jacobian(self._true(e), variables) for e in (f.nu, f.eta))
+        jump = self._turned(self._change, variables)
+        force = self._turned(still, variables) + self.inverse @ ca.jacobian(still, self.jump) @ jump
+        rates = ca.jacobian(rate, variables) + ca.jacobian(rate, self.jump) @ jump
+        driven = self._turned(self._driven, variables)
+        return self._jumped(ca.vertcat(velocity, force, pose, rates, driven))
+
+    def _turned(self, force: ca.SX, variables: ca.SX) -> ca.SX:
+        """Derivative of M^-1 h."""
+        acceleration = ca.SX.sym("acceleration", self.size)
+        slope = ca.jacobian(force - self._true(self.functions.mass_matrix) @ acceleration, variables)
+        # Without commands, a force may be empty.
+        return self.inverse @ ca.substitute(slope, acceleration, ca.densify(self.inverse @ force))
+
+    @cached_property
+    def previous(self) -> ca.SX:
+        """What the drive was before the sample."""
+        return ca.SX.sym("previous", self._drive.shape[0])
 
     @cached_property
     def _drive(self) -> ca.SX:
@@ -143,14 +178,19 @@ class Pointwise:
     def _inputs(self) -> list[ca.SX]:
         f = self.functions
         constant = ca.vertcat(*self.inverse.nonzeros()) if self.mass_is_constant else ca.SX(0, 1)
-        return [self.measured, f.actuation, f.memory, f.u, constant, f.p, f.t]
+        return [self.measured, f.actuation, f.memory, f.u, constant, self.previous, self.delay, f.p, f.t]
 
     @cached_property
     def value_and_derivatives(self) -> ca.Function:
-        """The rows, and their (sparse) derivatives in the free parameters, the actuation and the memory."""
+        """The rows, and their (sparse) derivatives in the free parameters, the actuation, what it was before,
+        and the memory.
+        """
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.free])
-        derivatives = [ca.sparsify(self._slope(v)) for v in (free, f.actuation, f.memory)]
+        # A chain in which nothing is free gives the same whatever the free parameters are.
+        chain = f.actuation if self.chain_moves else f.actuation[:0]
+        before = self.previous[: chain.shape[0]]
+        derivatives = [ca.sparsify(self._slope(v)) for v in (free, chain, before, f.memory)]
         results = ca.cse([ca.densify(self._rows), *derivatives])
         return ca.Function("weak_derivatives", self._inputs, results)
 

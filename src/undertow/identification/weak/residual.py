@@ -14,7 +14,7 @@ from undertow.codegen.functions import Functions
 
 from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
-from .drive import Chain, Driven, Memory, without_gaps
+from .drive import Actuated, Chain, Driven, Memory, without_gaps
 from .entries import Entries
 from .lateness import Lateness
 from .limits import Limits
@@ -22,7 +22,7 @@ from .mapping import nonzeros
 from .noise import Whitening, overlap
 from .pointwise import Pointwise
 from .sums import tested
-from .testfunctions import meeting
+from .testfunctions import kink_delay, meeting
 
 Array = NDArray[np.float64]
 
@@ -74,8 +74,8 @@ class WeakModel:
         self.functions, self._dissipative = functions, dissipative
         self.free = tuple(free)
         self.places = tuple(functions.parameter_names.index(n) for n in self.free)
-        self._points = Pointwise(functions, self.places)
         self._chain = Chain(functions, self.places)
+        self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
         self._late = Lateness(functions, self.places)
         self._known: dict[int, _At] = {}
@@ -99,44 +99,50 @@ class WeakModel:
         driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
         return [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
 
-    def _in_time(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
+    def _in_time(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
         return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
-    def _segment(self, s: Segment, actuation: Driven, rows: tuple[int, ...], p: Array) -> Linearised:
+    def _segment(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
-        entries = self._entries(inputs, actuation, memory, p, s.t)
+        inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
+        entries = self._entries(inputs, actuation, memory)
         if self._points.held_depends_on_motion:
             later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
-            inputs = self._inputs(later[0], actuation.value, later[1], s.u, p)
-            others = self._entries(inputs, actuation, memory, p, s.t)
-            first = 4 * self._points.size
-            entries = [a.averaged(b, first) for a, b in zip(entries, others, strict=True)]
+            inputs = self._inputs(later[0], actuation, later[1], s.u, p, s.t)
+            others = self._entries(inputs, actuation, memory)
+            held = slice(4 * self._points.size, 5 * self._points.size)
+            entries = [a.averaged(b, held) for a, b in zip(entries, others, strict=True)]
         return self._tested(entries, s, rows)
 
-    def _inputs(self, measured: Array, actuation: Array, memory: Array, u: Array, p: Array) -> list[Array]:
-        return [measured, actuation, memory, u, self._points.mass_inverse(p)]
+    def _inputs(
+        self, measured: Array, actuation: Actuated, memory: Array, u: Array, p: Array, t: Array
+    ) -> list[Array]:
+        forces = u[:, actuation.value.shape[1] :]
+        before = np.hstack([actuation.before.value, np.vstack([forces[:1], forces[:-1]])])
+        inverse, delay = self._points.mass_inverse(p), kink_delay(t)[:, None]
+        return [measured, actuation.value, memory, u, inverse, before, delay, p, t[:, None]]
 
-    def _entries(
-        self, inputs: list[Array], actuation: Driven, memory: Driven, p: Array, t: Array
-    ) -> list[Entries]:
+    def _entries(self, inputs: list[Array], actuation: Actuated, memory: Driven) -> list[Entries]:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
         function = self._points.value_and_derivatives
-        value, free, by_actuation, by_memory = nonzeros(function, [*inputs, p, t[:, None]], len(t))
+        value, free, *by_driven = nonzeros(function, inputs, len(inputs[0]))
         first, last = 1, 1 + len(self.free)
-        patterns = [function.sparsity_out(i) for i in range(4)]
-        states = actuation.start.shape[2]
-        return [
-            Entries.of(value, patterns[0], 0),
-            Entries.of(free, patterns[1], first),
-            Entries.chained(by_actuation, patterns[2], actuation.slope, first),
-            Entries.chained(by_memory, patterns[3], memory.slope, first),
-            Entries.chained(by_actuation, patterns[2], actuation.start, last),
-            Entries.chained(by_memory, patterns[3], memory.start, last + states),
-        ]
+        pattern, direct, *patterns = (function.sparsity_out(i) for i in range(function.n_out()))
+        entries = [Entries.of(value, pattern, 0), Entries.of(free, direct, first)]
+        starts = (last, last, last + actuation.start.shape[2])
+        for slopes, where, driven, start in zip(
+            by_driven, patterns, (actuation, actuation.before, memory), starts, strict=True
+        ):
+            if not where.size2():
+                continue
+            entries += [
+                Entries.chained(slopes, where, driven.slope, first),
+                Entries.chained(slopes, where, driven.start, start),
+            ]
+        return entries
 
     def _tested(self, entries: list[Entries], s: Segment, rows: tuple[int, ...]) -> Linearised:
-        width, last = entries[-1].width, 1 + len(self.free)
+        width, last = max(e.width for e in entries), 1 + len(self.free)
         place = np.full(2 * self._points.size, -1)
         place[list(rows)] = np.arange(len(rows))
         met = [meeting(e.row, self._points.size) for e in entries]
@@ -156,11 +162,11 @@ class WeakModel:
             for s in data.segments
         ]
 
-    def _segment_whitening(self, s: Segment, actuation: Driven, data: WeakData, p: Array) -> Whitening:
+    def _segment_whitening(self, s: Segment, actuation: Actuated, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = self._inputs(s.measured, actuation.value, memory.value, s.u, p)
+        inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
         function = self._points.noise
-        (slope,) = nonzeros(function, [*inputs, p, s.t[:, None]], len(s.t))
+        (slope,) = nonzeros(function, inputs, len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
         sigma = data.sigma if s.doubted is None else np.where(s.doubted, DOUBT, 1.0) * data.sigma
         noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
@@ -168,8 +174,11 @@ class WeakModel:
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
 
-def _cut(driven: Driven, s: Segment) -> Driven:
-    return Driven(driven.value[s.samples], driven.slope[s.samples], driven.start[s.samples])
+def _cut(driven: Actuated, s: Segment) -> Actuated:
+    parts = [
+        Driven(d.value[s.samples], d.slope[s.samples], d.start[s.samples]) for d in (driven, driven.before)
+    ]
+    return Actuated(*vars(parts[0]).values(), parts[1])
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:

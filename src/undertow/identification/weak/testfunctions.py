@@ -199,6 +199,26 @@ def _held(rate: csr_array, t: Array) -> csr_array:
     return csr_array((total * step[rate.indices], rate.indices, rate.indptr), shape=rate.shape)
 
 
+def kink_delay(t: Array) -> Array:
+    """How much later than at its sample a signal with a kink has to be read for its quadrature to be right.
+
+    Over even steps that is a twelfth of a step: of the jump of the slope, trapezoids miss h^2/12.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Sample times, s.
+
+    Returns
+    -------
+    (N,) array
+        Seconds.
+    """
+    step = np.diff(t)
+    before, after = np.append(step[:1], step), np.append(step, step[-1:])
+    return np.asarray((before**2 + after**2) / (before + after) / 12)
+
+
 def _trapezoid(t: Array) -> Array:
     weight = np.zeros_like(t)
     step = np.diff(t)
