@@ -51,6 +51,11 @@ class Actuated(Driven):
 
     before: Driven
 
+    @classmethod
+    def of(cls, now: Driven, before: Driven) -> Actuated:
+        """What it is, and what it was."""
+        return cls(now.value, now.slope, now.start, before)
+
 
 class Chain:
     """Actuation along the logged commands: mean output over each sampling interval.
@@ -77,10 +82,10 @@ class Chain:
         size, count = self.functions.actuation.shape[0], len(t)
         if size == 0:
             nothing = _nothing(count, len(self.free))
-            return Actuated(*vars(nothing).values(), nothing)
+            return Actuated.of(nothing, nothing)
         mean = self._carried_along(t, u, p) if self._has_states else self._static(t, u, p)
         late = self._delayed(t, mean, p)
-        return Actuated(*vars(late).values(), late if self._has_states else self._before(t, late, p))
+        return Actuated.of(late, late if self._has_states else self._before(t, late, p))
 
     @property
     def _has_states(self) -> bool:
@@ -173,7 +178,7 @@ class Chain:
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         share, per_second = _share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
-        change = Driven(*(np.diff(a, axis=0, prepend=a[:1]) for a in vars(driven).values()))
+        change = Driven(*(_change(a) for a in (driven.value, driven.slope, driven.start)))
         turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * change.value
         return Driven(
             driven.value - weight[:, None] * change.value,
@@ -182,8 +187,13 @@ class Chain:
         )
 
 
+def _change(values: Array) -> Array:
+    """Change since the sample before."""
+    return np.diff(values, axis=0, prepend=values[:1])
+
+
 def _share_of_step(t: Array, delay: float) -> tuple[Array, Array]:
-    """Where in the step after each sample a jump arrives that was `delay` seconds late, and its rate in this."""
+    """Where in the step after each sample a jump that is so late arrives, and its rate in the delay."""
     step = np.append(np.diff(t), np.inf)
     index = np.clip(np.searchsorted(t, t - delay, side="right") - 1, 0, len(t) - 2)
     return np.clip((t[index + 1] + delay - t) / step, 0.0, 1.0), 1.0 / step

@@ -95,9 +95,9 @@ class Pointwise:
     def _smooth(self) -> tuple[ca.SX, ca.SX]:
         """Forcing without the commands, and pose rate, at the velocity that quadrature wants.
 
-        Where the commands jump, velocity has a kink, and so has what depends on it. The sum over samples h apart
-        is off by h^2/12 times the jump of the slope there, and right again if the value is that at a velocity
-        h/12 times the jump of the acceleration later.
+        Where the commands jump, velocity has a kink, and so has what depends on it. A sum over samples h
+        apart is off by h^2/12 times the jump of the slope there, and right again if the value there is that
+        at a velocity which is more by h/12 times the jump of the acceleration.
         """
         f, later = self.functions, self.delay * self.jump
         still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))

@@ -178,7 +178,7 @@ def _cut(driven: Actuated, s: Segment) -> Actuated:
     parts = [
         Driven(d.value[s.samples], d.slope[s.samples], d.start[s.samples]) for d in (driven, driven.before)
     ]
-    return Actuated(*vars(parts[0]).values(), parts[1])
+    return Actuated.of(*parts)
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
