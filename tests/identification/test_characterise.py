@@ -147,7 +147,9 @@ def test_a_row_is_a_force_and_its_columns_are_derivatives() -> None:
     rows = ForceRows(fit, aside)
     (part,), (column,) = rows.row(0).parts, rows.columns([("u",)])
     drag = part.J[:, fit.model.free.index("X_u")]
-    assert column[:, 0] == pytest.approx(drag, rel=1e-9, abs=1e-12)
+    # The weak form reads the velocity a little after a jump of the commands, a description does not.
+    assert np.max(np.abs(column[:, 0] - drag)) < 1e-3 * np.max(np.abs(drag))
+    assert np.median(np.abs(column[:, 0] - drag)) < 1e-9
 
 
 # --- the search for associations ----------------------------------------------------------------------

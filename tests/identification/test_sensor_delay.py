@@ -121,7 +121,7 @@ def _raw(vehicle: Vehicle, runs: list[Run]) -> np.ndarray:
     return np.concatenate([p.r[: p.known] for p in parts])
 
 
-def test_the_true_delay_leaves_what_quadrature_leaves() -> None:
+def test_the_true_delay_leaves_what_reading_between_samples_leaves() -> None:
     case = usv("sensor_delay", noise=0.0, duration=30.0)
     true, delay = true_vehicle(case), case.truth["values"]["sensor_delay"]["delay"]
     assert delay / STEP % 1 > 0.1  # between samples
@@ -129,8 +129,9 @@ def test_the_true_delay_leaves_what_quadrature_leaves() -> None:
     late = _raw(with_effect(true, "sensor_delay", velocity_delay=delay), runs)
     floor = _raw(true, runs_of(usv(noise=0.0, duration=30.0)))
     wrong = _raw(true, runs)
-    assert np.std(late) < 1.5 * np.std(floor)
-    assert np.std(wrong) > 10 * np.std(floor)
+    # Between samples a signal is read off a smooth curve, which a kink is not.
+    assert np.std(late) < 0.01 * np.std(wrong)
+    assert np.std(floor) < 1e-4 * np.std(wrong)
 
 
 def test_rows_that_reach_beyond_the_last_true_value_count_for_nothing() -> None:

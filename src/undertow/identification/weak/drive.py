@@ -167,6 +167,10 @@ class Chain:
         per_second = -shift_rate(t, driven.value, seconds)
         return Driven(value, moved + per_second[:, :, None] * slope.ravel(), start)
 
+    def seconds_late(self, p: Array) -> float:
+        """Dead time between commands and what they bring about, s."""
+        return float(self._dead_time(p)[0]) if self.functions.vehicle.composition.dead_time != 0 else 0.0
+
     def _before(self, t: Array, driven: Driven, p: Array) -> Driven:
         """What a chain without states gave before each sample.
 

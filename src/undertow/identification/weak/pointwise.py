@@ -122,7 +122,7 @@ class Pointwise:
 
     def _jumped(self, expression: ca.SX) -> ca.SX:
         """An expression with the jump of the acceleration put in its place."""
-        return ca.substitute(expression, self.jump, self.inverse @ self._change)
+        return ca.substitute(expression, self.jump, ca.densify(self.inverse @ self._change))
 
     def _slope(self, variables: ca.SX) -> ca.SX:
         """Derivative of the rows: that of an acceleration M^-1 h is M^-1 (dh - dM M^-1 h)."""

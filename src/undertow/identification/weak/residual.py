@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -97,7 +97,12 @@ class WeakModel:
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
         driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
-        return [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
+        parts = [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
+        known = [data.runs[s.run].t[0] + self._chain.seconds_late(p) for s in data.segments]
+        return [
+            _from(begin, part, s, data.rows, self._points.size)
+            for begin, part, s in zip(known, parts, data.segments, strict=True)
+        ]
 
     def _in_time(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
         return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
@@ -179,6 +184,23 @@ def _cut(driven: Actuated, s: Segment) -> Actuated:
         Driven(d.value[s.samples], d.slope[s.samples], d.start[s.samples]) for d in (driven, driven.before)
     ]
     return Actuated.of(*parts)
+
+
+def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
+    """A residual whose equations of force count for nothing where commands from before the log are at work.
+
+    What these were no log tells: each row that feels them has a direction of its own among the first states.
+    A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
+    because little is left to be wrong about.
+    """
+    lost = int(np.searchsorted(s.t[s.functions.windows.first], begin))
+    if not 0 < 2 * lost < s.functions.count:
+        return part
+    forces = [k for k, row in enumerate(rows) if row < n]
+    places = (np.arange(lost)[:, None] * len(rows) + forces).ravel()
+    directions = np.zeros((len(part.r), len(places)))
+    directions[places, np.arange(len(places))] = 1.0
+    return replace(part, start=np.hstack([part.start, directions]))
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
