@@ -7,7 +7,7 @@ then no log says: it is estimated from how the first window goes on, together wi
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 
+from ..weak.carried import Carried, Inputs
 from ..weak.lateness import Lateness
-from ..weak.mapping import call
 from ..weak.pointwise import Pointwise
 from .beginning import best_start
 from .cutting import Windows
@@ -24,7 +24,6 @@ from .cutting import Windows
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Simulate = Callable[[Array, Array, Array, Array, Array], Array]
-_SUBSTEPS = 4
 # Seconds of the first window that its beginning is estimated from.
 _LOOK = 10.0
 # Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
@@ -109,9 +108,8 @@ class Inherited:
             return start[None]
         reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
         measured = self._measured(windows, run, reach, p)[: count + 1]
-        columns = [measured[:-1], measured[1:], u[:-1], t[:-1], np.diff(t), np.tile(p, (count, 1))]
-        (states,) = call(_accumulated(self._advance, count), [start, *columns])
-        return np.vstack([start, states.reshape(count, -1)])
+        columns = [measured[:-1], measured[1:], u[:-1]]
+        return self._carried.states(start, columns, p, t[:-1], np.diff(t))
 
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
@@ -121,25 +119,17 @@ class Inherited:
         return self._lateness.at_its_time(log.t[piece], measured, p)
 
     @cached_property
-    def _advance(self) -> ca.Function:
-        """One sampling interval by Runge-Kutta: the motion is linear in it, the command is held."""
-        f, points = self._functions, self._points
-        own = ca.vertcat(f.memory, f.actuator_states)
-        after, dt = ca.SX.sym("after", points.measured.shape[0]), ca.SX.sym("dt")
-        rate = self._rates
-        z, h = own, dt / _SUBSTEPS
-        for step in range(_SUBSTEPS):
-            begin, middle, end = (
-                points.measured + (step + share) / _SUBSTEPS * (after - points.measured)
-                for share in (0.0, 0.5, 1.0)
-            )
-            time = f.t + step * h
-            k1 = rate(z, begin, f.u, f.p, time)
-            k2 = rate(z + h / 2 * k1, middle, f.u, f.p, time + h / 2)
-            k3 = rate(z + h / 2 * k2, middle, f.u, f.p, time + h / 2)
-            k4 = rate(z + h * k3, end, f.u, f.p, time + h)
-            z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        return ca.Function("advance", [own, points.measured, after, f.u, f.t, dt, f.p], [z])
+    def _carried(self) -> Carried:
+        """Own states from sample to sample: the motion is linear in between, the command is held."""
+        f, measured = self._functions, self._points.measured
+        after, dt, rate = ca.SX.sym("after", measured.shape[0]), ca.SX.sym("dt"), self._rates
+        nothing = ca.SX(0, 1)
+
+        def at(state: ca.SX, share: float) -> ca.SX:
+            return rate(state, measured + share * (after - measured), f.u, f.p, f.t + share * dt)
+
+        inputs = Inputs([measured, after, f.u], f.p, f.t, dt)
+        return Carried(ca.vertcat(f.memory, f.actuator_states), inputs, nothing, at, lambda *_: nothing)
 
     @cached_property
     def _rates(self) -> ca.Function:
@@ -166,11 +156,6 @@ class Inherited:
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
         width = np.concatenate([_MOTION * noise, scale])
         return best_start(report, measured, start, width)[:, -self.size :]
-
-
-@lru_cache(maxsize=64)
-def _accumulated(function: ca.Function, count: int) -> ca.Function:
-    return function.mapaccum("along", count)
 
 
 def _stretches(windows: Windows) -> list[Index]:
