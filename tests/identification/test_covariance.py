@@ -6,9 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.identification.weak.carried import Carried, Inputs
 from undertow.identification.weak.covariance import residual_covariance, unbanded
 from undertow.identification.weak.entries import Entries
+from undertow.identification.weak.sums import SumsInC, SumsInNumPy
 from undertow.identification.weak.testfunctions import boxes
 from undertow.identification.weak.testfunctions import test_functions as functions_on
 
@@ -107,3 +109,46 @@ def test_carried_derivatives_are_those_of_finite_differences() -> None:
     for k, step in enumerate(1e-6 * np.eye(4)):
         for found, high, low in zip((slopes, means), at(x + step), at(x - step), strict=True):
             np.testing.assert_allclose(found[:, :, k], (high - low) / 2e-6, atol=1e-8)
+
+
+# --- in C and in NumPy ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def c_compiler() -> Compiler:
+    found = find_compiler()
+    if found is None:
+        pytest.skip("no C compiler on this machine")
+    return found
+
+
+@pytest.mark.parametrize("t", [EVEN, UNEVEN])
+def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> None:
+    rng, windows = np.random.default_rng(6), functions_on(t, 0.25).windows
+    entries = _entries(len(t))
+    kind = rng.integers(0, 3, len(entries.row))
+    target = rng.integers(-1, 7, len(entries.row))  # several signals in one place, and some in none
+    width = windows.weights.shape[2]
+    felt = rng.standard_normal((len(windows.first), 3, width, 2))
+    reach = max(np.searchsorted(windows.first, windows.first + width) - np.arange(len(windows.first)))
+    bands = np.zeros((reach * 3, 3 * len(windows.first)))
+    factor = np.asfortranarray(np.vstack([2.0 + rng.random((1, 50)), rng.standard_normal((4, 50))]))
+    found = []
+    for sums in (SumsInC(c_compiler), SumsInNumPy()):
+        table, products = np.zeros((len(windows.first), 7)), bands.copy()
+        sums.tested(windows, entries, kind, target, table)
+        sums.products(windows.first, felt, products)
+        right = np.random.default_rng(7).standard_normal((50, 11))
+        found.append((table, products, sums.solved(factor, right)))
+    for in_c, in_numpy in zip(*found, strict=True):
+        assert np.any(in_c)
+        np.testing.assert_allclose(in_c, in_numpy, rtol=1e-12, atol=1e-12 * np.max(np.abs(in_numpy)))
+
+
+def test_what_lies_outside_a_window_counts_for_nothing_whatever_it_is(c_compiler: Compiler) -> None:
+    windows, entries = functions_on(EVEN, 0.25).windows, _entries(len(EVEN))
+    entries.data[60:] = np.nan
+    table = np.zeros((len(windows.first), 1))
+    place = np.zeros(len(entries.row), dtype=np.intp)
+    SumsInC(c_compiler).tested(windows, entries, place, place, table)
+    assert np.isfinite(table[windows.first + windows.weights.shape[2] <= 60]).all()

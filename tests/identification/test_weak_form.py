@@ -15,8 +15,8 @@ from undertow.codegen.functions import Functions
 from undertow.identification import read_log
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.disturbance import disturbed
-from undertow.identification.weak.drive import shifted_mean
 from undertow.identification.weak.fit import fit_weak, free_parameters
+from undertow.identification.weak.held import shifted_mean
 from undertow.identification.weak.noise import white_noise
 from undertow.identification.weak.residual import WeakModel
 from undertow.identification.weak.step import at_bounds, prior_of

@@ -12,7 +12,7 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.model.vehicle import Vehicle
 
-from ..weak.drive import shifted_mean, without_gaps
+from ..weak.held import shifted_mean, without_gaps
 from ..weak.lateness import Lateness
 from ..weak.mapping import mapped
 from ..weak.pointwise import Pointwise

@@ -18,7 +18,7 @@ from undertow.model.vehicle import Vehicle
 from ..compare.predictor import Predictor
 from ..logs import Run
 from ..weak.data import WeakData, prepare
-from ..weak.drive import shifted_mean
+from ..weak.held import shifted_mean
 from .axes import Axis
 from .families import Design
 from .limits import MotionLimits, exceeded

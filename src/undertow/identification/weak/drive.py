@@ -15,6 +15,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 
 from .carried import Carried, Inputs
+from .held import change, share_of_step, shift_rate, shifted_mean
 from .mapping import mapped
 
 Array = NDArray[np.float64]
@@ -180,60 +181,15 @@ class Chain:
         if not self.moves:
             return Driven(np.concatenate([driven.value[:1], driven.value[:-1]]), driven.slope, driven.start)
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
-        share, per_second = _share_of_step(t, float(delay[0, 0]))
+        share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
-        change = Driven(*(_change(a) for a in (driven.value, driven.slope, driven.start)))
+        change = Driven(*(change(a) for a in (driven.value, driven.slope, driven.start)))
         turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * change.value
         return Driven(
             driven.value - weight[:, None] * change.value,
             driven.slope - weight[:, None, None] * change.slope + turned[:, :, None] * slope.ravel(),
             driven.start - weight[:, None, None] * change.start,
         )
-
-
-def _change(values: Array) -> Array:
-    """Change since the sample before."""
-    return np.diff(values, axis=0, prepend=values[:1])
-
-
-def _share_of_step(t: Array, delay: float) -> tuple[Array, Array]:
-    """Where in the step after each sample a jump that is so late arrives, and its rate in the delay."""
-    step = np.append(np.diff(t), np.inf)
-    index = np.clip(np.searchsorted(t, t - delay, side="right") - 1, 0, len(t) - 2)
-    return np.clip((t[index + 1] + delay - t) / step, 0.0, 1.0), 1.0 / step
-
-
-def without_gaps(u: Array) -> Array:
-    """Commands with the last known value where one is missing; nothing is judged inside such gaps."""
-    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
-    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
-    return np.nan_to_num(filled, nan=0.0)
-
-
-def shifted_mean(t: Array, held: Array, delay: float) -> Array:
-    """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first
-    value.
-    """
-    total = _integral(t, held)
-    late = _at(t, total, held, t - delay)
-    step = np.diff(t)[:, None]
-    return np.vstack([np.diff(late, axis=0) / step, held[-1:]])
-
-
-def shift_rate(t: Array, held: Array, delay: float) -> Array:
-    """Minus the derivative of `shifted_mean` in the delay."""
-    start = held[np.clip(np.searchsorted(t, t - delay, side="right") - 1, 0, len(t) - 1)]
-    step = np.diff(t)[:, None]
-    return np.vstack([np.diff(start, axis=0) / step, np.zeros_like(held[:1])])
-
-
-def _integral(t: Array, held: Array) -> Array:
-    return np.vstack([np.zeros_like(held[:1]), np.cumsum(held[:-1] * np.diff(t)[:, None], axis=0)])
-
-
-def _at(t: Array, total: Array, held: Array, when: Array) -> Array:
-    index = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 1)
-    return total[index] + held[index] * (when - t[index])[:, None]
 
 
 class Memory:

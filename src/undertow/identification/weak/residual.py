@@ -14,8 +14,9 @@ from undertow.codegen.functions import Functions
 
 from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
-from .drive import Actuated, Chain, Driven, Memory, without_gaps
+from .drive import Actuated, Chain, Driven, Memory
 from .entries import Entries
+from .held import without_gaps
 from .lateness import Lateness
 from .limits import Limits
 from .mapping import nonzeros

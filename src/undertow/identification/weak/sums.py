@@ -42,7 +42,7 @@ class _Sums(Protocol):
     def solved(self, factor: Array, right: Array) -> Array: ...
 
 
-class _Compiled:
+class SumsInC:
     """The sums in C."""
 
     def __init__(self, compiler: Compiler) -> None:
@@ -88,7 +88,7 @@ class _Compiled:
         return found[:, : right.shape[1]]
 
 
-class _InNumPy:
+class SumsInNumPy:
     """The same without a compiler."""
 
     def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
@@ -128,9 +128,9 @@ def _shifted_products(flat: Array, shift: Index, channels: int) -> Array:
 @cache
 def _sums() -> _Sums:
     def compiled(compiler: Compiler) -> _Sums:
-        return _Compiled(compiler)
+        return SumsInC(compiler)
 
-    return compiled_or_virtual(None, compiled, _InNumPy)
+    return compiled_or_virtual(None, compiled, SumsInNumPy)
 
 
 def sums_source() -> tuple[str, str]:

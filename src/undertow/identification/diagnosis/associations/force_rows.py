@@ -16,7 +16,8 @@ from undertow.model.symbols import POSE
 from ...fitted import Fitted
 from ...weak.covariance import banded
 from ...weak.data import Segment, WeakData
-from ...weak.drive import Chain, without_gaps
+from ...weak.drive import Chain
+from ...weak.held import without_gaps
 from ...weak.lateness import Lateness
 from ...weak.mapping import mapped
 from ...weak.noise import Whitening, overlap
