@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from undertow.codegen.compiler import Compiler, find_compiler
+from undertow.identification.weak import covariance
 from undertow.identification.weak.carried import Carried, Inputs
 from undertow.identification.weak.covariance import residual_covariance, unbanded
 from undertow.identification.weak.entries import Entries
@@ -63,6 +64,17 @@ def test_covariance_is_that_of_dense_products(t, make, varying: bool, derived: t
         one = one @ _difference(t) if channel in derived else one
         expected = expected + one @ one.T
     np.testing.assert_allclose(unbanded(bands).toarray(), expected, atol=1e-13 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("t", [EVEN, UNEVEN])
+@pytest.mark.parametrize("derived", [(), (2, 3)])
+def test_pieces_of_windows_give_what_all_at_once_give(
+    t: np.ndarray, derived: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = functions_on(t, 0.25), _entries(len(t)), np.array([0.3, 0.5, 1.0, 2.0]), ROWS, derived, t
+    whole = residual_covariance(*asked)
+    monkeypatch.setattr(covariance, "_BYTES", 1)
+    np.testing.assert_allclose(residual_covariance(*asked), whole, rtol=1e-12, atol=1e-18)
 
 
 def test_bands_are_no_wider_than_what_overlaps() -> None:

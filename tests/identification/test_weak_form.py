@@ -128,16 +128,19 @@ def test_derivative_of_the_residual_is_that_of_finite_differences(effect: str, t
         np.testing.assert_allclose(at.J[:, k] / scale, difference / scale, atol=2e-5, err_msg=weak.free[k])
 
 
-def test_derivative_in_the_delay(tmp_path: Path) -> None:
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.13])
+def test_derivative_in_the_delay(delay: float, tmp_path: Path) -> None:
+    """On from where it is: at a multiple of the step the derivative jumps, and no delay is below zero."""
     model, runs = _case(tmp_path, "usv", (), 5, 20.0)
-    model = model.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.13, estimate=True)})
+    model = model.with_effect(catalogue()["actuation_delay"], {"delay": Value(delay, estimate=True)})
     data = prepare(runs[:1], model)
     weak = WeakModel(Functions(model), ("delay",))
     p = np.array(weak.functions.values())
     place = weak.places[0]
-    up, down = p.copy(), p.copy()
-    up[place], down[place] = 0.13001, 0.12999
-    difference = (weak.linearise(data, up)[0].r - weak.linearise(data, down)[0].r) / 2e-5
+    up, farther = p.copy(), p.copy()
+    up[place], farther[place] = delay + 1e-5, delay + 2e-5
+    at, once, twice = (weak.linearise(data, q)[0].r for q in (p, up, farther))
+    difference = (4 * once - 3 * at - twice) / 2e-5
     np.testing.assert_allclose(weak.linearise(data, p)[0].J[:, 0], difference, atol=1e-9)
 
 

@@ -48,12 +48,18 @@ class Effect(abc.ABC):
     built_in: ClassVar[bool] = False
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
-        self.thrusters = thrusters
+        self.thrusters = tuple(thrusters)
         self.allocation = sm.zeros(6, len(thrusters))
 
     def __eq__(self, other: object) -> bool:
         """The same effect on the same hardware: what is derived from one serves for the other."""
-        return type(self) is type(other) and vars(self) == vars(other)
+        if type(self) is not type(other) or not isinstance(other, Effect):
+            return False
+        own, others = vars(self), vars(other)
+        hardware = ("thrusters", "allocation")
+        return own.keys() == others.keys() and all(
+            own[n] == others[n] if n in hardware else own[n] is others[n] for n in own
+        )
 
     def __hash__(self) -> int:
         return hash((type(self), self.thrusters))

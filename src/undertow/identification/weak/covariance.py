@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from .testfunctions import TestFunctions, meeting
 from .windows import Windows
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+# What rows feel is laid out for as many windows at a time as fit in this.
+_BYTES = 32_000_000
 
 
 def residual_covariance(
@@ -46,15 +49,39 @@ def residual_covariance(
     (b, K len(rows)) array
         Its lower half in LAPACK's banded storage, ordered by test function, then by equation.
     """
-    n, windows = sigma.shape[-1] // 2, functions.windows
+    n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
     # The noise of a rate is that of its pose.
     direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
-    bands = products(windows.first, _felt(windows, _by_equation(slopes, n), rows, direct))
+    bands = _in_pieces(functions.windows, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
     if derived and t is not None:
         levels = {c: sigma[..., c - n] for c in derived}
-        rates = _differenced(_felt(windows, _by_equation(slopes, n), rows, levels), windows, t)
-        bands = banded_sum(bands, products(windows.first - 1, rates))
+        rates = _in_pieces(
+            functions.windows,
+            rows,
+            levels,
+            lambda w: (w.first - 1, _differenced(_felt(w, entries, rows, levels), w, t)),
+        )
+        bands = banded_sum(bands, rates)
     return bands
+
+
+def _in_pieces(
+    windows: Windows,
+    rows: Sequence[int],
+    levels: Mapping[int, Array],
+    felt: Callable[[Windows], tuple[Index, Array]],
+) -> Array:
+    """Products of the rows of all windows, a few windows and those that they overlap at a time."""
+    count, width = windows.weights.shape[1:]
+    each = 8 * len(rows) * (width + 2) * max(len(levels), 1)
+    reach = int(np.max(np.searchsorted(windows.first, windows.first + width + 2) - np.arange(count)))
+    piece = max(_BYTES // each - reach, reach)
+    found = []
+    for begin in range(0, count, piece):
+        bands = products(*felt(windows.part(slice(begin, begin + piece + reach))))
+        found.append(bands[:, : len(rows) * piece])
+    deepest = max(map(len, found))
+    return np.hstack([np.pad(bands, ((0, deepest - len(bands)), (0, 0))) for bands in found])
 
 
 def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
@@ -75,7 +102,8 @@ def _felt(
     table = np.zeros((len(row), len(channel), *index.shape))
     for kind, i, j, values in entries:
         if i in row and j in channel:
-            table[row[i], channel[j]] += windows.weights[kind] * values[index]
+            weights = windows.weights[kind]
+            table[row[i], channel[j]] += np.where(weights == 0, 0.0, weights * values[index])
     for j, level in levels.items():
         known = np.where(level > 0, level, 0.0)
         table[:, channel[j]] *= known[index] if known.ndim else known

@@ -183,12 +183,12 @@ class Chain:
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
-        change = Driven(*(change(a) for a in (driven.value, driven.slope, driven.start)))
-        turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * change.value
+        value, by_free, by_start = (change(a) for a in (driven.value, driven.slope, driven.start))
+        turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
         return Driven(
-            driven.value - weight[:, None] * change.value,
-            driven.slope - weight[:, None, None] * change.slope + turned[:, :, None] * slope.ravel(),
-            driven.start - weight[:, None, None] * change.start,
+            driven.value - weight[:, None] * value,
+            driven.slope - weight[:, None, None] * by_free + turned[:, :, None] * slope.ravel(),
+            driven.start - weight[:, None, None] * by_start,
         )
 
 

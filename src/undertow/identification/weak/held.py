@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 def change(values: Array) -> Array:
@@ -16,8 +17,17 @@ def change(values: Array) -> Array:
 def share_of_step(t: Array, delay: float) -> tuple[Array, Array]:
     """Where in the step after each sample a jump that is so late arrives, and its rate in the delay."""
     step = np.append(np.diff(t), np.inf)
-    index = np.clip(np.searchsorted(t, t - delay, side="right") - 1, 0, len(t) - 2)
+    index = np.minimum(_at_work(t, delay), len(t) - 2)
     return np.clip((t[index + 1] + delay - t) / step, 0.0, 1.0), 1.0 / step
+
+
+def _at_work(t: Array, delay: float) -> Index:
+    """From which sample on was held what was at work just before each sample, `delay` seconds late.
+
+    Just before, for a delay that is a multiple of the step can only grow where it is zero.
+    """
+    slack = 1e-12 * float(t[-1] - t[0])
+    return np.maximum(np.searchsorted(t, t - delay - slack) - 1, 0)
 
 
 def without_gaps(u: Array) -> Array:
@@ -39,7 +49,7 @@ def shifted_mean(t: Array, held: Array, delay: float) -> Array:
 
 def shift_rate(t: Array, held: Array, delay: float) -> Array:
     """Minus the derivative of `shifted_mean` in the delay."""
-    start = held[np.clip(np.searchsorted(t, t - delay, side="right") - 1, 0, len(t) - 1)]
+    start = held[_at_work(t, delay)]
     step = np.diff(t)[:, None]
     return np.vstack([np.diff(start, axis=0) / step, np.zeros_like(held[:1])])
 

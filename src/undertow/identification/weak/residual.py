@@ -26,6 +26,8 @@ from .sums import tested
 from .testfunctions import kink_delay, meeting
 
 Array = NDArray[np.float64]
+# Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
+_MOST_DIRECTIONS = 240
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,15 @@ class Linearised:
         Derivative in the effects' own states at the start of the segment.
     known : int, optional
         Rows from here on need what was not measured yet when the segment ended, and count for nothing.
+    unknown : int
+        How many of the last columns of `start` stand for a row each of which nothing is known.
     """
 
     r: Array
     J: Array
     start: Array
     known: int | None = None
+    unknown: int = 0
 
 
 class _At(NamedTuple):
@@ -97,13 +102,16 @@ class WeakModel:
         return list(known.parts)
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
-        driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
+        driven = self._driven(data, p)
         parts = [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
         known = [data.runs[s.run].t[0] + self._chain.seconds_late(p) for s in data.segments]
         return [
             _from(begin, part, s, data.rows, self._points.size)
             for begin, part, s in zip(known, parts, data.segments, strict=True)
         ]
+
+    def _driven(self, data: WeakData, p: Array) -> list[Actuated]:
+        return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
 
     def _in_time(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
         return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
@@ -162,7 +170,7 @@ class WeakModel:
 
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
         """Whitening of every segment under the noise of the channels, at parameters p."""
-        driven = [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
+        driven = self._driven(data, p)
         return [
             self._segment_whitening(self._late.in_time(s, p), _cut(driven[s.run], s), data, p)
             for s in data.segments
@@ -198,10 +206,11 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
     if not 0 < 2 * lost < s.functions.count:
         return part
     forces = [k for k, row in enumerate(rows) if row < n]
+    lost = min(lost, _MOST_DIRECTIONS // max(len(forces), 1))
     places = (np.arange(lost)[:, None] * len(rows) + forces).ravel()
     directions = np.zeros((len(part.r), len(places)))
     directions[places, np.arange(len(places))] = 1.0
-    return replace(part, start=np.hstack([part.start, directions]))
+    return replace(part, start=np.hstack([part.start, directions]), unknown=len(places))
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
@@ -236,9 +245,12 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
     # A start long ago is forgotten: what is left of it would underflow in the product below.
-    felt = size > max(1e-9 * size.max(initial=0.0), 1e-9)
+    felt = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
     if not felt.any():
         return kept
+    if beside is None:
+        # What is known stands for the rest: else, the more is unknown, the better a model would look.
+        kept = kept * np.sqrt(len(kept) / (len(kept) - part.unknown))
     start = start[:, felt] / size[felt]
     moved = kept.copy()
     if beside is not None:

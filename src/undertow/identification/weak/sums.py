@@ -94,7 +94,9 @@ class SumsInNumPy:
     def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
         index, flat = windows.index, table.reshape(len(table), -1)
         for e in np.flatnonzero(target >= 0):
-            flat[:, target[e]] += np.sum(windows.weights[kind[e]] * part.data[index, e], axis=1)
+            weights = windows.weights[kind[e]]
+            # What lies outside the support counts for nothing, whatever it is.
+            flat[:, target[e]] += np.sum(np.where(weights == 0, 0.0, weights * part.data[index, e]), axis=1)
 
     def products(self, first: Index, felt: Array, bands: Array) -> None:
         count, rows, width, channels = felt.shape

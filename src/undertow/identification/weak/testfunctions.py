@@ -194,7 +194,8 @@ def _held(rate: csr_array, t: Array) -> csr_array:
     rate.sort_indices()
     begin = rate.indptr[:-1]
     total = np.cumsum(rate.data)
-    total -= np.repeat(total[begin] - rate.data[begin], np.diff(rate.indptr))
+    earlier = np.concatenate([[0.0], total])[begin]
+    total -= np.repeat(earlier, np.diff(rate.indptr))
     step = np.append(np.diff(t), 0.0)
     return csr_array((total * step[rate.indices], rate.indices, rate.indptr), shape=rate.shape)
 

@@ -47,6 +47,10 @@ class Windows:
             kind[part.row, part.col - first[part.row]] = part.data
         return cls(first, samples, weights)
 
+    def part(self, which: slice) -> Windows:
+        """Some of the windows."""
+        return Windows(self.first[which], self.samples, self.weights[:, which])
+
     @property
     def index(self) -> Index:
         """Sample at each place of each window, shape (K, W); beyond the last one, that one again."""
