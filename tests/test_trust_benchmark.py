@@ -27,7 +27,7 @@ from benchmarks.trust.report import page
 from benchmarks.trust.run import records, run
 from benchmarks.trust.sizing import sized
 from benchmarks.trust.tally import Share, scored
-from benchmarks.trust.terms import make_terms
+from benchmarks.trust.terms import _filled, make_terms
 from benchmarks.trust.verdicts import Answer, accepted
 
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
@@ -331,3 +331,12 @@ def test_list_prints_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "--plan", "quick", "--kind", "complete"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == sum(case.kind == "complete" for case in plan(1))
+
+
+def test_other_methods_get_straight_lines_where_a_channel_has_gaps() -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    nan = np.isin(np.arange(len(t)), [0, 1, 150, 151, len(t) - 1])
+    run = Run("gaps", t, {"u": np.where(nan, np.nan, 0.3 * t)}, sha256="")
+    filled = _filled(run, ["u"])[:, 0]
+    np.testing.assert_allclose(filled[2:-1], 0.3 * t[2:-1], atol=1e-12)
+    assert np.isfinite(filled).all()

@@ -192,13 +192,22 @@ class _Regression:
         return np.asarray(function.map(len(x))(x.T, nu_dot.T, u.T, p, t[None]))  # type: ignore[attr-defined]
 
 
+def _filled(run: Run, names: Sequence[str]) -> Array:
+    """Channels of a run, straight lines where one has a gap, which no filter stands."""
+    columns = []
+    for values in run.matrix(tuple(names)).T:
+        known = np.isfinite(values)
+        columns.append(np.interp(run.t, run.t[known], values[known]))
+    return np.column_stack(columns)
+
+
 def _smoothed(run: Run, vehicle: Vehicle) -> tuple[Array, Array, Array, Array]:
     """Pose and velocity, acceleration, commands and time of a run, smoothed and thinned out."""
     step = float(np.median(np.diff(run.t)))
     window = 2 * round(WINDOW / step / 2) + 1
 
     def smooth(names: Sequence[str]) -> Array:
-        return np.asarray(savgol_filter(run.matrix(tuple(names)), window, ORDER, axis=0))
+        return np.asarray(savgol_filter(_filled(run, names), window, ORDER, axis=0))
 
     state, commands = smooth((*vehicle.pose_names, *vehicle.velocity_names)), smooth(vehicle.command_names)
     # The derivative of what was smoothed, so that accelerations and commands went through the same filter.
