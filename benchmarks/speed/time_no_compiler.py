@@ -21,6 +21,7 @@ from .conftest import Speed
 
 SAMPLES, FEW, RUNS, DIFFERENTIATED = 400, 50, 200, 20
 NUMBA, COMPILED, VIRTUAL = "undertow, numba", "undertow, C", "undertow, CasADi's virtual machine"
+UNCOMPILED = "undertow, instructions run by C"
 LIMIT = 1e-12
 
 
@@ -58,7 +59,8 @@ def _simulator(who: str, sensitivities: bool) -> Simulator:
     simulator = Simulator(functions, compiled=who == COMPILED)
     if who == NUMBA:
         simulator._steppers = {sensitivities: _interpreted(sensitivities)}
-    assert who != VIRTUAL or isinstance(simulator._steppers[False], VirtualStepper)
+    if who == VIRTUAL:
+        simulator._steppers = {sensitivities: VirtualStepper(functions, sensitivities=sensitivities)}
     return simulator
 
 
@@ -69,7 +71,7 @@ def _interpreted(sensitivities: bool) -> Stepper:
     return InterpretedStepper(vehicle.functions(), sensitivities=sensitivities)
 
 
-@pytest.mark.parametrize("who", [NUMBA, COMPILED, VIRTUAL])
+@pytest.mark.parametrize("who", [NUMBA, COMPILED, UNCOMPILED, VIRTUAL])
 @pytest.mark.parametrize("work", WORK, ids=lambda w: w.what)
 def time_a_step(speed: Speed, work: Work, who: str) -> None:
     samples = SAMPLES if work.runs == 1 else FEW
