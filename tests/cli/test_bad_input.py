@@ -22,6 +22,7 @@ from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, refusal, text_of
 from undertow import files
 from undertow.cli import _vehicle_and_logs
+from undertow.cli._run import run
 from undertow.cli.main import main
 from undertow.identification.diagnosis.diagnose import diagnose as diagnosed
 
@@ -533,6 +534,26 @@ def test_ctrl_c_in_the_middle(
     assert main(words) == 130
     assert capsys.readouterr().err == "interrupted\n"
     assert {p for p in contents(case) if Path(p).is_file()} == {p for p in before if Path(p).is_file()}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_ctrl_c_is_heard_where_a_library_drops_it(capsys: pytest.CaptureFixture[str]) -> None:
+    dropped = []
+
+    def stubborn() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            dropped.append(1)
+        while True:
+            pass
+
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
+    assert run(stubborn) == 130
+    assert dropped
+    assert capsys.readouterr().err == "interrupted\n"
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

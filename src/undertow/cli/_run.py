@@ -11,6 +11,8 @@ import typer
 from undertow import __version__
 from undertow.errors import UndertowError
 
+from ._interrupting import insisting
+
 INPUT_ERROR = 2
 INTERRUPTED = 130
 _BUG = 1
@@ -30,7 +32,9 @@ def run(action: Callable[[], object]) -> int:
         2 for a foreseeable failure (one line ``error: ...``), 130 for Ctrl-C, 1 for a bug (with traceback).
     """
     try:
-        code = _code(action())
+        with insisting():
+            answer = action()
+        code = _code(answer)
         sys.stdout.flush()
     except BrokenPipeError:  # `undertow effects | head`: the reader has seen enough
         code = 1
