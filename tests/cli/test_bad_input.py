@@ -581,7 +581,9 @@ def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
         assert process.stdout.readline() == "searching\n"
         process.send_signal(signal.SIGINT)
         _, err = process.communicate()
-    assert err == "interrupted\n"
+    # Where it came while Python forked or compiled something, Python adds lines of its own.
+    assert "interrupted" in err.splitlines()
+    assert "bug in undertow" not in err
     # Python ends by the signal itself where that came while it made a dataclass: 130 for a shell, too.
     assert process.returncode in (130, -signal.SIGINT)
     assert contents(case) == before
