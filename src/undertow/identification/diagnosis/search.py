@@ -5,7 +5,7 @@ at all of them together.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from undertow.model.catalogue import Catalogue
@@ -18,6 +18,7 @@ from .evidence import as_good
 from .finding import Finding
 from .pairs import promising_pairs
 from .rounds import FALSE_ALARM_RATE, Round, try_all
+from .second_look import explains_all, hidden_by_disturbance
 from .trial import Bench, noise_ratio, only_noise, open_bench
 
 __all__ = ["FALSE_ALARM_RATE", "Search", "search"]
@@ -103,9 +104,24 @@ def search(
 def _stepwise(
     vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet
 ) -> tuple[list[Round], list[Finding]]:
+    """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
+    rounds, chain = _steps(vehicle, bench, known, report, quiet, [])
+    last = rounds[-1].bench
+    if rounds[-1].winner is not None or not hidden_by_disturbance(last, quiet):
+        return rounds, chain
+    bare = last.without_disturbance()
+    again, longer = _steps(vehicle, bare, known, lambda _, words: report(0.9, words), quiet, chain)
+    if len(longer) > len(chain) and explains_all(bare, longer[-1].trial.fit, quiet):
+        return [*rounds[:-1], *again], longer
+    return rounds, chain
+
+
+def _steps(
+    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet, found: Sequence[Finding]
+) -> tuple[list[Round], list[Finding]]:
     """Rounds of candidates, each on top of the effects found so far."""
     rounds: list[Round] = []
-    chain: list[Finding] = []
+    chain = list(found)
     while len(chain) < MAX_EFFECTS:
         current = _sound_first(try_all(bench, known, _share_of(report, len(rounds))), quiet)
         rounds.append(current)

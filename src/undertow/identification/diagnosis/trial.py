@@ -191,6 +191,14 @@ class Bench:
         )
         return Bench(self.train, self.test, fit.whitening, test, refitted)
 
+    def without_disturbance(self) -> Bench:
+        """The bench under the noise of the sensors alone."""
+        base = self.base
+        quiet, none = base.model.whitening(self.train, base.p), np.zeros_like(base.disturbance)
+        refitted = fit_weak(base.model, self.train, start=base.values, whitening=quiet, disturbance=none)
+        test = refitted.model.whitening(self.test, refitted.p)
+        return Bench(self.train, self.test, quiet, test, refitted)
+
     @property
     def command_scale(self) -> float:
         """Typical large command, for starting values in units of the command."""

@@ -1,0 +1,53 @@
+"""A second look where nothing was found although more than noise is left: the noise of the sensors alone.
+
+What an incomplete model leaves is first taken for a disturbance. Under a noise model with room for one, a
+small steady force, say, is no evidence of anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..weak.data import WeakData
+from ..weak.fit import WeakFit
+from .evidence import explained
+from .trial import Bench, noise_ratio, told_apart
+
+Quiet = Callable[[WeakFit, WeakData], bool]
+# Share of what exceeds the noise that effects must take away where no disturbance may hide the rest.
+_NEARLY_ALL = 0.8
+# Mean square in units of the sensors' noise from which that noise is far too small to weigh what is left.
+_FAR_OFF = 30.0
+
+
+def hidden_by_disturbance(bench: Bench, quiet: Quiet) -> bool:
+    """Whether a model leaves a little more than noise, which its noise model takes for a disturbance.
+
+    Parameters
+    ----------
+    bench : Bench
+        Data, noise model and the model.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    if not np.any(bench.base.disturbance) or quiet(bench.base, bench.test):
+        return False
+    return bool(np.nanmax(noise_ratio(bench.base, bench.test)) < _FAR_OFF)
+
+
+def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
+    """Whether nothing but noise is left with effects that were found without room for a disturbance.
+
+    Parameters
+    ----------
+    bare : Bench
+        Data, the noise of the sensors and the model without the effects.
+    fit : WeakFit
+        The model with them.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    share = explained(*told_apart(bare.base_score, bare.judge(fit), bare.test), bare.noise_level)
+    return share >= _NEARLY_ALL and quiet(fit, bare.test)
