@@ -1,0 +1,96 @@
+"""What is small and steady passes for a disturbance; searching under the sensors' noise alone finds it."""
+
+from __future__ import annotations
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis import second_look
+from undertow.identification.diagnosis.search import search
+from undertow.identification.diagnosis.second_look import explains_all, hidden_by_disturbance
+from undertow.identification.diagnosis.trial import Bench, noise_ratio, only_noise, open_bench
+from undertow.identification.weak.data import WeakData, prepare
+from undertow.identification.weak.disturbance import mean_square
+from undertow.identification.weak.fit import WeakFit, fit_weak
+from undertow.identification.weak.residual import whitened
+from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Vehicle
+
+_FORCES = {n: catalogue()[n] for n in ("net_buoyancy", "cubic_damping", "drag_asymmetry", "radiation_memory")}
+
+
+def _quiet(fit: WeakFit, test: WeakData) -> bool:
+    return only_noise(noise_ratio(fit, test))
+
+
+@cache
+def _bench() -> tuple[Vehicle, Bench, float]:
+    """A profiling float 15 mN out of trim, which is what the drag of 7.6 N/(m/s) gives at 2 mm/s."""
+    case = make_case("float", ("net_buoyancy",), 71149101, strength=0.15)
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    train = prepare(runs[:-1], vehicle)
+    test = prepare(runs[-1:], vehicle, sigma=train.sigma)
+    return vehicle, open_bench(vehicle, train, test), case.truth["values"]["net_buoyancy"]["B_net"]
+
+
+def test_the_model_without_the_force_calls_it_a_disturbance() -> None:
+    _, bench, _ = _bench()
+    assert np.any(bench.base.disturbance)
+    assert bench.base_score.error < 1.1  # by its own noise model nothing is amiss
+    assert hidden_by_disturbance(bench, _quiet)
+
+
+def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> None:
+    _, bench, _ = _bench()
+    bare = bench.without_disturbance()
+    assert not np.any(bare.base.disturbance)
+    for data, whitening in ((bare.train, bare.train_whitening), (bare.test, bare.test_whitening)):
+        expected = bare.base.model.whitening(data, bare.base.p)
+        parts = bare.base.model.linearise(data, bare.base.p)
+        found, right = (mean_square(whitened(parts, w).r, data) for w in (whitening, expected))
+        assert np.allclose(found, right, rtol=0.02)
+    assert np.allclose(bare.noise_level, 1.0, atol=0.2)
+
+
+def test_the_steady_force_is_found_at_its_size() -> None:
+    vehicle, bench, truth = _bench()
+    found = search(vehicle, bench.train, bench.test, _FORCES, quiet=_quiet)
+    assert [f.id for f in found.winners] == ["net_buoyancy"]
+    fit = found.chain.fit
+    error = fit.values["B_net"] - truth
+    spread = float(np.sqrt(fit.covariance[(k := fit.model.free.index("B_net")), k]))
+    assert abs(error) < 3.5 * spread < 0.1 * abs(truth)
+
+
+def test_what_does_not_explain_all_is_not_found_by_the_second_look() -> None:
+    """Without the truth among the candidates none may take its place."""
+    vehicle, bench, _ = _bench()
+    others = {n: e for n, e in _FORCES.items() if n in ("cubic_damping", "radiation_memory")}
+    assert search(vehicle, bench.train, bench.test, others, quiet=_quiet).winners == []
+
+
+def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
+    vehicle, bench, truth = _bench()
+    bare = bench.without_disturbance()
+    grown = vehicle.with_effect(catalogue()["net_buoyancy"], {})
+    right = fit_weak(grown, bare.train, start={"B_net": truth})
+    assert explains_all(bare, right, _quiet)
+    assert not explains_all(bare, bare.base, _quiet)
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "left", "expected"),
+    [(0.0, 5.0, False), (1.0, 1.1, False), (1.0, 5.0, True), (1.0, 50.0, False)],
+)
+def test_when_it_is_worth_a_second_look(
+    disturbance: float, left: float, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not without a disturbance, not where noise is all there is, not where the model is far off."""
+    monkeypatch.setattr(second_look, "noise_ratio", lambda *_: np.array([1.0, left]))
+    bench = SimpleNamespace(base=SimpleNamespace(disturbance=np.array([disturbance])), test=None)
+    assert hidden_by_disturbance(bench, lambda *_: left < 2.0) is expected  # type: ignore[arg-type]
