@@ -13,19 +13,15 @@ from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis import second_look
 from undertow.identification.diagnosis.search import search
 from undertow.identification.diagnosis.second_look import explains_all, hidden_by_disturbance
-from undertow.identification.diagnosis.trial import Bench, noise_ratio, only_noise, open_bench
-from undertow.identification.weak.data import WeakData, prepare
+from undertow.identification.diagnosis.trial import Bench, only_noise, open_bench
+from undertow.identification.weak.data import prepare
 from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import WeakFit, fit_weak
+from undertow.identification.weak.fit import fit_weak
 from undertow.identification.weak.residual import whitened
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
 
 _FORCES = {n: catalogue()[n] for n in ("net_buoyancy", "cubic_damping", "drag_asymmetry", "radiation_memory")}
-
-
-def _quiet(fit: WeakFit, test: WeakData) -> bool:
-    return only_noise(noise_ratio(fit, test))
 
 
 @cache
@@ -42,7 +38,7 @@ def test_the_model_without_the_force_calls_it_a_disturbance() -> None:
     _, bench, _ = _bench()
     assert np.any(bench.base.disturbance)
     assert bench.base_score.error < 1.1  # by its own noise model nothing is amiss
-    assert hidden_by_disturbance(bench, _quiet)
+    assert hidden_by_disturbance(bench, only_noise)
 
 
 def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> None:
@@ -59,7 +55,7 @@ def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> Non
 
 def test_the_steady_force_is_found_at_its_size() -> None:
     vehicle, bench, truth = _bench()
-    found = search(vehicle, bench.train, bench.test, _FORCES, quiet=_quiet)
+    found = search(vehicle, bench.train, bench.test, _FORCES, quiet=only_noise)
     assert [f.id for f in found.winners] == ["net_buoyancy"]
     fit = found.chain.fit
     error = fit.values["B_net"] - truth
@@ -71,7 +67,7 @@ def test_what_does_not_explain_all_is_not_found_by_the_second_look() -> None:
     """Without the truth among the candidates none may take its place."""
     vehicle, bench, _ = _bench()
     others = {n: e for n, e in _FORCES.items() if n in ("cubic_damping", "radiation_memory")}
-    assert search(vehicle, bench.train, bench.test, others, quiet=_quiet).winners == []
+    assert search(vehicle, bench.train, bench.test, others, quiet=only_noise).winners == []
 
 
 def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
@@ -79,8 +75,8 @@ def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
     bare = bench.without_disturbance()
     grown = vehicle.with_effect(catalogue()["net_buoyancy"], {})
     right = fit_weak(grown, bare.train, start={"B_net": truth})
-    assert explains_all(bare, right, _quiet)
-    assert not explains_all(bare, bare.base, _quiet)
+    assert explains_all(bare, right, only_noise)
+    assert not explains_all(bare, bare.base, only_noise)
 
 
 @pytest.mark.parametrize(

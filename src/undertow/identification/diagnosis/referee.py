@@ -25,7 +25,7 @@ from ..output_error.shooting import Shooting
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit
 from .chain import Chain
-from .trial import noise_ratio, only_noise
+from .trial import only_noise
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Fitted)
@@ -161,7 +161,7 @@ class Referee:
 
     def quiet(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak residual or by simulation."""
-        if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(noise_ratio(fit, test))):
+        if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test)):
             return True
         # The fit by output error is dear, and no help to a model that is far off.
         return bool(np.mean(self.squares(weak)) < _WITHIN_REACH and self.leaves_only_noise(weak))

@@ -19,7 +19,7 @@ from .finding import Finding
 from .pairs import promising_pairs
 from .rounds import FALSE_ALARM_RATE, Round, try_all
 from .second_look import explains_all, hidden_by_disturbance
-from .trial import Bench, noise_ratio, only_noise, open_bench
+from .trial import Bench, only_noise, open_bench
 
 __all__ = ["FALSE_ALARM_RATE", "Search", "search"]
 
@@ -77,7 +77,7 @@ def search(
     test: WeakData,
     known: Catalogue,
     report: Report = lambda done, words: None,
-    quiet: Quiet = lambda fit, test: only_noise(noise_ratio(fit, test)),
+    quiet: Quiet = only_noise,
 ) -> Search:
     """Look for missing effects until the noise floor or until nothing helps.
 
@@ -177,7 +177,7 @@ def _pair(current: Round) -> Chain | None:
         for pair in promising_pairs(current.findings, bench, _PAIRS)
         if current.winner not in pair
     ]
-    good = [c for c in tried if only_noise(noise_ratio(c.fit, bench.test))]
+    good = [c for c in tried if only_noise(c.fit, bench.test)]
     return min(good, key=lambda c: c.score.error, default=None)
 
 

@@ -26,7 +26,9 @@ from .candidates import Candidate
 Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
-_NOISE_EXPLAINS = 2.0
+# Share to which the variance of the sensors' noise is known, and standard errors of a mean square of as many
+# rows by which it may exceed that.
+_NOISE_KNOWN_TO, _BY_CHANCE = 0.1, 4.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
 _SHARPENING = 3
@@ -232,9 +234,11 @@ def noise_ratio(fit: Fitted, data: WeakData) -> Array:
     return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
 
 
-def only_noise(ratio: Array) -> bool:
-    """Whether the sensors' noise explains a residual; the quadrature alone leaves up to half as much."""
-    return bool(np.nanmax(ratio) < _NOISE_EXPLAINS)
+def only_noise(fit: Fitted, data: WeakData) -> bool:
+    """Whether the sensors' noise explains what a model leaves in each equation, as far as rows can show."""
+    rows = np.maximum(np.bincount(data.equation, minlength=len(data.names)), 1)
+    limit = 1.0 + _NOISE_KNOWN_TO + _BY_CHANCE * np.sqrt(2.0 / rows)
+    return not np.any(noise_ratio(fit, data) > limit)
 
 
 def try_candidate(

@@ -66,6 +66,8 @@ def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
         left = _projected(part.table, back[begin : begin + len(part.squares)], n)
         scores.append(left[:, :, :n, n].reshape(left.shape[0] * left.shape[1], n))
         gram += left.sum(axis=(0, 1))
+    if not np.all(np.isfinite(gram)):  # so large that its squares are beyond all numbers
+        return _diverged(windows, n, size)
     condensed = _condensed(gram)
     squares = np.sum([p.squares.sum(axis=0) for p in parts], axis=0)
     return Reduced(
@@ -112,7 +114,7 @@ def _projected(table: Array, back: Array, n: int) -> Array:
 def _condensed(gram: Array) -> Array:
     """Few rows with these products of their columns."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    weight, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    weight, vectors = np.linalg.eigh(gram / scale / scale[:, None])
     return np.asarray(np.sqrt(np.maximum(weight, 0.0))[:, None] * vectors.T * scale)
 
 
