@@ -11,6 +11,7 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
+from undertow.codegen.gauss_newton import Products
 from undertow.errors import UndertowError
 from undertow.identification import velocities_from_pose
 from undertow.identification.compare.cutting import cut
@@ -18,6 +19,7 @@ from undertow.identification.fitted import correlation, cramer_rao, remarks, t_v
 from undertow.identification.logs import Run
 from undertow.identification.output_error import OutputErrorFit, fit_output_error
 from undertow.identification.output_error.descent import channel_weights
+from undertow.identification.output_error.elimination import _condensed, eliminated
 from undertow.identification.output_error.shooting import Shooting
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak
@@ -144,6 +146,26 @@ def test_a_simulation_that_diverges_at_the_start_is_told() -> None:
     wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4, estimate=False)})
     with pytest.raises(UndertowError, match="diverges with the starting values"):
         fit_output_error(wild, [surge_run(0.02)], horizon=None, start={})
+
+
+@pytest.mark.parametrize("rounding", [0.0, -1e-9])
+def test_a_column_that_lies_in_the_starts_is_nil(rounding: float) -> None:
+    """Sums of a simulation that nearly diverged are huge, and what is left of such a column is rounding."""
+    columns = 1e80 * np.random.default_rng(5).standard_normal((30, 3))
+    gram = np.zeros((4, 4))
+    gram[np.ix_([0, 1, 3], [0, 1, 3])] = columns.T @ columns
+    gram[2, 2], gram[2, 0], gram[0, 2] = rounding, 1e140, 1e140
+    rows = _condensed(gram)
+    kept = [0, 1, 3]
+    assert np.allclose((rows.T @ rows)[np.ix_(kept, kept)], columns.T @ columns, rtol=1e-12)
+    assert np.max(np.abs(rows[:, 2])) < 1e-150
+
+
+def test_sums_beyond_all_numbers_count_as_diverged() -> None:
+    huge = Products(np.ones((2, 1, 5, 5)), np.full((2, 2), 1e308), diverged=False)
+    found = eliminated([huge], np.array([10, 10]), 2)
+    assert found.cost == np.inf
+    assert np.all(np.isfinite(found.r))
 
 
 def test_a_derived_velocity_takes_no_part_but_the_pose_does() -> None:

@@ -57,7 +57,11 @@ def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
         Number of free parameters.
     """
     windows, size = sum(len(p.squares) for p in parts), len(counts)
-    if any(p.diverged for p in parts):
+    with np.errstate(over="ignore"):
+        squares = np.sum([p.squares.sum(axis=0) for p in parts], axis=0)
+    # What nearly diverged may be so large that its squares are beyond all numbers.
+    whole = all(np.all(np.isfinite(p.table)) for p in parts) and np.all(np.isfinite(squares))
+    if any(p.diverged for p in parts) or not whole:
         return _diverged(windows, n, size)
     back = np.concatenate([_starts(p.table.sum(axis=1), n) for p in parts])
     first = np.cumsum([0, *(len(p.squares) for p in parts)])
@@ -66,10 +70,7 @@ def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
         left = _projected(part.table, back[begin : begin + len(part.squares)], n)
         scores.append(left[:, :, :n, n].reshape(left.shape[0] * left.shape[1], n))
         gram += left.sum(axis=(0, 1))
-    if not np.all(np.isfinite(gram)):  # so large that its squares are beyond all numbers
-        return _diverged(windows, n, size)
     condensed = _condensed(gram)
-    squares = np.sum([p.squares.sum(axis=0) for p in parts], axis=0)
     return Reduced(
         r=condensed[:, n],
         J=condensed[:, :n],
@@ -113,8 +114,12 @@ def _projected(table: Array, back: Array, n: int) -> Array:
 
 def _condensed(gram: Array) -> Array:
     """Few rows with these products of their columns."""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    weight, vectors = np.linalg.eigh(gram / scale / scale[:, None])
+    diagonal = np.diag(gram)
+    # A column that lies in the starts is nil but for rounding, which may be negative.
+    there = diagonal > 0.0
+    scale = np.sqrt(np.where(there, diagonal, 1.0))
+    cosines = np.where(np.outer(there, there), gram / scale / scale[:, None], 0.0)
+    weight, vectors = np.linalg.eigh(np.clip(cosines, -1.0, 1.0))
     return np.asarray(np.sqrt(np.maximum(weight, 0.0))[:, None] * vectors.T * scale)
 
 
