@@ -25,6 +25,7 @@ from ..output_error.shooting import Shooting
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit
 from .chain import Chain
+from .level import simulates_to_noise
 from .trial import only_noise
 
 Array = NDArray[np.float64]
@@ -34,9 +35,6 @@ T = TypeVar("T")
 HORIZONS = (1.0, 5.0, 20.0)
 DECIDING = 5.0
 THOROUGH = 20.0
-# Mean square of the simulation error, in units of the noise, that still counts as noise: in the worst channel
-# and over all of them. The noise of a channel is known to a few per cent.
-_ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
 # Mean square of the simulation error below which it is nearly noise, from which no fit by output error brings
 # it down to that, and from which none is made.
 _NEAR_NOISE = 2.0
@@ -179,13 +177,8 @@ class Referee:
         fit = self._refined(weak, THOROUGH)
         if fit is weak:
             return False
-        at, starts = self._linearised(fit, self._long_windows)
-        if not np.isfinite(at.cost):
-            return False
-        used = at.counts > 0
-        taken_up = 1.0 - starts.size / max(float(at.counts.sum()), 1.0)
-        level = at.squares[used] / at.counts[used] / max(taken_up, 0.1)
-        return bool(np.max(level, initial=0.0) < _ANY_CHANNEL and np.mean(level) < _ALL_CHANNELS)
+        shooting, starts = self._shot(fit, self._long_windows)
+        return simulates_to_noise(shooting, np.asarray(fit.p), starts)
 
     def _linearised(self, fit: Fitted, windows: Windows) -> tuple[Reduced, Array]:
         shooting, starts = self._shot(fit, windows)
