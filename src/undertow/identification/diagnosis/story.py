@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -26,7 +27,7 @@ from .finding import Finding
 from .referee import DECIDING, Referee, clearly_worse
 from .remaining import remaining
 from .repeats import repeats
-from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, RunInfo, Step
+from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
 from .trial import Bench, Score, error_of, scored, told_apart
 from .verdict import Judgement, judge, unique_ids
@@ -79,6 +80,8 @@ class Story:
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}." for e in equivalent]
         doubts += self._by_heart() if self.judgement.effects else []
+        left = remaining(self.after, self.bench.train, self.bench.test)
+        doubts += self._nowhere_alone(left)
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
@@ -93,7 +96,7 @@ class Story:
             indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(),
-            remaining=remaining(self.after, self.bench.train, self.bench.test),
+            remaining=left,
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=FALSE_ALARM_RATE,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
@@ -105,6 +108,11 @@ class Story:
             return []
         derived = self.bench.train.velocities_derived
         return equivalents(self.vehicle, self.bench, possible(self.vehicle, self._known, derived=derived))
+
+    def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
+        if self.judgement.verdict != "unexplained" or any(r.excess_rms > 0.0 for r in left):
+            return []
+        return ["It stands out in no degree of freedom by itself, but in pose and velocity together."]
 
     def _by_heart(self) -> list[str]:
         return [

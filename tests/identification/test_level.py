@@ -1,0 +1,103 @@
+"""What counts as noise: mean squares by the number of rows, and simulation errors quick and slow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.identification.surge import surge_run, surge_vehicle
+from undertow.identification.diagnosis import trial
+from undertow.identification.diagnosis.level import means_over, simulates_to_noise
+from undertow.identification.diagnosis.referee import Referee
+from undertow.identification.diagnosis.trial import only_noise
+from undertow.identification.weak.data import prepare
+from undertow.identification.weak.fit import fit_weak
+
+
+def _shooting(errors: np.ndarray, step: float = 0.05) -> SimpleNamespace:
+    """What a simulation of windows comes to."""
+    t = np.tile(step * np.arange(errors.shape[1]), (len(errors), 1))
+    windows = SimpleNamespace(t=t, measured=np.where(np.isnan(errors), np.nan, 1.0))
+    return SimpleNamespace(errors=lambda *_: errors, windows=windows, weight=np.ones(errors.shape[2]))
+
+
+def _white(seed: int, channels: int = 6) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((5, 400, channels))
+
+
+_STARTS = np.zeros((5, 12))
+
+
+def test_means_of_white_noise_have_unit_variance() -> None:
+    found = means_over(_white(1), 20)
+    assert found.shape == (5, 20, 6)
+    assert np.mean(found**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
+
+
+def test_means_lack_where_a_sample_lacks() -> None:
+    errors = _white(2)
+    errors[0, 3, 1] = np.nan
+    found = means_over(errors, 20)
+    assert np.isnan(found[0, 0, 1])
+    assert np.count_nonzero(np.isnan(found)) == 1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_white_noise_passes(seed: int) -> None:
+    assert simulates_to_noise(_shooting(_white(seed)), np.zeros(0), _STARTS)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_slow_error_of_a_third_of_the_noise_does_not_pass(seed: int) -> None:
+    """It adds a tenth to the mean square of single samples of one channel, and doubles that of means."""
+    errors = _white(seed)
+    errors[:, :, 2] += 0.33 * np.sqrt(2) * np.sin(2 * np.pi * np.arange(400) / 200)
+    assert np.max(np.mean(errors**2, axis=(0, 1))) < 1.3
+    assert not simulates_to_noise(_shooting(errors), np.zeros(0), _STARTS)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("value", [np.inf, 1e200])
+def test_a_simulation_that_runs_away_does_not_pass(value: float) -> None:
+    errors = _white(3)
+    errors[1, 100:, 0] = value
+    with np.errstate(over="ignore"):
+        assert not simulates_to_noise(_shooting(errors), np.zeros(0), _STARTS)  # type: ignore[arg-type]
+
+
+def test_a_simulation_that_ends_in_no_number_does_not_pass() -> None:
+    shooting = _shooting(_white(4))
+    broken = _white(4)
+    broken[2, 50:, 3] = np.nan
+    shooting.errors = lambda *_: broken
+    assert not simulates_to_noise(shooting, np.zeros(0), _STARTS)  # type: ignore[arg-type]
+
+
+def test_channels_that_are_not_there_have_no_say() -> None:
+    errors = _white(5)
+    errors[:, :, 4] = np.nan
+    assert simulates_to_noise(_shooting(errors), np.zeros(0), _STARTS)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("rows", "level", "expected"), [
+    (400, 1.3, True), (400, 1.45, False), (40, 1.45, True), (40, 1.9, True), (40, 2.1, False),
+])  # fmt: skip
+def test_few_rows_leave_more_to_chance(
+    rows: int, level: float, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trial, "noise_ratio", lambda *_: np.array([1.0, level]))
+    data = SimpleNamespace(equation=np.repeat([0, 1], rows), names=("x", "u"))
+    assert only_noise(None, data) is expected  # type: ignore[arg-type]
+
+
+def test_the_right_model_simulates_to_noise_and_one_without_square_drag_does_not() -> None:
+    vehicle, run = surge_vehicle(), surge_run(0.02, 3)
+    data = prepare([run], vehicle)
+    right = fit_weak(vehicle, data)
+    nil = replace(vehicle.value_of("X_uabsu"), value=0.0, estimate=False)
+    lacking = fit_weak(vehicle.with_values({"X_uabsu": nil}), data)
+    referee = Referee(vehicle, [run], [run], data.sigma)
+    assert referee.leaves_only_noise(right)
+    assert not referee.leaves_only_noise(lacking)
