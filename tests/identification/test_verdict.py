@@ -32,3 +32,9 @@ def test_what_stands_against_naming(
     said = _doubt(winners, share, quiet=quiet, confirmed=confirmed)
     assert doubt in said
     assert bool(said) is bool(doubt)
+
+
+def test_a_size_that_changes_stands_against_naming_unless_only_noise_is_left() -> None:
+    winners, words = [SimpleNamespace(id="net_buoyancy")], "its size would have to go from 0% to 120%"
+    assert words in _doubt(winners, 0.93, quiet=False, confirmed=True, change=words)
+    assert _doubt(winners, 0.93, quiet=True, confirmed=True, change=words) == ""

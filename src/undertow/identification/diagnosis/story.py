@@ -29,6 +29,7 @@ from .remaining import remaining
 from .repeats import repeats
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
+from .steadiness import sizes
 from .trial import Bench, Score, error_of, scored, told_apart
 from .verdict import Judgement, judge, unique_ids
 
@@ -68,7 +69,15 @@ class Story:
             self.bench.noise_level,
             quiet=referee.quiet(weak[-1], self.bench.test),
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
+            change=self._change(),
         )
+
+    def _change(self) -> str:
+        """How the size of the one effect that was found changes in the course of the kept-aside data."""
+        if len(self.found.winners) != 1:
+            return ""
+        own = self.found.winners[0].trial.candidate.parameters
+        return sizes(self.fits[-1], own, self.bench.test).change
 
     @property
     def after(self) -> Fitted:

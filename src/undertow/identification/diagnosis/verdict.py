@@ -47,7 +47,13 @@ class Judgement:
 
 
 def judge(
-    found: Search, scores: tuple[Score, Score], noise: Array, *, quiet: bool, confirmed: bool
+    found: Search,
+    scores: tuple[Score, Score],
+    noise: Array,
+    *,
+    quiet: bool,
+    confirmed: bool,
+    change: str = "",
 ) -> Judgement:
     """Decide.
 
@@ -63,13 +69,15 @@ def judge(
         Whether the noise explains what the final model leaves.
     confirmed : bool
         Whether the final model does not simulate the kept-aside runs worse than the incomplete one.
+    change : str
+        How the size of the effect would have to change in the course of the kept-aside data, if it would.
     """
     winners = found.winners
     share = explained(*told_apart(*scores, found.bench.test), noise)
     sets = _sets(found)
     if not winners:
         return _without_effect(quiet, share)
-    if doubt := _doubt(winners, share, quiet=quiet, confirmed=confirmed):
+    if doubt := _doubt(winners, share, quiet=quiet, confirmed=confirmed, change=change):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > _MANY for s in sets):
@@ -88,7 +96,7 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
     return Judgement("unexplained", text, [], [], share)
 
 
-def _doubt(winners: list[Finding], share: float, *, quiet: bool, confirmed: bool) -> str:
+def _doubt(winners: list[Finding], share: float, *, quiet: bool, confirmed: bool, change: str = "") -> str:
     """Why nothing can be named, or nothing where it can.
 
     Where more than noise is left, a later effect may only make up for an earlier one that is wrong or poorly
@@ -104,6 +112,8 @@ def _doubt(winners: list[Finding], share: float, *, quiet: bool, confirmed: bool
         )
     if len(unique_ids(winners)) > 1:
         return "leaves more than noise, and several effects are named only where nothing else is left"
+    if change:
+        return f"leaves more than noise, and {change} in the course of the kept-aside data"
     return ""
 
 
