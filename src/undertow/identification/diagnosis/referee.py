@@ -161,16 +161,7 @@ class Referee:
         """Whether a model leaves only noise, by its weak residual or by simulation."""
         if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test)):
             return True
-        return self._once("reach", weak, self._within_reach) and self.leaves_only_noise(weak)
-
-    def _within_reach(self, weak: WeakFit) -> bool:
-        """Whether a fit by output error may bring a model down to the noise: it is dear, and no help to one
-        that is far off in short windows, or in long ones, whose starts take less of it up.
-        """
-        if not np.mean(self.squares(weak)) < _WITHIN_REACH:
-            return False
-        shooting, starts = self._shot(weak, self._long_windows)
-        return bool(np.mean(shooting.mean_squares(weak.p, starts)) < _WITHIN_REACH)
+        return self.leaves_only_noise(weak)
 
     def leaves_only_noise(self, weak: WeakFit) -> bool:
         """Whether a model, fitted by output error, simulates the kept-aside runs to within the noise.
@@ -181,7 +172,18 @@ class Referee:
         """
         return self._once("noise", weak, self._leaves_only_noise)
 
+    def _within_reach(self, weak: WeakFit) -> bool:
+        """Whether a fit by output error may bring a model down to the noise: it is dear, and no help to one
+        that is far off in short windows, or in long ones, whose starts take less of it up.
+        """
+        if not np.mean(self.squares(weak)) < _WITHIN_REACH:
+            return False
+        shooting, starts = self._shot(weak, self._long_windows)
+        return bool(np.mean(shooting.mean_squares(weak.p, starts)) < _WITHIN_REACH)
+
     def _leaves_only_noise(self, weak: WeakFit) -> bool:
+        if not self._within_reach(weak):
+            return False
         fit = self._refined(weak, THOROUGH)
         if fit is weak:
             return False
