@@ -37,12 +37,15 @@ def test_means_of_white_noise_have_unit_variance() -> None:
     assert np.mean(found**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
 
 
-def test_means_lack_where_a_sample_lacks() -> None:
+def test_means_of_few_samples_have_unit_variance_too() -> None:
+    """A channel at a tenth of the clock has two samples in twenty."""
     errors = _white(2)
-    errors[0, 3, 1] = np.nan
+    errors[:, np.arange(400) % 10 > 0] = np.nan
+    errors[0, :20, 1] = np.nan
     found = means_over(errors, 20)
     assert np.isnan(found[0, 0, 1])
     assert np.count_nonzero(np.isnan(found)) == 1
+    assert np.nanmean(found**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
 
 
 @pytest.mark.parametrize("seed", range(20))

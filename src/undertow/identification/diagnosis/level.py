@@ -42,7 +42,7 @@ def simulates_to_noise(shooting: Shooting, p: Array, starts: Array) -> bool:
 
 
 def means_over(errors: Array, samples: int) -> Array:
-    """Means over so many samples, times the square root of their number; NaN where not all of them are there.
+    """Means over so many samples, times the square root of the number of those that are there.
 
     Parameters
     ----------
@@ -54,11 +54,13 @@ def means_over(errors: Array, samples: int) -> Array:
     Returns
     -------
     (b, k // samples, c) array
-        Of unit variance where the errors are white noise.
+        Of unit variance where the errors are white noise; NaN where no sample is there.
     """
     whole = errors.shape[1] // samples
     parts = errors[:, : whole * samples].reshape(len(errors), whole, samples, -1)
-    return np.asarray(parts.sum(axis=2) / np.sqrt(samples))
+    there = np.count_nonzero(np.isfinite(parts), axis=2)
+    total = np.nansum(parts, axis=2)
+    return np.divide(total, np.sqrt(there), out=np.full(total.shape, np.nan), where=there > 0)
 
 
 def _samples(t: Array, seconds: float) -> int:
@@ -69,9 +71,7 @@ def _samples(t: Array, seconds: float) -> int:
 
 def _is_noise(errors: Array, starts: int, by_chance: float) -> bool:
     """Whether the mean squares by channel and of all are those of noise; estimated starts take some up."""
-    count = np.count_nonzero(np.isfinite(errors), axis=(0, 1))
-    if not np.all(count):
-        return True
+    count = np.maximum(np.count_nonzero(np.isfinite(errors), axis=(0, 1)), 1)
     left = 1.0 - starts / float(count.sum())
     level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, 0.1)
     any_one = _ANY_CHANNEL + by_chance * np.sqrt(2.0 / count)
