@@ -105,23 +105,23 @@ def _stepwise(
     vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet
 ) -> tuple[list[Round], list[Finding]]:
     """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
-    rounds, chain = _steps(vehicle, bench, known, report, quiet, [])
+    rounds, chain, _ = _steps(vehicle, bench, known, report, quiet, [])
     last = rounds[-1].bench
     if rounds[-1].winner is not None or not hidden_by_disturbance(last, quiet):
         return rounds, chain
     bare = last.without_disturbance()
-    again, longer = _steps(vehicle, bare, known, lambda _, words: report(0.9, words), quiet, chain)
-    if len(longer) > len(chain) and explains_all(bare, longer[-1].trial.fit, quiet):
+    again, longer, fit = _steps(vehicle, bare, known, lambda _, words: report(0.9, words), quiet, chain)
+    if len(longer) > len(chain) and explains_all(bare, fit, quiet):
         return [*rounds[:-1], *again], longer
     return rounds, chain
 
 
 def _steps(
     vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet, found: Sequence[Finding]
-) -> tuple[list[Round], list[Finding]]:
-    """Rounds of candidates, each on top of the effects found so far."""
+) -> tuple[list[Round], list[Finding], WeakFit]:
+    """Rounds of candidates, each on top of what was found so far; the effects, and the model with them."""
     rounds: list[Round] = []
-    chain = list(found)
+    chain, fit = list(found), bench.base
     while len(chain) < MAX_EFFECTS:
         current = _sound_first(try_all(bench, known, _share_of(report, len(rounds))), quiet)
         rounds.append(current)
@@ -139,7 +139,7 @@ def _steps(
             if quiet(fit, bench.test):
                 break
         bench = _on_top(current.bench, vehicle, chain, fit)
-    return rounds, chain
+    return rounds, chain, fit
 
 
 def _sound_first(current: Round, quiet: Quiet) -> Round:
