@@ -28,11 +28,16 @@ def _white(seed: int, channels: int = 6) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal((5, 400, channels))
 
 
+def _parts(count: int = 5) -> np.ndarray:
+    """Seconds of windows of 20 s at 20 Hz."""
+    return np.tile(np.arange(400) // 20, (count, 1))
+
+
 _STARTS = np.zeros((5, 12))
 
 
 def test_means_of_white_noise_have_unit_variance() -> None:
-    found = means_over(_white(1), 20)
+    found = means_over(_white(1), _parts())
     assert found.shape == (5, 20, 6)
     assert np.mean(found**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
 
@@ -42,10 +47,22 @@ def test_means_of_few_samples_have_unit_variance_too() -> None:
     errors = _white(2)
     errors[:, np.arange(400) % 10 > 0] = np.nan
     errors[0, :20, 1] = np.nan
-    found = means_over(errors, 20)
+    found = means_over(errors, _parts())
     assert np.isnan(found[0, 0, 1])
     assert np.count_nonzero(np.isnan(found)) == 1
     assert np.nanmean(found**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / found.size))
+
+
+def test_windows_of_different_rates_are_cut_into_seconds() -> None:
+    """The slower ones are padded with their last instant, which is no sample."""
+    errors, t = _white(6), np.tile(0.05 * np.arange(400), (5, 1))
+    t[1:] = np.minimum(0.2 * np.arange(400), 19.8)
+    errors[1:, 100:] = np.nan
+    shooting = _shooting(errors)
+    shooting.windows.t = t
+    assert simulates_to_noise(shooting, np.zeros(0), _STARTS)  # type: ignore[arg-type]
+    errors[:, :, 3] += 1.0 * np.sin(2 * np.pi * t / 10.0)
+    assert not simulates_to_noise(shooting, np.zeros(0), _STARTS)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -104,3 +121,11 @@ def test_the_right_model_simulates_to_noise_and_one_without_square_drag_does_not
     referee = Referee(vehicle, [run], [run], data.sigma)
     assert referee.leaves_only_noise(right)
     assert not referee.leaves_only_noise(lacking)
+
+
+def test_no_number_is_no_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "noise_ratio", lambda *_: np.array([1.0, np.nan, np.nan]))
+    used, lacking = np.repeat([0, 1], 50), np.repeat([0], 50)
+    for equation, expected in ((used, False), (lacking, True)):
+        data = SimpleNamespace(equation=equation, names=("x", "u", "v"))
+        assert only_noise(None, data) is expected  # type: ignore[arg-type]

@@ -57,3 +57,15 @@ def test_what_says_nothing_about_the_size_has_no_say() -> None:
 
 def test_a_change_that_explains_little_of_what_is_left_is_none() -> None:
     assert Sizes(np.array([0.0, 1.0, 1.5]), np.full(3, 0.01), 0.4).change == ""
+
+
+def test_an_effect_without_a_linear_parameter_has_no_size() -> None:
+    run = surge_run(0.02, 1)
+    effect = catalogue()["sensor_delay"]
+    vehicle = surge_vehicle()
+    data = prepare([run], vehicle)
+    own = [p for p in Candidate(effect, vehicle).parameters if not p.linear]
+    found = sizes(fit_weak(vehicle, data), own, data)
+    assert own
+    assert found.value.size == 0
+    assert found.change == ""

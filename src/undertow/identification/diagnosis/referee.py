@@ -179,7 +179,7 @@ class Referee:
         if not np.mean(self.squares(weak)) < _WITHIN_REACH:
             return False
         shooting, starts = self._shot(weak, self._long_windows)
-        return bool(np.mean(shooting.mean_squares(weak.p, starts)) < _WITHIN_REACH)
+        return bool(np.median(shooting.mean_squares(weak.p, starts)) < _WITHIN_REACH)
 
     def _leaves_only_noise(self, weak: WeakFit) -> bool:
         if not self._within_reach(weak):

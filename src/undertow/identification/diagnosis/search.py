@@ -132,7 +132,7 @@ def _steps(
         _log.info("adding %s: normalised error %.3f", current.winner.id, current.winner.trial.score.error)
         if quiet(fit, bench.test):
             break
-        pair = _pair(current) if len(chain) == 1 else None
+        pair = _pair(current, quiet) if len(chain) == 1 else None
         if pair is not None:
             chain, fit = list(pair.findings), pair.fit
             _log.info("a pair: %s, normalised error %.3f", [f.id for f in chain], pair.score.error)
@@ -164,7 +164,7 @@ def _on_top(bench: Bench, vehicle: Vehicle, chain: list[Finding], fit: WeakFit) 
     return Bench(bench.train, bench.test, bench.train_whitening, bench.test_whitening, base)
 
 
-def _pair(current: Round) -> Chain | None:
+def _pair(current: Round, quiet: Quiet) -> Chain | None:
     """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
 
     A pair with the best single effect is found by the next round.
@@ -177,7 +177,7 @@ def _pair(current: Round) -> Chain | None:
         for pair in promising_pairs(current.findings, bench, _PAIRS)
         if current.winner not in pair
     ]
-    good = [c for c in tried if only_noise(c.fit, bench.test)]
+    good = [c for c in tried if quiet(c.fit, bench.test)]
     return min(good, key=lambda c: c.score.error, default=None)
 
 

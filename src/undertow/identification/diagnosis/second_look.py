@@ -1,7 +1,9 @@
 """A second look where nothing was found although more than noise is left: the noise of the sensors alone.
 
 What an incomplete model leaves is first taken for a disturbance. Under a noise model with room for one, a
-small steady force, say, is no evidence of anything.
+small steady force, say, is no evidence of anything. That another round of tests follows adds next to nothing
+to the false alarms: it takes a model that leaves more than noise, which a complete one does once in thousands
+of times, and effects that bring it down to noise.
 """
 
 from __future__ import annotations

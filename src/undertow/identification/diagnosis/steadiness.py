@@ -66,13 +66,13 @@ def sizes(fit: Fitted, own: Sequence[Parameter], data: WeakData) -> Sizes:
     fit : Fitted
         The model with the effect.
     own : sequence of Parameter
-        What the effect brings in; those that it is linear in make its size, or all where there are none.
+        What the effect brings in; those that it is linear in make its size. One without such has none.
     data : WeakData
         Data kept aside.
     """
     p = np.asarray(fit.p)
     at = whitened(fit.model.linearise(data, p), fit.model.whitening(data, p))
-    names = {q.name for q in own if q.linear} & set(fit.model.free) or {q.name for q in own}
+    names = {q.name for q in own if q.linear}
     chosen = [k for k, n in enumerate(fit.model.free) if n in names]
     whole = at.J[:, chosen] @ p[[fit.model.places[k] for k in chosen]]
     stretch = _stretches(data)

@@ -74,9 +74,10 @@ class Story:
 
     def _change(self) -> str:
         """How the size of the one effect that was found changes in the course of the kept-aside data."""
-        if len(self.found.winners) != 1:
+        winners = self.found.winners
+        if len(unique_ids(winners)) != 1:
             return ""
-        own = self.found.winners[0].trial.candidate.parameters
+        own = [p for w in winners for p in w.trial.candidate.parameters]
         return sizes(self.fits[-1], own, self.bench.test).change
 
     @property
@@ -119,9 +120,10 @@ class Story:
         return equivalents(self.vehicle, self.bench, possible(self.vehicle, self._known, derived=derived))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
-        if self.judgement.verdict != "unexplained" or any(r.excess_rms > 0.0 for r in left):
+        nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
+        if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
-        return ["It stands out in no degree of freedom by itself, but in pose and velocity together."]
+        return ["It stands out in the force of no degree of freedom by itself."]
 
     def _by_heart(self) -> list[str]:
         return [

@@ -236,9 +236,10 @@ def noise_ratio(fit: Fitted, data: WeakData) -> Array:
 
 def only_noise(fit: Fitted, data: WeakData) -> bool:
     """Whether the sensors' noise explains what a model leaves in each equation, as far as rows can show."""
-    rows = np.maximum(np.bincount(data.equation, minlength=len(data.names)), 1)
-    limit = 1.0 + _NOISE_KNOWN_TO + _BY_CHANCE * np.sqrt(2.0 / rows)
-    return not np.any(noise_ratio(fit, data) > limit)
+    rows = np.bincount(data.equation, minlength=len(data.names))
+    used = rows > 0
+    limit = 1.0 + _NOISE_KNOWN_TO + _BY_CHANCE * np.sqrt(2.0 / rows[used])
+    return bool(np.all(noise_ratio(fit, data)[used] <= limit))
 
 
 def try_candidate(
