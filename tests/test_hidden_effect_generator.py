@@ -240,6 +240,47 @@ def test_a_weightless_hull_is_carried_along_by_waves() -> None:
         assert state[6:9] == pytest.approx(water, abs=1e-8)
 
 
+def test_hull_and_swinging_mass_exchange_momentum_and_swing_as_two_masses_on_a_spring() -> None:
+    world, values = hidden_world(undamped("mini-auv").vehicle, ["slosh"], 1, 1.0)
+    world = replace(world, linear=np.zeros((6, 6)), quadratic=np.zeros((6, 6)))
+    load, omega, ratio = (values["slosh"][k] for k in ("m_slosh", "slosh_frequency", "slosh_damping"))
+    hull = (world.rigid_mass + world.added_mass)[0, 0]
+    start = np.zeros((12, 1))
+    start[6] = 0.2
+    u = coast(world, start, 12.0)[:, 6, 0]
+    # Seen from their common centre: one oscillator, (1 + m_s / m) times as stiff and as damped.
+    more, t = 1.0 + load / hull, STEP * np.arange(len(u))
+    damped = omega * np.sqrt(more - (ratio * more) ** 2)
+    fade, rest = np.exp(-ratio * omega * more * t), 0.2 * hull / (hull + load)
+    swing = np.cos(damped * t) - ratio * omega * more / damped * np.sin(damped * t)
+    assert u == pytest.approx(rest + (0.2 - rest) * fade * swing, abs=1e-7)
+
+
+def test_wind_pushes_to_one_side_of_the_world() -> None:
+    world, values = hidden_world(NOMINAL["usv"], ["wind"], 1, 1.0)
+    aspect, blow = values["wind"]["wind_aspect"], [values["wind"][k] for k in ("W_N", "W_E")]
+    for psi in np.linspace(-3.0, 3.0, 7):
+        turn = turn_z(psi)[:, :, None]
+        moment = replace(moment_at(world, np.zeros((6, 1))), turn=turn)
+        force = world.wrenches[0](moment)[:3]
+        force[1] /= aspect
+        assert to_ned(turn, force)[:2, 0] == pytest.approx(blow)
+
+
+def test_a_rudder_gives_nothing_at_rest_and_four_times_as_much_at_twice_the_speed() -> None:
+    world, values = hidden_world(NOMINAL["usv"], ["rudder_force"], 1, 1.0)
+    ((name, gain),) = values["rudder_force"].items()
+    which = NOMINAL["usv"].thrusters.index(name.removeprefix("rudder_"))
+    found = []
+    for speed in (0.0, 0.4, 0.8, -0.4):
+        nu = np.zeros((6, 1))
+        nu[0] = speed
+        moment = replace(moment_at(world, nu), thrust=np.full((len(world.allocation.T), 1), 2.0))
+        found.append(world.wrenches[0](moment)[:, 0])
+    once = gain * 0.16 * 2.0 * world.allocation[:, which]
+    assert np.array(found) == pytest.approx(np.outer([0.0, 1.0, 4.0, -1.0], once), abs=1e-12)
+
+
 def test_lever_arm_reads_the_velocity_of_its_place() -> None:
     seen, true = (quiet("rov", *names) for names in (("velocity_lever_arm",), ()))
     arm = make_case("rov", ("velocity_lever_arm",), 2, duration=1).truth["values"]["velocity_lever_arm"]

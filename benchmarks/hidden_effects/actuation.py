@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .drawing import Vehicle
-from .registry import TURNING, Draw, Values, hidden, those
+from .registry import SURGING, TURNING, Draw, Values, hidden, those
 from .world import Moment, World
 
 
@@ -140,3 +140,17 @@ def propeller_walk(world: World, draw: Draw) -> Values:
     world.wrenches.append(wrench)
     names = ("Y_walk", "Y_walk_back", "N_walk", "N_walk_back")
     return dict(zip(names, (side, astern, turn, turn_astern), strict=True))
+
+
+@hidden("rudder_force", SURGING)
+def rudder_force(world: World, draw: Draw) -> Values:
+    """F_i = c |u_r| u_r f_i along the column of one thruster: what it gives grows with the speed ahead."""
+    which = draw.pick(range(world.allocation.shape[1]))
+    gain = draw.size(0.1, 1.0) / world.vehicle.pace[0] ** 2
+    column = world.allocation[:, [which]].copy()
+
+    def wrench(now: Moment) -> np.ndarray:
+        return gain * np.abs(now.nu_r[0]) * now.nu_r[0] * now.thrust[which] * column
+
+    world.wrenches.append(wrench)
+    return {f"rudder_{world.vehicle.thrusters[which]}": gain}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .drawing import GRAVITY
-from .registry import ALL, SUBMERGED, SURGING, Draw, Values, hidden
+from .registry import ALL, SUBMERGED, SURGING, Draw, Values, hidden, those
 from .world import Memory, Moment, World, force_at, to_body, to_ned, velocity_at
 
 
@@ -125,3 +125,54 @@ def radiation_memory(world: World, draw: Draw) -> Values:
 
     world.memories.append(Memory(len(rows), lambda now, state: (now.nu_r[rows] - state) / time, wrench))
     return {"T_m": time, **{f"{'XYZKMN'[i]}_m": float(g) for i, g in zip(rows, gains, strict=True)}}
+
+
+@hidden("wind", those(lambda v: 2 not in v.dofs and 5 in v.dofs))
+def wind(world: World, draw: Draw) -> Values:
+    """F = R^T (W_N, W_E, 0), X = F_x, Y = a F_y, at (x_w, 0, z_w): a steady wind above the water."""
+    force, towards = draw.size(0.15, 1.5) * world.vehicle.drag_at_pace(0), draw.shape(-np.pi, np.pi)
+    blow = force * np.array([[np.cos(towards)], [np.sin(towards)], [0.0]])
+    aspect = draw.shape(1.0, 4.0)
+    x_w, z_w = draw.shape(-0.2, 0.2) * world.vehicle.length, -draw.shape(0.02, 0.1) * world.vehicle.length
+
+    def wrench(now: Moment) -> np.ndarray:
+        ahead, across, _ = to_body(now.turn, blow)
+        out = np.zeros_like(now.nu)
+        out[0], out[1] = ahead, aspect * across
+        out[3], out[4], out[5] = -z_w * out[1], z_w * out[0], x_w * out[1]
+        return out
+
+    world.wrenches.append(wrench)
+    sizes = {"W_N": float(blow[0, 0]), "W_E": float(blow[1, 0])}
+    return sizes | {"wind_aspect": aspect, "x_wind": x_w, "z_wind": z_w}
+
+
+@hidden("slosh", those(lambda v: bool({0, 1} & set(v.dofs))))
+def slosh(world: World, draw: Draw) -> Values:
+    """A mass m_s on a spring (w, damping ratio d) swings along and across the hull; it pulls where it is.
+
+    Its place (x, y) and speed over ground (u, v), in body axes that turn with r: dx/dt = u - u_hull + r y,
+    du/dt = a_x + r v, a = -w^2 (x, y) - 2 d w d(x, y)/dt; the hull feels -m_s a.
+    """
+    mass, omega = draw.size(0.05, 0.5) * world.vehicle.mass, draw.shape(0.8, 3.0)
+    ratio = draw.shape(0.03, 0.15)
+
+    def swing(now: Moment, s: np.ndarray) -> np.ndarray:
+        r = now.nu[5]
+        return np.array([s[2] - now.nu[0] + r * s[1], s[3] - now.nu[1] - r * s[0]])
+
+    def pull(now: Moment, s: np.ndarray) -> np.ndarray:
+        return -(omega**2) * s[:2] - 2 * ratio * omega * swing(now, s)
+
+    def rate(now: Moment, s: np.ndarray) -> np.ndarray:
+        turning = now.nu[5] * np.array([s[3], -s[2]])
+        return np.concatenate([swing(now, s), pull(now, s) + turning])
+
+    def wrench(now: Moment, s: np.ndarray) -> np.ndarray:
+        out = np.zeros_like(now.nu)
+        out[:2] = -mass * pull(now, s)
+        out[5] = s[0] * out[1] - s[1] * out[0]
+        return out
+
+    world.memories.append(Memory(4, rate, wrench))
+    return {"m_slosh": mass, "slosh_frequency": omega, "slosh_damping": ratio}
