@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
+from undertow.identification.diagnosis.diagnose import _with_doctor
 from undertow.identification.diagnosis.result import (
     Diagnosis,
     Estimate,
@@ -22,6 +23,8 @@ from undertow.identification.diagnosis.result import (
     Step,
     Verdict,
 )
+from undertow.identification.doctor import Examination
+from undertow.identification.doctor import Finding as Found
 from undertow.identification.report import (
     Budget,
     ErrorMap,
@@ -456,3 +459,18 @@ def test_numbers_and_names_as_readers_expect_them() -> None:
 def test_labels_are_printable_and_short() -> None:
     assert plain("a\nb\x00$") == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}\\$"
     assert len(plain("x" * 500)) == 48
+
+
+def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
+    def told(*found: Found) -> Diagnosis:
+        examined = Examination(
+            undertow="0.1.0", vehicle="v", runs=["a"], findings=list(found), excitation=[], seconds=1.0
+        )
+        return _with_doctor(_diagnosis(), examined)
+
+    mistake = Found(id="reversed_thruster", severity="mistake", text="thruster 'f1' pushes backwards")
+    late = Found(id="late_velocity", severity="warning", text="velocity 0.2 s late")
+    first = "First mend what the logs or the vehicle file have wrong: reversed_thruster."
+    assert told(late, mistake).headline == f"{first} headline of mini-auv"
+    assert told(mistake).warnings[0] == "mistake: thruster 'f1' pushes backwards"
+    assert told(late).headline == "headline of mini-auv"
