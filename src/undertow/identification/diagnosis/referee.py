@@ -141,8 +141,7 @@ class Referee:
 
     def contender(self, chain: Chain) -> Contender:
         """A chain fitted by output error from where the weak form left it, and judged."""
-        fit = self._refined(chain.fit)
-        return Contender(chain, fit, self.squares(fit))
+        return Contender(chain, *self.refined(chain.fit))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
         """A model fitted by output error, and how it simulates; by the weak form where that does better.
@@ -210,7 +209,10 @@ class Referee:
 
     def _worked_out_costs(self, weak: WeakFit) -> Array:
         looks = ((DECIDING, self.windows), (THOROUGH, self._long_windows))
-        return np.array([self._linearised(self._refined(weak, h), w)[0].cost for h, w in looks])
+        return np.array([min(self._cost(f, w) for f in (weak, self._refined(weak, h))) for h, w in looks])
+
+    def _cost(self, fit: Fitted, windows: Windows) -> float:
+        return self._linearised(fit, windows)[0].cost
 
     def standing(self, chains: Sequence[Chain]) -> list[Chain]:
         """The best of a short list, then those that the simulation does not show to be worse.

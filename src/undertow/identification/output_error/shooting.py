@@ -19,9 +19,11 @@ from ..weak.mapping import mapped
 from .elimination import Reduced, eliminated
 
 Array = NDArray[np.float64]
-# Parts of a window, s, whose starts are fitted one after the other, and steps for each.
-_OPENINGS = (1.0, 5.0, np.inf)
+# First part of a window, s, to which its start is fitted before twice as much is taken; and steps for each.
+_OPENING = 1.0
 _START_STEPS = 3
+# Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
+_STUCK = 2.0
 # Share of the mean square of a window that a step has to gain for another to follow.
 _WORTH_A_STEP = 0.01
 # Numbers in the sensitivities of one batch of windows: 40 MB.
@@ -78,17 +80,31 @@ class Shooting:
     def settled_starts(self, p: Array) -> Array:
         """Starts of the windows that fit these parameters best, shape (b, 2n).
 
-        What is read off the log at one sample may be so far off, in a velocity that was derived from the
-        pose, that a long window runs away: its first second is fitted, then its first five, then all of it.
+        What is read off the log at one sample is a little off, and a window may run away from there: then
+        its beginning is fitted first, twice as much of it after that and so on, and all in the end.
         """
-        trust, starts = self.trust, self.first_starts(p)
+        first = self.first_starts(p)
+        # In a velocity that was derived from the pose every sample is far off.
+        if any(run.derived for run in self.windows.runs):
+            return self._opened(p, first)
+        starts = self._stepped(p, first)
+        squares = self.mean_squares(p, starts)
+        if not np.max(squares) > _STUCK * np.median(squares):
+            return starts
+        opened = self._opened(p, first)
+        return np.where((self.mean_squares(p, opened) < squares)[:, None], opened, starts)
+
+    def _opened(self, p: Array, starts: Array) -> Array:
+        """Starts fitted to more and more of every window."""
+        trust = self.trust
         elapsed = self.windows.t - self.windows.t[:, :1]
-        derived = any(run.derived for run in self.windows.runs)
-        for horizon in _OPENINGS if derived else _OPENINGS[-1:]:
-            self.trust = np.where(elapsed <= horizon, 1.0, 0.0)[:, :, None] if trust is None else trust
-            starts = self._stepped(p, starts)
+        part = _OPENING
+        while part < np.max(elapsed):
+            within = np.where(elapsed <= part, 1.0, 0.0)[:, :, None]
+            self.trust = within if trust is None else trust * within
+            starts, part = self._stepped(p, starts), 2.0 * part
         self.trust = trust
-        return starts
+        return self._stepped(p, starts)
 
     def _stepped(self, p: Array, starts: Array) -> Array:
         """Starts after Gauss-Newton steps of their own; a window takes those that do it good."""
