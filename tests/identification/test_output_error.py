@@ -168,6 +168,19 @@ def test_sums_beyond_all_numbers_count_as_diverged() -> None:
     assert np.all(np.isfinite(found.r))
 
 
+def test_a_window_that_runs_away_from_a_wrong_start_finds_the_right_one() -> None:
+    """A torpedo-shaped hull turns away from its course by itself: the error of a start grows."""
+    case = make_case("mini-auv", (), 15967740, closed_loop=True)
+    vehicle = true_vehicle(case)
+    windows = cut(runs_of(case), vehicle, 20.0)
+    functions = Functions(vehicle)
+    p = np.array([vehicle.value_of(n).value for n in functions.parameter_names])
+    shooting = Shooting(functions, windows, (), channel_weights(windows), compiled=False)
+    at_once = shooting.mean_squares(p, shooting._stepped(p, shooting.first_starts(p)))
+    assert np.max(at_once) > 3.0  # else this shows nothing
+    assert np.max(shooting.mean_squares(p, shooting.settled_starts(p))) < 1.2
+
+
 def test_a_derived_velocity_takes_no_part_but_the_pose_does() -> None:
     clean = surge_run()
     x = np.concatenate([[0.0], np.cumsum(0.1 * (clean.channels["u"][1:] + clean.channels["u"][:-1]))])
