@@ -20,7 +20,7 @@ TWICE = ["thruster_gain", "thruster_gain"]
         (ONE, NAMED_SHARE - 0.01, False, True, "too little to be named"),
         (ONE, 0.99, True, False, "simulation"),
         (TWO, 0.99, True, True, ""),
-        (TWO, 0.99, False, True, "several effects are named only where nothing else is left"),
+        (TWO, 0.99, False, True, "several effects are named only where next to nothing else is left"),
         (TWICE, 0.99, False, True, ""),
     ],
 )
@@ -38,3 +38,10 @@ def test_a_size_that_changes_stands_against_naming_unless_only_noise_is_left() -
     winners, words = [SimpleNamespace(id="net_buoyancy")], "its size would have to go from 0% to 120%"
     assert words in _doubt(winners, 0.93, quiet=False, confirmed=True, change=words)
     assert _doubt(winners, 0.93, quiet=True, confirmed=True, change=words) == ""
+
+
+def test_several_effects_that_leave_next_to_nothing_are_named() -> None:
+    """Friction that sticks leaves a little with the smooth one of the catalogue."""
+    winners = [SimpleNamespace(id=i) for i in TWO]
+    assert _doubt(winners, 0.96, quiet=False, confirmed=True, nearly=True) == ""
+    assert "too little" in _doubt(winners, 0.7, quiet=False, confirmed=True, nearly=True)

@@ -30,11 +30,13 @@ from .repeats import repeats
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
 from .search import FALSE_ALARM_RATE, Search
 from .steadiness import sizes
-from .trial import Bench, Score, error_of, scored, told_apart
+from .trial import Bench, Score, error_of, noise_ratio, scored, told_apart
 from .verdict import Judgement, judge, unique_ids
 
 Array = NDArray[np.float64]
 _MANOEUVRES = 20
+# Mean square of every equation, in units of the noise, below which next to nothing is left.
+_NEARLY_NOISE = 2.0
 
 
 class Story:
@@ -69,6 +71,7 @@ class Story:
             self.bench.noise_level,
             quiet=referee.quiet(weak[-1], self.bench.test),
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
+            nearly=bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
             change=self._change(),
         )
 

@@ -53,6 +53,7 @@ def judge(
     *,
     quiet: bool,
     confirmed: bool,
+    nearly: bool = False,
     change: str = "",
 ) -> Judgement:
     """Decide.
@@ -69,6 +70,8 @@ def judge(
         Whether the noise explains what the final model leaves.
     confirmed : bool
         Whether the final model does not simulate the kept-aside runs worse than the incomplete one.
+    nearly : bool
+        Whether it leaves less than twice the noise in every equation.
     change : str
         How the size of the effect would have to change in the course of the kept-aside data, if it would.
     """
@@ -77,7 +80,7 @@ def judge(
     sets = _sets(found)
     if not winners:
         return _without_effect(quiet, share)
-    if doubt := _doubt(winners, share, quiet=quiet, confirmed=confirmed, change=change):
+    if doubt := _doubt(winners, share, quiet=quiet, confirmed=confirmed, nearly=nearly, change=change):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > _MANY for s in sets):
@@ -96,11 +99,19 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
     return Judgement("unexplained", text, [], [], share)
 
 
-def _doubt(winners: list[Finding], share: float, *, quiet: bool, confirmed: bool, change: str = "") -> str:
+def _doubt(
+    winners: list[Finding],
+    share: float,
+    *,
+    quiet: bool,
+    confirmed: bool,
+    nearly: bool = False,
+    change: str = "",
+) -> str:
     """Why nothing can be named, or nothing where it can.
 
     Where more than noise is left, a later effect may only make up for an earlier one that is wrong or poorly
-    fitted: several are named together only where they explain all.
+    fitted: several are named together only where they explain all but very little.
     """
     if not confirmed:
         return "makes the simulation of the kept-aside runs worse, so it is not what is missing"
@@ -110,8 +121,8 @@ def _doubt(winners: list[Finding], share: float, *, quiet: bool, confirmed: bool
         return (
             f"explains only {share:.0%} of what exceeds the noise, too little to be named as what is missing"
         )
-    if len(unique_ids(winners)) > 1:
-        return "leaves more than noise, and several effects are named only where nothing else is left"
+    if len(unique_ids(winners)) > 1 and not nearly:
+        return "leaves more than noise, and several effects are named only where next to nothing else is left"
     if change:
         return f"leaves more than noise, and {change} in the course of the kept-aside data"
     return ""
