@@ -10,6 +10,7 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
+from undertow.identification.diagnosis.chain import Chain
 from undertow.identification.diagnosis.final import last_fit
 from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.diagnosis.scouting import Scouted
@@ -110,14 +111,39 @@ def test_a_model_that_is_far_off_is_not_fitted_by_simulation() -> None:
     assert np.mean(squares) > 100
 
 
+def _spread(total: float, windows: int) -> np.ndarray:
+    return np.full(windows, total / windows)
+
+
 @pytest.mark.parametrize(
-    ("gap", "outdone"),
-    [([20.0, 3.0], True), ([3.0, 20.0], True), ([10.0, 10.0], False), ([-90.0, 110.0], False)],
+    ("short", "long", "outdone"),
+    [
+        (_spread(20.0, 20), _spread(3.0, 5), True),
+        (_spread(3.0, 20), _spread(20.0, 5), True),
+        (_spread(10.0, 20), _spread(10.0, 5), False),
+        (_spread(-90.0, 20), _spread(110.0, 5), False),
+        (np.eye(20)[3] * 500.0, np.eye(5)[2] * 900.0, False),
+        (np.append(np.inf, np.zeros(19)), _spread(3.0, 5), False),
+        (np.append([np.inf, np.inf], np.zeros(18)), _spread(3.0, 5), True),
+    ],
 )
-def test_windows_that_contradict_each_other_decide_nothing(gap: list[float], outdone: bool) -> None:
+def test_windows_that_contradict_each_other_or_a_single_one_decide_nothing(
+    short: np.ndarray, long: np.ndarray, outdone: bool
+) -> None:
     """Short and long windows each give twice a log-likelihood ratio; one that says the opposite is heard."""
     bench, referee = _bench(), _referee()
     one, other = (fit_weak(bench.base.model, bench.train, max_iterations=n) for n in (0, 1))
-    for fit, cost in ((one, np.array([5e3, 5e3]) + gap), (other, np.array([5e3, 5e3]))):
-        referee._known["costs", id(fit)] = fit, cost
+    least = [_spread(5e3, 20), _spread(5e3, 5)]
+    referee._known["costs", id(one)] = one, [least[0] + short, least[1] + long]
+    referee._known["costs", id(other)] = other, least
     assert referee.outdone(one, other) is outdone
+
+
+def test_the_simulation_does_not_put_out_what_has_a_dead_time() -> None:
+    """It takes the mean of a command that changes between two samples, which is not what happens."""
+    bench, referee = _bench(), _referee()
+    quick = try_candidate(_candidate("quadratic_damping"), bench, {}).fit
+    late = bench.fit(_candidate("actuation_delay").model(), start={"delay": 0.01})
+    chains = [Chain((), fit, bench.judge(fit)) for fit in (quick, late, bench.base)]
+    # All but the first simulate worse; the model without either effect goes, the late one stays.
+    assert [c.fit for c in referee.standing(chains)] == [quick, late]

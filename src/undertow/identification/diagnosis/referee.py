@@ -19,7 +19,6 @@ from ..compare.windows import Predictor, predict, prediction_error
 from ..fitted import Fitted
 from ..logs import Run
 from ..output_error.descent import OutputErrorFit, channel_weights
-from ..output_error.elimination import Reduced
 from ..output_error.fit import fit_output_error
 from ..output_error.shooting import Shooting
 from ..weak.data import WeakData
@@ -44,6 +43,8 @@ _SURE = 0.01
 # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
 # likelihood ratio on kept-aside data, which white noise brings above this once in 18 000 times at the most.
 _MORE_THAN_CHANCE = 15.0
+# Where the simulation of one model diverges and that of the other does not.
+_BEYOND = 1e12
 
 
 @dataclass(frozen=True)
@@ -189,48 +190,52 @@ class Referee:
         shooting, starts = self._shot(fit, self._long_windows)
         return simulates_to_noise(shooting, np.asarray(fit.p), starts)
 
-    def _linearised(self, fit: Fitted, windows: Windows) -> tuple[Reduced, Array]:
-        shooting, starts = self._shot(fit, windows)
-        return shooting.linearise(np.asarray(fit.p), starts), starts
-
     def outdone(self, weak: WeakFit, by: WeakFit) -> bool:
         """Whether a model simulates worse than another by more than chance, in short windows or long ones.
 
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
-        what is slow, which the estimated starts of short ones take up. Where the two contradict each other,
-        neither model outdoes the other.
+        what is slow, which the estimated starts of short ones take up. The worst window has no say: where a
+        vehicle is about to turn, a small error of a parameter grows to many times the noise. Where short and
+        long windows contradict each other, neither model outdoes the other.
         """
-        gap = self._costs(weak) - self._costs(by)
-        return bool(np.max(gap) > _MORE_THAN_CHANCE and np.min(gap) > -_MORE_THAN_CHANCE)
+        pairs = zip(self._costs(weak), self._costs(by), strict=True)
+        with np.errstate(invalid="ignore"):
+            gaps = [np.nan_to_num(worse - better, posinf=_BEYOND, neginf=-_BEYOND) for worse, better in pairs]
+        behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
+        return behind > _MORE_THAN_CHANCE and ahead < _MORE_THAN_CHANCE
 
-    def _costs(self, weak: WeakFit) -> Array:
-        """Sum of squares in units of the noise, in short windows and in long ones."""
+    def _costs(self, weak: WeakFit) -> list[Array]:
+        """Sum of squares in units of the noise, in each of the short windows and of the long ones."""
         return self._once("costs", weak, self._worked_out_costs)
 
-    def _worked_out_costs(self, weak: WeakFit) -> Array:
+    def _worked_out_costs(self, weak: WeakFit) -> list[Array]:
         looks = ((DECIDING, self.windows), (THOROUGH, self._long_windows))
-        return np.array([min(self._cost(f, w) for f in (weak, self._refined(weak, h))) for h, w in looks])
+        return [min((self._cost(f, w) for f in (weak, self._refined(weak, h))), key=np.sum) for h, w in looks]
 
-    def _cost(self, fit: Fitted, windows: Windows) -> float:
-        return self._linearised(fit, windows)[0].cost
+    def _cost(self, fit: Fitted, windows: Windows) -> Array:
+        shooting, starts = self._shot(fit, windows)
+        used = np.isfinite(windows.measured) & (shooting.weight > 0)
+        return shooting.mean_squares(np.asarray(fit.p), starts) * np.maximum(used.sum(axis=(1, 2)), 1)
 
     def standing(self, chains: Sequence[Chain]) -> list[Chain]:
         """The best of a short list, then those that the simulation does not show to be worse.
 
         All are fitted by output error, from where the weak form left them. Where they leave little but noise,
-        windows short and long together tell them apart.
+        windows short and long together tell them apart. What has a dead time stands if the weak form lets it:
+        the simulation takes the mean of a command that changes between two samples, which a quick vehicle
+        feels.
         """
         ordered = sorted((self.contender(c) for c in chains), key=lambda c: c.error)
         near = ordered[0].error ** 2 < _NEAR_NOISE
         if near:
-            ordered.sort(key=lambda c: float(np.sum(self._costs(c.chain.fit))))
+            ordered.sort(key=lambda c: float(sum(map(np.sum, self._costs(c.chain.fit)))))
         best = ordered[0]
 
         def worse(c: Contender) -> bool:
             by_far = near and self.outdone(c.chain.fit, best.chain.fit)
             return by_far or clearly_worse(c.squares, best.squares)
 
-        return [best.chain, *(c.chain for c in ordered[1:] if not worse(c))]
+        return [best.chain, *(c.chain for c in ordered[1:] if _has_dead_time(c.fit) or not worse(c))]
 
     def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
         return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
@@ -249,6 +254,14 @@ class Referee:
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
         return refined
+
+
+def _has_dead_time(fit: Fitted) -> bool:
+    return bool(fit.model.functions.vehicle.composition.dead_time != 0)
+
+
+def _without_largest(gaps: Array) -> float:
+    return float(np.sum(gaps) - np.max(gaps))
 
 
 def clearly_worse(squares: Array, than: Array) -> bool:
