@@ -11,7 +11,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -536,16 +537,31 @@ def test_ctrl_c_in_the_middle(
     assert {p for p in contents(case) if Path(p).is_file()} == {p for p in before if Path(p).is_file()}
 
 
+@pytest.fixture
+def usual_signals() -> Iterator[None]:
+    """Python's own handling of signals, which another test in this process may have left changed."""
+    numbers = signal.SIGINT, signal.SIGALRM
+    before = [signal.getsignal(n) for n in numbers]
+    for number, usual in zip(numbers, (signal.default_int_handler, signal.SIG_DFL), strict=True):
+        signal.signal(number, usual)
+    yield
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_ctrl_c_is_heard_where_a_library_drops_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_is_heard_where_a_library_drops_it(
+    capsys: pytest.CaptureFixture[str], usual_signals: None
+) -> None:
     dropped = []
+    last = time.monotonic() + 30.0
 
     def stubborn() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
             dropped.append(1)
-        while True:
+        while time.monotonic() < last:  # a failure must not go on for ever
             pass
 
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
