@@ -20,8 +20,7 @@ from undertow.identification.weak.fit import fit_weak
 def _shooting(errors: np.ndarray, step: float = 0.05) -> SimpleNamespace:
     """What a simulation of windows comes to."""
     t = np.tile(step * np.arange(errors.shape[1]), (len(errors), 1))
-    windows = SimpleNamespace(t=t, measured=np.where(np.isnan(errors), np.nan, 1.0))
-    return SimpleNamespace(errors=lambda *_: errors, windows=windows, weight=np.ones(errors.shape[2]))
+    return SimpleNamespace(errors=lambda *_: errors, windows=SimpleNamespace(t=t), used=~np.isnan(errors))
 
 
 def _white(seed: int, channels: int = 6) -> np.ndarray:

@@ -30,7 +30,7 @@ def _sizes(begin: float, seed: int) -> Sizes:
     data = prepare([run], vehicle)
     fit = fit_weak(vehicle, data)
     own = Candidate(effect, surge_vehicle()).parameters
-    return sizes(fit, own, data)
+    return sizes(fit, own, data, fit.model.whitening(data, fit.p))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -65,7 +65,8 @@ def test_an_effect_without_a_linear_parameter_has_no_size() -> None:
     vehicle = surge_vehicle()
     data = prepare([run], vehicle)
     own = [p for p in Candidate(effect, vehicle).parameters if not p.linear]
-    found = sizes(fit_weak(vehicle, data), own, data)
+    fit = fit_weak(vehicle, data)
+    found = sizes(fit, own, data, fit.model.whitening(data, fit.p))
     assert own
     assert found.value.size == 0
     assert found.change == ""

@@ -33,10 +33,10 @@ def simulates_to_noise(shooting: Shooting, p: Array, starts: Array) -> bool:
         The best start of every window.
     """
     errors = shooting.errors(p, starts)
-    known = np.isfinite(shooting.windows.measured) & (shooting.weight > 0)
-    if not np.any(known) or not np.all(np.isfinite(errors[known])):
+    used = shooting.used
+    if not np.any(used) or not np.all(np.isfinite(errors[used])):
         return False
-    errors = errors[:, :, np.any(known, axis=(0, 1))]
+    errors = errors[:, :, np.any(used, axis=(0, 1))]
     means = means_over(errors, _seconds(shooting.windows.t))
     return _is_noise(errors, starts.size) and _is_noise(means, starts.size)
 

@@ -117,15 +117,18 @@ class Referee:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
         return self._once("squares", fit, self._squares)
 
-    def _squares(self, fit: Fitted) -> Array:
-        shooting, starts = self._shot(fit, self.windows)
+    def _squares(self, fit: Fitted, horizon: float = DECIDING) -> Array:
+        shooting, starts = self._shot(fit, horizon)
         return shooting.mean_squares(np.asarray(fit.p), starts)
 
-    def _shot(self, fit: Fitted, windows: Windows) -> tuple[Shooting, Array]:
-        """A model in windows, and the best start of each."""
-        p = np.asarray(fit.p)
+    def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
+        """A model in the windows of a length, and the best start of each."""
+        return self._once(f"shot over {horizon:g} s", fit, lambda fit: self._settled(fit, horizon))
+
+    def _settled(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
+        windows = self.windows if horizon == DECIDING else self._long_windows
         shooting = Shooting(fit.model.functions, windows, (), channel_weights(windows), compiled=False)
-        return shooting, shooting.settled_starts(p)
+        return shooting, shooting.settled_starts(np.asarray(fit.p))
 
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
@@ -178,8 +181,7 @@ class Referee:
         """
         if not np.mean(self.squares(weak)) < _WITHIN_REACH:
             return False
-        shooting, starts = self._shot(weak, self._long_windows)
-        return bool(np.median(shooting.mean_squares(weak.p, starts)) < _WITHIN_REACH)
+        return bool(np.median(self._squares(weak, THOROUGH)) < _WITHIN_REACH)
 
     def _leaves_only_noise(self, weak: WeakFit) -> bool:
         if not self._within_reach(weak):
@@ -187,7 +189,7 @@ class Referee:
         fit = self._refined(weak, THOROUGH)
         if fit is weak:
             return False
-        shooting, starts = self._shot(fit, self._long_windows)
+        shooting, starts = self._shot(fit, THOROUGH)
         return simulates_to_noise(shooting, np.asarray(fit.p), starts)
 
     def outdone(self, weak: WeakFit, by: WeakFit) -> bool:
@@ -209,13 +211,14 @@ class Referee:
         return self._once("costs", weak, self._worked_out_costs)
 
     def _worked_out_costs(self, weak: WeakFit) -> list[Array]:
-        looks = ((DECIDING, self.windows), (THOROUGH, self._long_windows))
-        return [min((self._cost(f, w) for f in (weak, self._refined(weak, h))), key=np.sum) for h, w in looks]
+        return [
+            min((self._cost(fit, horizon) for fit in (weak, self._refined(weak, horizon))), key=np.sum)
+            for horizon in (DECIDING, THOROUGH)
+        ]
 
-    def _cost(self, fit: Fitted, windows: Windows) -> Array:
-        shooting, starts = self._shot(fit, windows)
-        used = np.isfinite(windows.measured) & (shooting.weight > 0)
-        return shooting.mean_squares(np.asarray(fit.p), starts) * np.maximum(used.sum(axis=(1, 2)), 1)
+    def _cost(self, fit: Fitted, horizon: float) -> Array:
+        shooting, starts = self._shot(fit, horizon)
+        return shooting.squares(np.asarray(fit.p), starts)
 
     def standing(self, chains: Sequence[Chain]) -> list[Chain]:
         """The best of a short list, then those that the simulation does not show to be worse.

@@ -18,14 +18,13 @@ from .evidence import as_good
 from .finding import Finding
 from .pairs import promising_pairs
 from .rounds import FALSE_ALARM_RATE, Round, try_all
-from .second_look import explains_all, hidden_by_disturbance
+from .second_look import Quiet, explains_all, hidden_by_disturbance
 from .trial import Bench, only_noise, open_bench
 
 __all__ = ["FALSE_ALARM_RATE", "Search", "search"]
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
-Quiet = Callable[[WeakFit, WeakData], bool]
 MAX_EFFECTS = 3
 _PAIRS = 2
 _RIVALS = 5

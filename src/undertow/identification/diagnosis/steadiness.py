@@ -16,6 +16,7 @@ from undertow.model.parameter import Parameter
 
 from ..fitted import Fitted
 from ..weak.data import WeakData
+from ..weak.noise import Whitening
 from ..weak.residual import whitened
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ class Sizes:
         return f"its size would have to go from {known.min():.0%} to {known.max():.0%} of the fitted one"
 
 
-def sizes(fit: Fitted, own: Sequence[Parameter], data: WeakData) -> Sizes:
+def sizes(fit: Fitted, own: Sequence[Parameter], data: WeakData, noise: list[Whitening]) -> Sizes:
     """Size of an effect in stretches of the kept-aside data, all else being as fitted.
 
     Parameters
@@ -69,9 +70,11 @@ def sizes(fit: Fitted, own: Sequence[Parameter], data: WeakData) -> Sizes:
         What the effect brings in; those that it is linear in make its size. One without such has none.
     data : WeakData
         Data kept aside.
+    noise : list of Whitening
+        Noise of the sensors alone in them.
     """
     p = np.asarray(fit.p)
-    at = whitened(fit.model.linearise(data, p), fit.model.whitening(data, p))
+    at = whitened(fit.model.linearise(data, p), noise)
     names = {q.name for q in own if q.linear}
     chosen = [k for k, n in enumerate(fit.model.free) if n in names]
     whole = at.J[:, chosen] @ p[[fit.model.places[k] for k in chosen]]

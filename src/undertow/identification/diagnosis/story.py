@@ -65,14 +65,15 @@ class Story:
         self.base, final = self.fits[0], self.fits[-1]
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
+        quiet = referee.quiet(weak[-1], self.bench.test)
         self.judgement: Judgement = judge(
             found,
             (self.bench.judge(weak[0]), self.bench.judge(weak[-1])),
             self.bench.noise_level,
-            quiet=referee.quiet(weak[-1], self.bench.test),
+            quiet=quiet,
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
-            nearly=bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
-            change=self._change(),
+            nearly=quiet or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
+            change="" if quiet else self._change(),
         )
 
     def _change(self) -> str:
@@ -81,7 +82,7 @@ class Story:
         if len(unique_ids(winners)) != 1:
             return ""
         own = [p for w in winners for p in w.trial.candidate.parameters]
-        return sizes(self.fits[-1], own, self.bench.test).change
+        return sizes(self.fits[-1], own, self.bench.test, self._whitening).change
 
     @property
     def after(self) -> Fitted:

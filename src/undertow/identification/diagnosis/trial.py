@@ -183,23 +183,26 @@ class Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
         fit = settled(fit, most=_SHARPENING)
         test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
-        refitted = fit_weak(
-            self.base.model,
-            self.train,
-            start=self.base.values,
-            whitening=fit.whitening,
-            disturbance=fit.disturbance,
-            enough=_ROUGH,
-        )
+        refitted = self._base_under(fit.whitening, fit.disturbance, _ROUGH)
         return Bench(self.train, self.test, fit.whitening, test, refitted)
 
     def without_disturbance(self) -> Bench:
         """The bench under the noise of the sensors alone."""
         base = self.base
-        quiet, none = base.model.whitening(self.train, base.p), np.zeros_like(base.disturbance)
-        refitted = fit_weak(base.model, self.train, start=base.values, whitening=quiet, disturbance=none)
-        test = refitted.model.whitening(self.test, refitted.p)
-        return Bench(self.train, self.test, quiet, test, refitted)
+        quiet = base.model.whitening(self.train, base.p)
+        refitted = self._base_under(quiet, np.zeros_like(base.disturbance))
+        return Bench(self.train, self.test, quiet, refitted.model.whitening(self.test, refitted.p), refitted)
+
+    def _base_under(self, noise: list[Whitening], disturbance: Array, enough: float = 0.0) -> WeakFit:
+        """The model without any candidate, fitted under another noise model."""
+        return fit_weak(
+            self.base.model,
+            self.train,
+            start=self.base.values,
+            whitening=noise,
+            disturbance=disturbance,
+            enough=enough,
+        )
 
     @property
     def command_scale(self) -> float:

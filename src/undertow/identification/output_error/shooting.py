@@ -86,28 +86,30 @@ class Shooting:
         first = self.first_starts(p)
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
-            return self._opened(p, first)
-        starts = self._stepped(p, first)
-        squares = self.mean_squares(p, starts)
+            return self._opened(p, first)[0]
+        starts, squares = self._stepped(p, first)
         if not np.max(squares) > _STUCK * np.median(squares):
             return starts
-        opened = self._opened(p, first)
-        return np.where((self.mean_squares(p, opened) < squares)[:, None], opened, starts)
+        opened, after = self._opened(p, first)
+        return np.where((after < squares)[:, None], opened, starts)
 
-    def _opened(self, p: Array, starts: Array) -> Array:
-        """Starts fitted to more and more of every window."""
+    def _opened(self, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Starts fitted to more and more of every window, and the mean square of each with them."""
         trust = self.trust
         elapsed = self.windows.t - self.windows.t[:, :1]
         part = _OPENING
         while part < np.max(elapsed):
             within = np.where(elapsed <= part, 1.0, 0.0)[:, :, None]
             self.trust = within if trust is None else trust * within
-            starts, part = self._stepped(p, starts), 2.0 * part
+            starts, part = self._stepped(p, starts)[0], 2.0 * part
         self.trust = trust
         return self._stepped(p, starts)
 
-    def _stepped(self, p: Array, starts: Array) -> Array:
-        """Starts after Gauss-Newton steps of their own; a window takes those that do it good."""
+    def _stepped(self, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Starts after Gauss-Newton steps of their own, and the mean square of each window with them.
+
+        A window takes the steps that do it good.
+        """
         squares = self.mean_squares(p, starts)
         for _ in range(_START_STEPS):
             at = self.linearise(p, starts)
@@ -120,7 +122,7 @@ class Shooting:
             starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
             if not gained:
                 break
-        return starts
+        return starts, squares
 
     def cost(self, p: Array, starts: Array) -> float:
         """Weighted sum of squares of the simulation error; inf if a simulation diverged."""
@@ -131,9 +133,13 @@ class Shooting:
 
     def mean_squares(self, p: Array, starts: Array) -> Array:
         """Weighted mean square of the simulation error by window, shape (b,); inf where one diverged."""
+        return self.squares(p, starts) / np.maximum(self.used.sum(axis=(1, 2)), 1)
+
+    def squares(self, p: Array, starts: Array) -> Array:
+        """Weighted sum of squares of the simulation error by window, shape (b,); inf where one diverged."""
         r = self._residual(self.predictor.reports(self.windows, p, starts))
         with np.errstate(over="ignore"):
-            total = np.sum(r**2, axis=(1, 2)) / np.maximum(self._used.sum(axis=(1, 2)), 1)
+            total = np.sum(r**2, axis=(1, 2))
         return np.where(np.isfinite(total), total, np.inf)
 
     def linearise(self, p: Array, starts: Array) -> Reduced:
@@ -148,7 +154,7 @@ class Shooting:
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
         """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
         error = (reported - self.windows.measured[rows]) * self._weights(rows)
-        return np.where(self._used[rows], error, 0.0)
+        return np.where(self.used[rows], error, 0.0)
 
     def _weights(self, rows: slice) -> Array:
         """What errors are multiplied with, of a shape that broadcasts to (b, k, 2n)."""
@@ -157,10 +163,11 @@ class Shooting:
     def errors(self, p: Array, starts: Array) -> Array:
         """Simulation error over the noise of its channel, whatever its trust; NaN where there is none."""
         reported = self.predictor.reports(self.windows, p, starts)
-        return np.where(self._used, (reported - self.windows.measured) * self.weight, np.nan)
+        return np.where(self.used, (reported - self.windows.measured) * self.weight, np.nan)
 
     @cached_property
-    def _used(self) -> NDArray[np.bool_]:
+    def used(self) -> NDArray[np.bool_]:
+        """Which samples of which channels count, shape (b, k, 2n)."""
         return np.isfinite(self.windows.measured) & (self.weight > 0)
 
     def _batches(self) -> Iterator[slice]:
@@ -239,7 +246,7 @@ class Shooting:
 
     def _all_weights(self, rows: slice) -> Array:
         """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
-        return np.where(self._used[rows], self._weights(rows), 0.0)
+        return np.where(self.used[rows], self._weights(rows), 0.0)
 
     def _groups(self, t: Array) -> NDArray[np.int64]:
         """Part of its window that a sample belongs to, shape (b, k); parts count as independent."""
