@@ -575,6 +575,8 @@ def test_ctrl_c_is_heard_where_a_library_drops_it(
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
     code = (
+        # Whoever began the tests may have had SIGINT ignored, which a child inherits.
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import sys, undertow.identification.diagnosis.diagnose as d; from undertow.cli.main import main\n"
         "search = d.search\n"
         "def told(*words):\n"
@@ -598,7 +600,7 @@ def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate()
     # Where it came while Python forked or compiled something, Python adds lines of its own.
-    assert "interrupted" in err.splitlines()
+    assert "interrupted" in err.splitlines(), f"ended with {process.returncode} and said {err!r}"
     assert "bug in undertow" not in err
     # Python ends by the signal itself where that came while it made a dataclass: 130 for a shell, too.
     assert process.returncode in (130, -signal.SIGINT)

@@ -66,7 +66,7 @@ def test_a_known_model_is_simulated_without_being_derived(
 
 def test_who_asks_for_more_has_the_model_derived(own_cache: Path) -> None:
     plain, again = functions_of("thruster_lag"), _twice("thruster_lag")
-    x, slopes = again.x, again.own_slopes
+    x, slopes = again.x, again.quickest
     point = random_point(plain, 1)
     at = point.x, point.u, point.p, point.t
     assert_close(np.array(again.dynamics(*at)), np.array(plain.dynamics(*at)))

@@ -234,11 +234,22 @@ class Functions:
         return self.with_acceleration(self.driven_residual)
 
     @cached_property
-    def own_slopes(self) -> ca.SX:
-        """d(rates)/d(states) of the states that effects own: how fast they are, 1/s."""
+    def quickest(self) -> ca.SX:
+        """How fast the velocities are at rest, where friction is stiffest, and the states that effects own.
+
+        d(rates)/d(states) in 1/s, in one block for the velocities and one for the states.
+        """
         own = ca.vertcat(self.memory, self.actuator_states)
         memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        return ca.jacobian(ca.vertcat(memory, self.chain_rates), own)
+        slopes = ca.jacobian(ca.vertcat(memory, self.chain_rates), own)
+        return ca.cse(ca.diagcat(self._slopes_at_rest, slopes))
+
+    @property
+    def _slopes_at_rest(self) -> ca.SX:
+        """d(nu_dot)/d(nu) at rest, 1/s."""
+        driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
+        slopes = solve_symmetric(self.mass_matrix, ca.SX.eye(self.nu.numel())) @ ca.jacobian(driven, self.nu)
+        return ca.substitute(slopes, self.nu, ca.SX.zeros(self.nu.shape))
 
     # --- functions ----------------------------------------------------------------------------
     @property

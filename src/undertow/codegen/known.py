@@ -61,7 +61,7 @@ class KnownFunctions(Functions):
 
     def _note(self) -> str:
         """What is kept, as JSON."""
-        own = ca.Function("own", [self.x, self.u, self.p, self.t], [ca.densify(self.own_slopes)])
+        quickest = ca.Function("quickest", [self.x, self.u, self.p, self.t], [ca.densify(self.quickest)])
         return json.dumps(
             {
                 "parameters": self.parameter_names,
@@ -69,7 +69,7 @@ class KnownFunctions(Functions):
                 "memory": [str(x) for x in self._memory],
                 "actuators": [str(x) for x in self._chain_rates],
                 "functions": {name: getattr(self, name).serialize() for name in _KEPT},
-                "own_slopes": own.serialize() if self.own_slopes.numel() else "",
+                "quickest": quickest.serialize(),
                 "model": model_source(self),
             }
         )
@@ -82,8 +82,8 @@ class KnownFunctions(Functions):
             {symbol(n): sm.nan for n in note[kind]} for kind in ("memory", "actuators")
         )
         vars(self).update({name: ca.Function.deserialize(text) for name, text in note["functions"].items()})
-        at, own = (self.x, self.u, self.p, self.t), note["own_slopes"]
-        self.own_slopes = ca.Function.deserialize(own)(*at) if own else ca.SX(0, 0)
+        at = self.x, self.u, self.p, self.t
+        self.quickest = ca.Function.deserialize(note["quickest"])(*at)
         self.known_model_source = note["model"]
 
 

@@ -55,7 +55,6 @@ class Simulator:
         self._wish = compiled
         self._steppers = {False: self._stepper(sensitivities=False)}
         self._products: dict[tuple[int, ...], CompiledProducts | None] = {}
-        self._size = functions.own_slopes.shape[0]
 
     @property
     def compiled(self) -> bool:
@@ -229,13 +228,14 @@ class Simulator:
         in_threads(simulate, parts, threads)
 
     @cached_property
-    def _own(self) -> ca.Function | None:
+    def _quickest(self) -> ca.Function:
         f = self._functions
-        slopes = ca.densify(f.own_slopes)
-        return ca.Function("own", [f.x, f.u, f.p, f.t], [slopes]) if self._size else None
+        return ca.Function("quickest", [f.x, f.u, f.p, f.t], [ca.densify(f.quickest)])
 
     # --- input --------------------------------------------------------------------------------
     def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
+        if not max_step > 0:
+            raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
         start, times, inputs, parameters = checked_runs(self._functions, x0, t, u, p)
         x = np.empty((len(start), times.shape[1], start.shape[1]))
         x[:, :1] = start[:, None]
@@ -243,19 +243,22 @@ class Simulator:
         longest = self._resolving(start, times, inputs, parameters, max_step)
         return Problem(times, _steps(times, longest), inputs, parameters, x, none, np.empty((*x.shape, 0)))
 
-    def _resolving(self, start: Array, t: Array, u: Array, p: Array, max_step: float) -> float:
-        """The longest step that follows the states which effects own, as they are at the beginning."""
-        if self._own is None or not max_step > 0:
-            return max_step
+    def _resolving(self, start: Array, t: Array, u: Array, p: Array, max_step: float) -> Array:
+        """The longest step in each run that follows friction, and the states that effects own as they begin.
+
+        What grows by itself is not followed: no step keeps that in bounds.
+        """
         at_first = [a.T for a in (start, u[:, 0], p, t[:, :1])]
         batch = len(start)
         columns = [np.broadcast_to(a, (len(a), batch)) for a in at_first]
-        slopes = np.asarray(self._own.map(batch)(*columns)).reshape(self._size, batch, -1)
-        rates = np.abs(np.linalg.eigvals(np.nan_to_num(slopes.transpose(1, 0, 2)))).max(initial=0.0)
-        if rates * max_step <= _REACH:
-            return max_step
-        longest = max(_REACH / rates, max_step / _MOST_PARTS)
-        return longest if rates * longest <= _STABLE else max(_STABLE / rates, max_step / _MOST_STEPS)
+        slopes = np.asarray(self._quickest.map(batch)(*columns))
+        known = np.nan_to_num(slopes.reshape(len(slopes), batch, -1).transpose(1, 0, 2), posinf=0, neginf=0)
+        poles = np.linalg.eigvals(known)
+        rates = np.where(poles.real > np.abs(poles.imag), 0.0, np.abs(poles)).max(axis=1, initial=0.0)
+        rates = np.maximum(rates, _REACH / max_step)
+        longest = np.maximum(_REACH / rates, max_step / _MOST_PARTS)
+        slurred = np.maximum(_STABLE / rates, max_step / _MOST_STEPS)
+        return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))[:, None]
 
 
 def _pauses(problem: Problem) -> list[int]:
@@ -265,9 +268,7 @@ def _pauses(problem: Problem) -> list[int]:
     return [int(i) for i in np.searchsorted(work, limits)]
 
 
-def _steps(t: Array, max_step: float) -> Array:
-    if not max_step > 0:
-        raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
+def _steps(t: Array, max_step: Array) -> Array:
     intervals = np.diff(t, axis=1)
     # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
     return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)

@@ -54,7 +54,8 @@ class Candidate:
         """Whether a parameter has to be found: not what an effect that is there takes as known."""
         if parameter.default is None:
             return True
-        return parameter.default == parameter.neutral and all(e.id != self.id for e in self.base.effects)
+        sought = parameter.default == parameter.neutral or bool(parameter.starts)
+        return sought and all(e.id != self.id for e in self.base.effects)
 
     @property
     def adds_nothing(self) -> bool:

@@ -218,7 +218,7 @@ def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], ben
     for current in rounds:
         others = [f for f in current.findings if f is not effect and f.significant]
         if effect in current.findings and others:
-            if len(rounds) == 1:
+            if len(rounds) == len(chain.findings) == 1:
                 others = [f for f in others if as_good(chain.score, f.trial.score, bench.test)]
             return alternatives(vehicle, chain, place, others[:_RIVALS], bench)
     return []

@@ -275,6 +275,5 @@ def _either(equivalent: Equivalent) -> str:
 
 
 def _new_parameters(finding: Finding) -> tuple[str, ...]:
-    own = [p.name for p in finding.trial.candidate.parameters]
-    removable = finding.trial.candidate.removable
-    return tuple(n for n in own if n in finding.trial.kept or (finding.trial.kept and n not in removable))
+    trial = finding.trial
+    return tuple(p.name for p in trial.candidate.parameters if trial.kept and p.name in trial.fit.model.free)

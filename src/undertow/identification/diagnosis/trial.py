@@ -4,7 +4,7 @@ kept-aside data.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -280,7 +280,8 @@ def rejected(candidate: Candidate, bench: Bench) -> Trial:
 
 def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: float) -> WeakFit:
     dropped = set(candidate.removable) - set(kept)
-    # What is left out goes back to zero, which is where the candidate's vehicle has it.
+    dropped |= _idle(candidate, fit, dropped)
+    # What is left out goes back to where the candidate's vehicle has it: zero, or its default.
     start = {n: v for n, v in fit.values.items() if n not in dropped}
     free = tuple(n for n in fit.model.free if n not in dropped)
     return fit_weak(
@@ -291,6 +292,17 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
         disturbance=fit.disturbance,
         enough=enough,
     )
+
+
+def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
+    """Shape parameters that do nothing without what is dropped: how wide a friction is that is not there."""
+    shapes = {p.name for p in candidate.parameters if p.starts and p.default is not None}
+    if not shapes:
+        return set()
+    names = fit.model.functions.parameter_names
+    p = np.where(np.isin(names, list(dropped)), 0.0, fit.p)
+    used = np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, p)], axis=0)
+    return {n for n, at_work in zip(fit.model.free, used, strict=True) if n in shapes and not at_work}
 
 
 def parameters_that_matter(

@@ -24,10 +24,22 @@ class DryFriction(Wrench):
         "{F}_sign{m}", ("1", "1"), DIAGONAL, "{force} against {motion}, whatever the speed", bounds=(-inf, 0)
     )
     friction_speed = Parameter(
-        "m/s", "speed at which friction is fully there", (1e-4, 1.0), linear=False, default=0.02, neutral=None
+        "m/s",
+        "speed at which friction is fully there",
+        (1e-4, 1.0),
+        linear=False,
+        default=0.02,
+        starts=(0.005, 0.05),
+        neutral=None,
     )
     friction_rate = Parameter(
-        "rad/s", "the same for rotations", (1e-4, 1.0), linear=False, default=0.02, neutral=None
+        "rad/s",
+        "the same for rotations",
+        (1e-4, 1.0),
+        linear=False,
+        default=0.02,
+        starts=(0.01, 0.1),
+        neutral=None,
     )
 
     def wrench(self, s: Signals) -> sm.Matrix:
