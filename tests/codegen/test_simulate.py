@@ -312,3 +312,34 @@ def test_a_lag_faster_than_the_samples_is_followed(compiled: bool | None) -> Non
     np.testing.assert_allclose(x[:, lagged], 1 - np.exp(-t / 0.02), atol=1e-3)
     impulse = t - 0.02 * (1 - np.exp(-t / 0.02))
     np.testing.assert_allclose(x[:, 1], impulse / 8.0, atol=2e-5)
+
+
+def test_friction_that_stops_a_vehicle_dead_is_followed(compiled: bool | None) -> None:
+    """m u_dot = -F tanh(u/c) has sinh(u/c) = sinh(u_0/c) exp(-F t / (m c)); it ends 80 times a second."""
+    functions = surge("dry_friction")
+    m, F, c = 10.0, 4.0, 0.005
+    p = parameters(functions, m=m, X_signu=-F, friction_speed=c)
+    t = np.linspace(0.0, 0.5, 11)
+    x = Simulator(functions, compiled=compiled).run(np.array([0.0, 0.1]), t, np.zeros((11, 1)), p)
+    exact = c * np.arcsinh(np.sinh(0.1 / c) * np.exp(-F * t / (m * c)))
+    np.testing.assert_allclose(x[:, 1], exact, atol=2e-3 * c)
+
+
+def test_a_vehicle_that_friction_holds_creeps(compiled: bool | None) -> None:
+    functions = surge("dry_friction")
+    p = parameters(functions, m=10.0, X_signu=-4.0, friction_speed=0.005)
+    held = 0.4
+    x = Simulator(functions, compiled=compiled).run(
+        np.zeros(2), np.arange(60) / 20, np.full((60, 1), held), p
+    )
+    assert x[-1, 1] == pytest.approx(0.005 * math.atanh(held / 4.0), rel=1e-6)
+
+
+def test_a_stiff_run_leaves_the_steps_of_the_others_alone(compiled: bool | None) -> None:
+    functions = surge("dry_friction")
+    plain = parameters(functions, m=10.0, X_u=-5.0, X_signu=-0.01, friction_speed=0.01)
+    stiff = parameters(functions, m=10.0, X_u=-5.0, X_signu=-4.0, friction_speed=0.005)
+    runs, t, u = Simulator(functions, compiled=compiled), np.arange(40) / 20, np.full((40, 1), 2.0)
+    alone = runs.run(np.zeros((1, 2)), t, u, plain[None])
+    beside = runs.run(np.zeros((2, 2)), t, np.stack([u, u]), np.stack([plain, stiff]))
+    np.testing.assert_array_equal(beside[0], alone[0])

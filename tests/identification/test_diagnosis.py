@@ -17,7 +17,7 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.evidence import compare_scores, explained
 from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.diagnosis.trial import Score
+from undertow.identification.diagnosis.trial import Score, open_bench, try_candidate
 from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -142,6 +142,24 @@ def test_a_time_constant_is_kept_with_its_gains() -> None:
     cls = catalogue()["radiation_memory"]
     candidate = Candidate(cls, load_vehicle("box-hull"))
     assert candidate.removable == ("X_memu",)
+
+
+def test_how_narrow_a_friction_is_has_to_be_found_unless_the_model_has_it() -> None:
+    candidate = Candidate(catalogue()["dry_friction"], load_vehicle("box-hull"))
+    assert {p.name for p in candidate.parameters} == {"X_signu", "friction_speed"}
+    there = candidate.adopted({"X_signu": -1.0})
+    assert Candidate(catalogue()["dry_friction"], there).parameters == ()
+    assert there.value_of("friction_speed").value == 0.02
+
+
+def test_the_width_of_a_friction_that_is_not_there_goes_with_it(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", ("dry_friction",), 16977316, strength=0.4, noise=0.3)
+    train = prepare(runs[:3], model)
+    bench = open_bench(model, train, prepare(runs[3:], model, sigma=train.sigma))
+    found = try_candidate(Candidate(catalogue()["dry_friction"], model), bench, {"friction_rate": 0.01})
+    assert "friction_speed" in found.fit.model.free
+    assert ("friction_rate" in found.fit.model.free) is ("N_signr" in found.kept)
+    assert "N_signr" not in found.kept
 
 
 def _score(r: np.ndarray, mean_square: float) -> Score:

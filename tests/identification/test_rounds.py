@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from undertow.identification.diagnosis import rounds
+from undertow.identification.diagnosis import rounds, search
 
 
 @dataclass(frozen=True)
@@ -41,3 +41,23 @@ def test_what_the_coarse_noise_model_hid_does_not_put_an_effect_out_of_reach(
     assert (found == "fitted again") is again
     if not again:
         assert np.mean(found.score.r**2) == pytest.approx(thinned)
+
+
+@pytest.mark.parametrize(("effects", "asked"), [(("tether", "friction"), ["trim"]), (("tether",), [])])
+def test_what_may_stand_for_one_effect_of_a_pair_is_tried_beside_the_other(
+    effects: tuple[str, ...], asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone it does worse than both of the pair: that says nothing of it beside the other one."""
+    findings = {
+        n: SimpleNamespace(id=n, significant=True, trial=SimpleNamespace(score=n))
+        for n in ("trim", "tether", "friction")
+    }
+    tried: list[str] = []
+    monkeypatch.setattr(search, "as_good", lambda *_: False)
+    monkeypatch.setattr(
+        search, "alternatives", lambda _v, _c, _p, others, _b: tried.extend(o.id for o in others)
+    )
+    chain = SimpleNamespace(findings=[findings[n] for n in effects], score="best")
+    found = SimpleNamespace(findings=list(findings.values()))
+    search._rivals(None, chain, 0, [found], SimpleNamespace(test=None))
+    assert [n for n in tried if n not in effects] == asked
