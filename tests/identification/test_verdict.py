@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from undertow.identification.diagnosis.verdict import NAMED_SHARE, _doubt
+from undertow.identification.diagnosis.result import Indistinguishable
+from undertow.identification.diagnosis.verdict import NAMED_SHARE, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
 TWICE = ["thruster_gain", "thruster_gain"]
@@ -41,7 +42,21 @@ def test_a_size_that_changes_stands_against_naming_unless_only_noise_is_left() -
 
 
 def test_several_effects_that_leave_next_to_nothing_are_named() -> None:
-    """Friction that sticks leaves a little with the smooth one of the catalogue."""
+    """The weak form leaves a little even of the truth where a force changes quickly between two samples."""
     winners = [SimpleNamespace(id=i) for i in TWO]
     assert _doubt(winners, 0.96, quiet=False, confirmed=True, nearly=True) == ""
     assert "too little" in _doubt(winners, 0.7, quiet=False, confirmed=True, nearly=True)
+
+
+def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
+    winners = [SimpleNamespace(id=i) for i in TWO]
+    alike = [Indistinguishable(effects=["actuation_delay", "thruster_lag"], reason="")]
+    both = _named(winners, alike, 0.99, True)
+    assert both.startswith(
+        "Missing: lift. Beside it these data cannot tell: actuation_delay or thruster_lag."
+    )
+    alone = _named(winners[1:], alike, 0.99, True)
+    assert alone.startswith("These data cannot tell: actuation_delay or thruster_lag.")
+    assert _named(winners, [], 0.93, False) == (
+        "Missing: lift and actuation_delay; together they explain 93% of what exceeds the noise."
+    )

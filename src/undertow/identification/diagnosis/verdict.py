@@ -135,12 +135,15 @@ def _unexplained(winners: list[Finding], share: float, reason: str) -> Judgement
 
 
 def _named(winners: list[Finding], sets: list[Indistinguishable], share: float, quiet: bool) -> str:
-    names = " and ".join(unique_ids(winners))
-    rest = "what remains is noise" if quiet else f"it explains {share:.0%} of what exceeds the noise"
-    if sets:
-        choice = "; ".join(" or ".join(s.effects) for s in sets)
-        return f"These data cannot tell: {choice}. Any of them brings the error down alike; {rest}."
-    return f"Missing: {names}; {rest}."
+    open_ = {e for s in sets for e in s.effects}
+    how = "it explains" if len(unique_ids(winners)) == 1 else "together they explain"
+    rest = "what remains is noise" if quiet else f"{how} {share:.0%} of what exceeds the noise"
+    names = " and ".join(n for n in unique_ids(winners) if n not in open_)
+    if not sets:
+        return f"Missing: {names}; {rest}."
+    choice = "; ".join(" or ".join(s.effects) for s in sets)
+    certain = f"Missing: {names}. Beside it these data cannot tell" if names else "These data cannot tell"
+    return f"{certain}: {choice}. Any of them brings the error down alike; {rest}."
 
 
 def unique_ids(findings: list[Finding]) -> list[str]:

@@ -26,19 +26,19 @@ class DryFriction(Wrench):
     friction_speed = Parameter(
         "m/s",
         "speed at which friction is fully there",
-        (1e-4, 1.0),
+        (1e-4, 0.1),
         linear=False,
         default=0.02,
-        starts=(0.005, 0.05),
+        starts=(0.005, 0.04),
         neutral=None,
     )
     friction_rate = Parameter(
         "rad/s",
         "the same for rotations",
-        (1e-4, 1.0),
+        (1e-4, 0.1),
         linear=False,
         default=0.02,
-        starts=(0.01, 0.1),
+        starts=(0.005, 0.04),
         neutral=None,
     )
 
