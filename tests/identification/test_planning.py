@@ -354,7 +354,8 @@ def test_two_effects_are_told_from_one_of_them() -> None:
     specs = [RivalSpec("cubic_damping+dry_friction", {}), RivalSpec("cubic_damping", {})]
     plan = plan_separation(surge_vehicle(), specs, (), replace(SHORT, tries=10)).plan
     both, one = plan.rivals
-    assert set(both.values) == {"X_uuu", "X_signu"}
+    assert set(both.values) == {"X_uuu", "X_signu", "friction_speed"}
+    assert both.values["friction_speed"] == 0.02
     assert both.values["X_uuu"] == one.values["X_uuu"] > 0
     assert plan.separations[0].deviations > 1
 

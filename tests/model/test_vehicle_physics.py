@@ -551,7 +551,7 @@ def as_file(signs: str) -> str:
         "dry_friction",
         "radiation_memory",
     )
-    values = any_values(*ids) | BODY
+    values = any_values(*ids) | BODY | {"friction_speed": 0.05, "friction_rate": 0.05}
     text = f'schema = "undertow/vehicle/1"\nname = "t"\nsigns = "{signs}"\n'
     text += f"degrees_of_freedom = {list(DOFS)}\n"
     for effect_id in ids:

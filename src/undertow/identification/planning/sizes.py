@@ -37,7 +37,7 @@ def typical_values(
     A force is 10 % of what the actuators give in a multisine, at speeds that are alike in all directions.
     What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10 %; what
     does not change them is 0.1 in its unit. A parameter that cannot be zero (a time constant, a saturation)
-    takes the middle one of the starting points of its declaration.
+    takes its default, or the middle one of the starting points of its declaration.
 
     Parameters
     ----------
@@ -68,6 +68,8 @@ def typical_values(
 
 
 def _middle(parameter: Parameter, command_scale: float) -> float:
+    if parameter.default is not None:
+        return parameter.default
     start = parameter.starts[len(parameter.starts) // 2] if parameter.starts else 1.0
     return start * command_scale if parameter.unit == "command" else start
 
