@@ -99,7 +99,8 @@ class Simulator:
         p : ndarray, shape (np,) or (b, np)
             Parameters.
         max_step : float
-            Longest Runge-Kutta step, s; states that effects own (lags, memory) may ask for shorter ones.
+            Longest Runge-Kutta step, s; dry friction and states that effects own (lags, memory) may ask for
+            shorter ones.
         threads : int, optional
             How many for a batch; by default as many as there are processors.
 
@@ -232,6 +233,12 @@ class Simulator:
         f = self._functions
         return ca.Function("quickest", [f.x, f.u, f.p, f.t], [ca.densify(f.quickest)])
 
+    @cached_property
+    def _quickened_by(self) -> list[bool]:
+        """Which of state, input, parameters and time make one run quicker than another."""
+        f = self._functions
+        return [bool(ca.depends_on(f.quickest, s)) for s in (f.x, f.u, f.p, f.t)]
+
     # --- input --------------------------------------------------------------------------------
     def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
         if not max_step > 0:
@@ -244,21 +251,26 @@ class Simulator:
         return Problem(times, _steps(times, longest), inputs, parameters, x, none, np.empty((*x.shape, 0)))
 
     def _resolving(self, start: Array, t: Array, u: Array, p: Array, max_step: float) -> Array:
-        """The longest step in each run that follows friction, and the states that effects own as they begin.
-
-        What grows by itself is not followed: no step keeps that in bounds.
-        """
-        at_first = [a.T for a in (start, u[:, 0], p, t[:, :1])]
-        batch = len(start)
-        columns = [np.broadcast_to(a, (len(a), batch)) for a in at_first]
+        """The longest step, in each run or in all, that follows friction and the states that effects own."""
+        given = zip((start, u[:, 0], p, t[:, :1]), self._quickened_by, strict=True)
+        at_first = [a if felt and a.strides[0] else a[:1] for a, felt in given]
+        batch = max(map(len, at_first))
+        columns = [np.broadcast_to(a.T, (a.shape[1], batch)) for a in at_first]
         slopes = np.asarray(self._quickest.map(batch)(*columns))
         known = np.nan_to_num(slopes.reshape(len(slopes), batch, -1).transpose(1, 0, 2), posinf=0, neginf=0)
-        poles = np.linalg.eigvals(known)
-        rates = np.where(poles.real > np.abs(poles.imag), 0.0, np.abs(poles)).max(axis=1, initial=0.0)
-        rates = np.maximum(rates, _REACH / max_step)
+        rates = np.full(batch, _REACH / max_step)
+        # No eigenvalue exceeds the norm: most runs need none worked out.
+        stiff = np.abs(known).sum(axis=2).max(axis=1, initial=0.0) > rates
+        rates[stiff] = np.maximum(rates[stiff], _quickest_decay(known[stiff]))
         longest = np.maximum(_REACH / rates, max_step / _MOST_PARTS)
         slurred = np.maximum(_STABLE / rates, max_step / _MOST_STEPS)
         return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))[:, None]
+
+
+def _quickest_decay(slopes: Array) -> Array:
+    """Largest rate in each of the matrices, 1/s, but of what only grows: no step keeps that in bounds."""
+    poles = np.linalg.eigvals(slopes)
+    return np.asarray(np.where(poles.real > np.abs(poles.imag), 0.0, np.abs(poles)).max(axis=1, initial=0.0))
 
 
 def _pauses(problem: Problem) -> list[int]:
