@@ -81,7 +81,7 @@ def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("disturbance", "left", "expected"),
-    [(0.0, 5.0, False), (1.0, 1.1, False), (1.0, 5.0, True), (1.0, 50.0, False)],
+    [(0.0, 5.0, False), (1.0, 1.1, False), (1.0, 5.0, True), (1.0, 5000.0, False)],
 )
 def test_when_it_is_worth_a_second_look(
     disturbance: float, left: float, expected: bool, monkeypatch: pytest.MonkeyPatch

@@ -21,8 +21,9 @@ Quiet = Callable[[WeakFit, WeakData], bool]
 # Share of what exceeds the noise that effects must take away beside leaving only noise: a model that is just
 # above the limit of noise may get below it by chance.
 _MOST = 0.5
-# Mean square in units of the sensors' noise from which that noise is far too small to weigh what is left.
-_FAR_OFF = 30.0
+# Mean square in units of the sensors' noise from which no second look is worth its time: what is so far off
+# hardly comes down to noise by what the first look has not found.
+_FAR_OFF = 1000.0
 
 
 def hidden_by_disturbance(bench: Bench, quiet: Quiet) -> bool:

@@ -105,7 +105,7 @@ class Story:
             verdict=self.judgement.verdict,
             headline=" ".join([self.judgement.headline, *doubts]),
             effects=unique_ids(self.judgement.effects),
-            ranking=[self._ranked(f) for f in self.found.rounds[0].findings],
+            ranking=[self._ranked(f) for f in self._in_order()],
             steps=self._steps(),
             indistinguishable=self._sets(),
             equivalent=equivalent,
@@ -189,6 +189,11 @@ class Story:
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
         )
+
+    def _in_order(self) -> list[Finding]:
+        """The candidates as they look beside the model as it is, led by the one that was named in the end."""
+        leader = next(iter(unique_ids(self.judgement.effects)), None)
+        return sorted(self.found.rounds[0].findings, key=lambda f: f.id != leader)
 
     def _ranked(self, finding: Finding) -> Ranked:
         trial = finding.trial
