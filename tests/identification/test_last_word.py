@@ -13,8 +13,8 @@ from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.chain import Chain
 from undertow.identification.diagnosis.final import last_fit
 from undertow.identification.diagnosis.referee import Referee
-from undertow.identification.diagnosis.scouting import Scouted
-from undertow.identification.diagnosis.trial import Bench, open_bench, try_candidate
+from undertow.identification.diagnosis.scouting import Scouted, scout
+from undertow.identification.diagnosis.trial import Bench, noise_ratio, open_bench, try_candidate
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak
@@ -147,3 +147,19 @@ def test_the_simulation_does_not_put_out_what_has_a_dead_time() -> None:
     chains = [Chain((), fit, bench.judge(fit)) for fit in (quick, late, bench.base)]
     # All but the first simulate worse; the model without either effect goes, the late one stays.
     assert [c.fit for c in referee.standing(chains)] == [quick, late]
+
+
+def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:
+    """One of the runs goes 28 m to the east, and drag rises by 0.2 % over two metres at its beginning."""
+    case = make_case(
+        "catamaran", ("boundary_proximity",), 98222414, strength=9e-4, noise=0.3, closed_loop=True
+    )
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    train = prepare(runs[:-1], vehicle)
+    bench = open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
+    candidate = Candidate(catalogue()["boundary_proximity"], vehicle)
+    found = try_candidate(candidate, bench, scout(candidate, bench).values)
+    away = found.fit.values["fade_0"] / found.fit.values["fade_E"]
+    assert away == pytest.approx(case.truth["values"]["boundary_proximity"]["y_w"], abs=0.5)
+    assert np.nanmax(noise_ratio(bench.base, bench.test)) > 4.0
+    assert np.nanmax(noise_ratio(found.fit, bench.test)) < 1.5
