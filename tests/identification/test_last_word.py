@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -147,6 +149,19 @@ def test_the_simulation_does_not_put_out_what_has_a_dead_time() -> None:
     chains = [Chain((), fit, bench.judge(fit)) for fit in (quick, late, bench.base)]
     # All but the first simulate worse; the model without either effect goes, the late one stays.
     assert [c.fit for c in referee.standing(chains)] == [quick, late]
+
+
+def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
+    """A force in each of three directions and one up only: where one up is enough, that is what it is."""
+    bench, referee = _bench(), _referee()
+    fit = try_candidate(_candidate("quadratic_damping"), bench, {}).fit
+    candidates = [SimpleNamespace(parameters=range(n)) for n in (6, 1)]
+    free, plain = (
+        Chain((SimpleNamespace(trial=SimpleNamespace(candidate=c)),), replace(fit), bench.judge(fit))
+        for c in candidates
+    )
+    worse = Chain((), bench.base, bench.base_score)
+    assert referee.standing([free, worse, plain]) == [plain, free]
 
 
 def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:

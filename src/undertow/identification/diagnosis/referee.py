@@ -221,12 +221,13 @@ class Referee:
         return shooting.squares(np.asarray(fit.p), starts)
 
     def standing(self, chains: Sequence[Chain]) -> list[Chain]:
-        """The best of a short list, then those that the simulation does not show to be worse.
+        """The short list without what the simulation shows to be worse than the best of it.
 
         All are fitted by output error, from where the weak form left them. Where they leave little but noise,
-        windows short and long together tell them apart. What has a dead time stands if the weak form lets it:
-        the simulation takes the mean of a command that changes between two samples, which a quick vehicle
-        feels.
+        windows short and long together tell them apart. Of those that do equally well the one leads whose
+        declaration is the plainest: what has more freedom would fit more that did not happen, and that it
+        fits says less. What has a dead time stands, in the end, if the weak form lets it: the simulation
+        takes the mean of a command that changes between two samples, which a quick vehicle feels.
         """
         ordered = sorted((self.contender(c) for c in chains), key=lambda c: c.error)
         near = ordered[0].error ** 2 < _NEAR_NOISE
@@ -238,7 +239,9 @@ class Referee:
             by_far = near and self.outdone(c.chain.fit, best.chain.fit)
             return by_far or clearly_worse(c.squares, best.squares)
 
-        return [best.chain, *(c.chain for c in ordered[1:] if _has_dead_time(c.fit) or not worse(c))]
+        others = [(c.chain, worse(c)) for c in ordered[1:]]
+        equals = sorted([best.chain, *(c for c, behind in others if not behind)], key=_freedom)
+        return [*equals, *(c for c, behind in others if behind and _has_dead_time(c.fit))]
 
     def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
         return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
@@ -257,6 +260,11 @@ class Referee:
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
         return refined
+
+
+def _freedom(chain: Chain) -> int:
+    """Number of parameters that its effects declare for this vehicle, whether they were needed or not."""
+    return sum(len(f.trial.candidate.parameters) for f in chain.findings)
 
 
 def _has_dead_time(fit: Fitted) -> bool:

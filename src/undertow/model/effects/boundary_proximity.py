@@ -15,8 +15,8 @@ from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals, symbol
 
 _AHEAD, _GAP = symbol("ahead"), symbol("gap")
-# Where a search begins: decay lengths in the range of the vehicle, and how far inside that the boundary is. One
-# long run makes the range wide for what happens in a small part of it.
+# Where a search begins: decay lengths in the range of the vehicle, and how far inside that the boundary is.
+# One long run makes the range wide for what happens in a small part of it.
 _BEGINNINGS = ((4.0, 0.0), (4.0, 0.4), (16.0, 0.2), (16.0, 0.4), (16.0, 0.6), (16.0, 0.8))
 
 
