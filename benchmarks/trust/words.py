@@ -59,28 +59,30 @@ DEFINITIONS = """\
     python -m benchmarks.trust run --out two.jsonl --seed 50261123 --jobs 2 --minutes 24
     python -m benchmarks.trust run --out three.jsonl --seed 60261124 --kind complete --rounds 14 --no-peers \\
         --jobs 2 --minutes 11
-    python -m benchmarks.trust report one.jsonl two.jsonl three.jsonl --out docs/trust.md --summary docs/results.md
+    python -m benchmarks.trust report one.jsonl two.jsonl three.jsonl --out docs/trust.md \\
+        --summary docs/results.md
 
 Each of the seeds was run once. Three things were changed between the first and the second run, after
-failures of the first: a boundary is looked for in small parts of a wide range as well, a second look is taken
-up to a thousand times the noise instead of thirty, and the effect that is named stands first among the
-candidates (before, that was the one with the smallest error in the weak form, also where simulation decided
-for another: three of the effects that do not count as ranked first were named all the same). One thing was
-changed after the second: of effects that the data cannot tell apart the one with the plainest declaration
-leads; the complete models of the third run are with that. The tables hold the runs as they were.
+failures of the first: a boundary is looked for in small parts of a wide range as well, a second look is
+taken up to a thousand times the noise instead of thirty, and the effect that is named stands first among
+the candidates (before, that was the one with the smallest error in the weak form, also where simulation
+decided for another: three of the effects that do not count as ranked first were named all the same). One
+thing was changed after the second: of effects that the data cannot tell apart the one with the plainest
+declaration leads; the complete models of the third run are with that. The tables hold the runs as they
+were.
 
-Before them, base seed 24001 served development: 24 pairs, 6 with dry friction, 90 outsiders at their size, a
-fifth and a sixteenth of it. What it brought: dry friction is simulated in steps that follow it, and how narrow
-it is is searched for, where the catalogue had taken 2 cm/s (six of six named, which had been missed as often
-as not); what may stand for one effect of a pair is tried beside the other one (a tether hundreds of metres
-long had stood for a trim error in a case of the run before); and the headline says what is certain beside what
-the data cannot tell.
+Before them, base seed 24001 served development: 24 pairs, 6 with dry friction, 90 outsiders at their size,
+a fifth and a sixteenth of it. What it brought: dry friction is simulated in steps that follow it, and how
+narrow it is is searched for, where the catalogue had taken 2 cm/s (six of six named, which had been missed
+as often as not); what may stand for one effect of a pair is tried beside the other one (a tether hundreds
+of metres long had stood for a trim error in a case of the run before); and the headline says what is
+certain beside what the data cannot tell.
 
 What the page said before was measured on base seed 918273, commit b435ccf: 104 cases, one wrong name
-(thruster_lag for a dead time of a quarter of a sample); strong 30 of 30 first, 29 named alone, medium 29 of 29
-first, weak 8 of 9, pairs 3 of 5, no false alarm in 19 complete models, 6 of 6 outsiders unexplained. Before
-that: base seed 862077, commit 405aa3f, 119 cases, none wrong; base seed 52711, 45 cases, none wrong; base seeds
-4711 and 4712, 90 cases, none wrong.
+(thruster_lag for a dead time of a quarter of a sample); strong 30 of 30 first, 29 named alone, medium 29 of
+29 first, weak 8 of 9, pairs 3 of 5, no false alarm in 19 complete models, 6 of 6 outsiders unexplained.
+Before that: base seed 862077, commit 405aa3f, 119 cases, none wrong; base seed 52711, 45 cases, none wrong;
+base seeds 4711 and 4712, 90 cases, none wrong.
 
 Each case took one process with one thread; seconds are those of the diagnosis alone, without the simulation,
 with whatever else the machine did at the time.

@@ -138,7 +138,12 @@ def test_windows_that_contradict_each_other_or_a_single_one_decide_nothing(
     least = [_spread(5e3, 20), _spread(5e3, 5)]
     referee._known["costs", id(one)] = one, [least[0] + short, least[1] + long]
     referee._known["costs", id(other)] = other, least
+    referee._known["levels", id(other)] = other, [1.0, 1.0]
     assert referee.outdone(one, other) is outdone
+    # The same where eight times the noise is left: it passes for noise.
+    referee._known["levels", id(other)] = other, [8.0, 8.0]
+    diverged = not (np.isfinite(short).all() and np.isfinite(long).all())
+    assert referee.outdone(one, other) is (outdone and diverged)
 
 
 def test_the_simulation_does_not_put_out_what_has_a_dead_time() -> None:

@@ -43,6 +43,9 @@ _SURE = 0.01
 # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
 # likelihood ratio on kept-aside data, which white noise brings above this once in 18 000 times at the most.
 _MORE_THAN_CHANCE = 15.0
+# Times the error of the best from which another is worse where more than noise is left. Smaller gaps may be
+# ever so regular: they say how the two bend to what neither explains.
+_NOTABLY = 1.025
 # Where the simulation of one model diverges and that of the other does not.
 _BEYOND = 1e12
 
@@ -197,12 +200,16 @@ class Referee:
 
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
         what is slow, which the estimated starts of short ones take up. The worst window has no say: where a
-        vehicle is about to turn, a small error of a parameter grows to many times the noise. Where short and
-        long windows contradict each other, neither model outdoes the other.
+        vehicle is about to turn, a small error of a parameter grows to many times the noise. Where more than
+        noise is left, all of it passes for noise. Where short and long windows contradict each other, neither
+        model outdoes the other.
         """
-        pairs = zip(self._costs(weak), self._costs(by), strict=True)
+        pairs = zip(self._costs(weak), self._costs(by), self._levels(by), strict=True)
         with np.errstate(invalid="ignore"):
-            gaps = [np.nan_to_num(worse - better, posinf=_BEYOND, neginf=-_BEYOND) for worse, better in pairs]
+            gaps = [
+                np.nan_to_num((worse - better) / level, posinf=_BEYOND, neginf=-_BEYOND)
+                for worse, better, level in pairs
+            ]
         behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
         return behind > _MORE_THAN_CHANCE and ahead < _MORE_THAN_CHANCE
 
@@ -211,10 +218,21 @@ class Referee:
         return self._once("costs", weak, self._worked_out_costs)
 
     def _worked_out_costs(self, weak: WeakFit) -> list[Array]:
-        return [
-            min((self._cost(fit, horizon) for fit in (weak, self._refined(weak, horizon))), key=np.sum)
-            for horizon in (DECIDING, THOROUGH)
-        ]
+        return [self._cost(self._best(weak, horizon), horizon) for horizon in (DECIDING, THOROUGH)]
+
+    def _levels(self, weak: WeakFit) -> list[float]:
+        """Mean square in units of the noise, short windows and long: what is left beyond it is no noise."""
+        return self._once("levels", weak, self._worked_out_levels)
+
+    def _worked_out_levels(self, weak: WeakFit) -> list[float]:
+        left = [self._squares(self._best(weak, h), h) for h in (DECIDING, THOROUGH)]
+        return [float(np.clip(np.mean(square), 1.0, _BEYOND)) for square in left]
+
+    def _best(self, weak: WeakFit, horizon: float) -> Fitted:
+        """A model by the weak form or by output error, whichever simulates windows of this length better."""
+        return min(
+            (weak, self._refined(weak, horizon)), key=lambda fit: float(np.sum(self._cost(fit, horizon)))
+        )
 
     def _cost(self, fit: Fitted, horizon: float) -> Array:
         shooting, starts = self._shot(fit, horizon)
@@ -237,7 +255,7 @@ class Referee:
 
         def worse(c: Contender) -> bool:
             by_far = near and self.outdone(c.chain.fit, best.chain.fit)
-            return by_far or clearly_worse(c.squares, best.squares)
+            return by_far or (clearly_worse(c.squares, best.squares) and c.error > _NOTABLY * best.error)
 
         others = [(c.chain, worse(c)) for c in ordered[1:]]
         equals = sorted([best.chain, *(c for c, behind in others if not behind)], key=_freedom)
