@@ -14,7 +14,7 @@ from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.chain import Chain
 from undertow.identification.diagnosis.final import last_fit
-from undertow.identification.diagnosis.referee import Referee
+from undertow.identification.diagnosis.referee import Contender, Referee, clearly_worse
 from undertow.identification.diagnosis.scouting import Scouted, scout
 from undertow.identification.diagnosis.trial import Bench, noise_ratio, open_bench, try_candidate
 from undertow.identification.logs import Run
@@ -154,6 +154,20 @@ def test_the_simulation_does_not_put_out_what_has_a_dead_time() -> None:
     chains = [Chain((), fit, bench.judge(fit)) for fit in (quick, late, bench.base)]
     # All but the first simulate worse; the model without either effect goes, the late one stays.
     assert [c.fit for c in referee.standing(chains)] == [quick, late]
+
+
+@pytest.mark.parametrize(("times", "stands"), [(1.004, True), (1.2, False)])
+def test_a_regular_gap_of_little_tells_nothing_where_more_than_noise_is_left(
+    times: float, stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a roll decay: a trim error and a compass that is off bend alike to what neither explains."""
+    bench, referee = _bench(), _referee()
+    left = np.full(20, 3.4)
+    chains = [Chain((), replace(bench.base), bench.base_score) for _ in range(2)]
+    level = {id(chains[0]): 1.0, id(chains[1]): times}
+    monkeypatch.setattr(referee, "contender", lambda c: Contender(c, c.fit, left * level[id(c)]))
+    assert clearly_worse(left * times, left)
+    assert [id(c) for c in referee.standing(chains)] == [id(c) for c in chains[: 1 + stands]]
 
 
 def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
