@@ -254,8 +254,9 @@ class Referee:
         best = ordered[0]
 
         def worse(c: Contender) -> bool:
-            by_far = near and self.outdone(c.chain.fit, best.chain.fit)
-            return by_far or (clearly_worse(c.squares, best.squares) and c.error > _NOTABLY * best.error)
+            if near and self.outdone(c.chain.fit, best.chain.fit):
+                return True
+            return (near or c.error > _NOTABLY * best.error) and clearly_worse(c.squares, best.squares)
 
         others = [(c.chain, worse(c)) for c in ordered[1:]]
         equals = sorted([best.chain, *(c for c, behind in others if not behind)], key=_freedom)
