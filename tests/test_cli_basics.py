@@ -211,6 +211,8 @@ def test_ctrl_c_in_a_running_command(tmp_path: Path) -> None:
         '"""Waits."""\nimport signal\ndef zz():\n    print("ready", flush=True)\n    signal.pause()\n'
     )
     code = (
+        # Whoever began the tests in the background had SIGINT ignored, which a child inherits.
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         f"import undertow.cli; undertow.cli.__path__.append({str(tmp_path)!r});"
         "from undertow.cli.main import main; raise SystemExit(main(['zz']))"
     )

@@ -575,7 +575,7 @@ def test_ctrl_c_is_heard_where_a_library_drops_it(
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
     code = (
-        # Whoever began the tests may have had SIGINT ignored, which a child inherits.
+        # Whoever began the tests in the background had SIGINT ignored, which a child inherits.
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import sys, undertow.identification.diagnosis.diagnose as d; from undertow.cli.main import main\n"
         "search = d.search\n"
