@@ -214,8 +214,12 @@ class Functions:
     @cached_property
     def x_dot(self) -> ca.SX:
         """Time derivative of the state, from x, u, p, t; M is solved for, never inverted symbolically."""
-        driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
-        return ca.cse(self.with_acceleration(solve_symmetric(self.mass_matrix, driven)))
+        return ca.cse(self.with_acceleration(solve_symmetric(self.mass_matrix, self._driven_forcing)))
+
+    @property
+    def _driven_forcing(self) -> ca.SX:
+        """Residual at rest of the acceleration, as the commands drive it."""
+        return ca.substitute(self.forcing, self.actuation, self.chain_output)
 
     def with_acceleration(self, rows: ca.SX) -> ca.SX:
         """x_dot with these in the rows of the acceleration."""
@@ -247,8 +251,7 @@ class Functions:
     @property
     def _slopes_at_rest(self) -> ca.SX:
         """d(nu_dot)/d(nu) at rest, 1/s."""
-        driven = ca.substitute(self.forcing, self.actuation, self.chain_output)
-        slopes = solve_symmetric(self.mass_matrix, ca.SX.eye(self.nu.numel())) @ ca.jacobian(driven, self.nu)
+        slopes = solve_symmetric(self.mass_matrix, ca.densify(ca.jacobian(self._driven_forcing, self.nu)))
         return ca.substitute(slopes, self.nu, ca.SX.zeros(self.nu.shape))
 
     # --- functions ----------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from undertow.identification.weak.noise import Whitening
 from undertow.identification.weak.residual import Linearised, WeakModel, whitened
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement
-from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -143,11 +142,7 @@ def _values(model: WeakModel) -> Array:
 
 def _names(candidate: Candidate) -> tuple[str, ...]:
     """Parameters that one step can find; those that need a search are as the catalogue has them."""
-    return tuple(p.name for p in candidate.parameters if _sought(p))
-
-
-def _sought(parameter: Parameter) -> bool:
-    return parameter.default is None or parameter.default == parameter.neutral
+    return tuple(p.name for p in candidate.parameters if not p.assumed)
 
 
 def _has_a_score(effect: type[Effect]) -> bool:
@@ -156,7 +151,7 @@ def _has_a_score(effect: type[Effect]) -> bool:
     Not so for what has to be looked for (a delay, a dead band), and for states of its own.
     """
     own = effect.specimen()
-    sought = filter(_sought, own.parameters)
+    sought = [p for p in own.parameters if not p.assumed]
     return not own.states and all(p.linear or set(p.starts) == {0.0} for p in sought)
 
 

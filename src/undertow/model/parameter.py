@@ -71,6 +71,11 @@ class Parameter:
         return (self,)
 
     @property
+    def assumed(self) -> bool:
+        """Whether the declaration has a value of its own for it, other than that of no effect."""
+        return self.default is not None and self.default != self.neutral
+
+    @property
     def unsaid(self) -> float:
         """Value where nothing gives one: the default, else that at which the effect is absent, else zero."""
         return next((v for v in (self.default, self.neutral) if v is not None), 0.0)

@@ -54,7 +54,7 @@ class Candidate:
         """Whether a parameter has to be found: not what an effect that is there takes as known."""
         if parameter.default is None:
             return True
-        sought = parameter.default == parameter.neutral or bool(parameter.starts)
+        sought = not parameter.assumed or bool(parameter.starts)
         return sought and all(e.id != self.id for e in self.base.effects)
 
     @property

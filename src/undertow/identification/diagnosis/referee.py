@@ -218,21 +218,21 @@ class Referee:
         return self._once("costs", weak, self._worked_out_costs)
 
     def _worked_out_costs(self, weak: WeakFit) -> list[Array]:
-        return [self._cost(self._best(weak, horizon), horizon) for horizon in (DECIDING, THOROUGH)]
+        return [
+            min((self._cost(fit, horizon) for fit in (weak, self._refined(weak, horizon))), key=np.sum)
+            for horizon in (DECIDING, THOROUGH)
+        ]
 
     def _levels(self, weak: WeakFit) -> list[float]:
         """Mean square in units of the noise, short windows and long: what is left beyond it is no noise."""
         return self._once("levels", weak, self._worked_out_levels)
 
     def _worked_out_levels(self, weak: WeakFit) -> list[float]:
-        left = [self._squares(self._best(weak, h), h) for h in (DECIDING, THOROUGH)]
+        used = [self._shot(weak, horizon)[0].used for horizon in (DECIDING, THOROUGH)]
+        left = [
+            cost / np.maximum(u.sum(axis=(1, 2)), 1) for cost, u in zip(self._costs(weak), used, strict=True)
+        ]
         return [float(np.clip(np.mean(square), 1.0, _BEYOND)) for square in left]
-
-    def _best(self, weak: WeakFit, horizon: float) -> Fitted:
-        """A model by the weak form or by output error, whichever simulates windows of this length better."""
-        return min(
-            (weak, self._refined(weak, horizon)), key=lambda fit: float(np.sum(self._cost(fit, horizon)))
-        )
 
     def _cost(self, fit: Fitted, horizon: float) -> Array:
         shooting, starts = self._shot(fit, horizon)
