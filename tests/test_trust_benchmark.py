@@ -16,6 +16,7 @@ import pytest
 from benchmarks.hidden_effects import EFFECTS, make_case
 from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import plain_world
+from benchmarks.trust import sizing
 from benchmarks.trust.__main__ import main
 from benchmarks.trust.cases import COMPLETE, FAINT, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
@@ -101,6 +102,12 @@ def test_a_faint_case_is_as_faint_as_it_aims_to_be() -> None:
     vehicle, train, test = written_to_memory(simulated(found))
     assert told(vehicle, train, test, ["constant_force"], {}).ratio == pytest.approx(1.5, rel=0.12)
     assert sized(Planned.read("box:constant_force:x2.5:n1:open:60s:17")).strength == 2.5
+
+
+def test_no_effect_is_made_larger_than_a_vehicle_of_its_kind_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sizing, "_worth", lambda case: 1.0 + 1e-4 * case.strength)
+    hardly_sways = Planned.read("ship:crossflow_drag:r2.73:n3:open:60s:17")
+    assert sized(hardly_sways).strength == sizing.LARGEST
 
 
 # --- the simulator -----------------------------------------------------------------------------------------

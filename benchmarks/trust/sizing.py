@@ -15,13 +15,16 @@ _LOOKS, _NEAR = 5, 0.1
 #: Largest factor by which the strength changes from one look to the next.
 _STRIDE = 30.0
 _MILDER = 0.2
+#: Times the drawn size up to which an effect belongs to a vehicle of its kind; beyond, there would be ships
+#: with the cross-flow drag of a thousand ships.
+LARGEST = 10.0
 
 
 def sized(case: Planned) -> Planned:
     """The case with its strength, chosen where it aims at what the truth is to be worth.
 
     What exceeds the noise grows about as the square of a small effect; a few looks do for effects that do
-    not. The diagnosis takes no part in this.
+    not. Where the largest size is not worth as much, that is the case. The diagnosis takes no part in this.
     """
     if not case.aim:
         return case
@@ -36,7 +39,9 @@ def sized(case: Planned) -> Planned:
         if found[strength] < _NEAR:
             break
         factor = np.sqrt((case.aim**2 - 1.0) / max(ratio**2 - 1.0, 1e-3))
-        strength *= float(np.clip(factor, 1.0 / _STRIDE, _STRIDE))
+        strength = min(strength * float(np.clip(factor, 1.0 / _STRIDE, _STRIDE)), LARGEST)
+        if strength in found:
+            break
     if not found:
         raise ValueError(f"{case.id}: the vehicle runs away with any size of its effect that was tried")
     return replace(case, strength=min(found, key=found.__getitem__))

@@ -42,7 +42,8 @@ DEFINITIONS = """\
   commands and noise with nothing hidden.
 - *Faint*: sizes as drawn make strong effects nearly always. So each effect comes a second time, with its size
   chosen for a ratio drawn between 1.1 and 3 (`r` in a case's name; `x` is a factor on the drawn size). The
-  choice looks at the told refit, never at the diagnosis.
+  choice looks at the told refit, never at the diagnosis. No size is more than ten times the drawn one: a ship
+  that hardly sways would need the cross-flow drag of a thousand ships.
 - *Reported set*: all effects that the answer names, alone or as a set that the data cannot tell apart.
 - *Named and nothing else*: the reported set is the truth. Net buoyancy and a constant heave force are the
   same equations for a vehicle without roll and pitch, and so are, in still water, water in the hull and
