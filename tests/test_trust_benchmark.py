@@ -198,6 +198,24 @@ def test_what_counts_as_the_truth() -> None:
     assert accepted("entrained_water", (*upright, "roll")) == {"entrained_water"}
 
 
+@pytest.mark.parametrize(
+    ("named", "expected"),
+    [
+        (("entrained_water",), True),
+        (("entrained_water", "added_mass_coupling"), True),
+        (("added_mass_coupling",), False),
+        (("entrained_water", "added_mass_coupling", "lift"), False),
+    ],
+)
+def test_what_the_truth_is_a_special_case_of_may_stand_beside_it(
+    named: tuple[str, ...], expected: bool
+) -> None:
+    case, truth = "heavy-rov:entrained_water:x1:n1:open:plain:1", ("entrained_water",)
+    more = {"sets": [list(named)], "motions": ["surge", "sway", "heave", "roll", "pitch", "yaw"]}
+    (told_case,) = scored([record(case, "indistinguishable", named[0], truth=truth, grade="strong", **more)])
+    assert told_case.only is expected
+
+
 def test_named_and_nothing_else() -> None:
     assert Answer("missing_effect", ["lift"]).only({"lift"})
     assert not Answer("missing_effect", ["lift", "waves"]).only({"lift"})

@@ -10,7 +10,7 @@ import numpy as np
 
 from .grade import GRADES
 from .measure import Record
-from .verdicts import Answer, accepted
+from .verdicts import Answer, accepted, holding
 
 OURS = "undertow"
 #: Grades in which the truth is to be found.
@@ -107,8 +107,10 @@ class Scored:
 
     @property
     def only(self) -> bool:
-        """The truth is named and nothing else."""
-        return self.reported and self.answer.only(set().union(*self.accepted))
+        """The truth is named and nothing else but, in a set with it, what it is a special case of."""
+        r = self.record
+        beside = (holding(effect, r["motions"]) for effect in r["truth"])
+        return self.reported and self.answer.only(set().union(*self.accepted, *beside))
 
     @property
     def false_claim(self) -> bool:

@@ -81,3 +81,20 @@ def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = 
     if upright and effect == "constant_force" and set(parameters) == {"Z_0"}:
         return {effect, "net_buoyancy"}
     return {effect}
+
+
+def holding(effect: str, motions: Sequence[str]) -> set[str]:
+    """Effects of which this one is a special case, so that no data let it be told from them.
+
+    Water in the hull has a symmetric inertia matrix and the Coriolis force that goes with it, in still water
+    as added mass has: its diagonal is that of X_udot and the like, the rest that of `added_mass_coupling`.
+
+    Parameters
+    ----------
+    effect : str
+        Id of what is hidden.
+    motions : sequence of str
+        Degrees of freedom of the vehicle.
+    """
+    coupled = {"sway", "yaw"} <= set(motions)
+    return {"added_mass_coupling"} if coupled and effect == "entrained_water" else set()

@@ -48,6 +48,8 @@ DEFINITIONS = """\
 - *Named and nothing else*: the reported set is the truth. Net buoyancy and a constant heave force are the
   same equations for a vehicle without roll and pitch, and so are, in still water, water in the hull and
   added mass with the coupling Y_rdot; there, and nowhere else, either or both of them count as the truth.
+  With roll and pitch, water in the hull is a special case of added mass with couplings (the same form of
+  inertia matrix, the same Coriolis force): a set that holds both is what can be said, and counts.
 - *False alarm*: an effect is named for a complete model.
 - *Left out*: a dead band with a jump at its edge. The catalogue's is continuous, so that neither its name nor
   `unexplained` would be wrong.

@@ -50,7 +50,9 @@ class Stated:
         **others: float,
     ) -> Array:
         s = self.statement.signals
+        seen_turning = nu_dot[:3] + np.cross(nu[3:], water[:3])  # a steady current, from a hull that turns
         groups = ((s.eta, eta), (s.nu, nu), (s.nu_dot, nu_dot), (s.nu_r[:3], (nu - water)[:3]))
+        groups += ((s.nu_r_dot[:3], seen_turning),)
         point = {x: v for names, column in groups for x, v in zip(names, column, strict=True)}
         point |= {symbol(n): v for n, v in others.items()}
         return np.array([float(v) for v in self.function(*(point[x] for x in self.names))])
@@ -174,6 +176,15 @@ def test_entrained_water_has_inertia_and_no_weight(flooded: Stated) -> None:
 def test_entrained_water_moves_over_ground(flooded: Stated) -> None:
     current = np.array([0.5, -0.3, 0.0, 0, 0, 0])
     assert flooded(ETA, NU, NU_DOT, current) == pytest.approx(flooded(ETA, NU, NU_DOT), rel=1e-14)
+
+
+def test_entrained_water_is_in_still_water_a_special_case_of_added_mass(flooded: Stated) -> None:
+    """So no log tells it from added mass with its couplings: the diagnosis has to report both."""
+    inertia = -np.array([flooded(nu_dot=row) for row in np.eye(6)])
+    pairs = [(f, m, -inertia[i, j]) for i, f in enumerate("XYZKMN") for j, m in enumerate("uvwpqr")]
+    values = {f"{f}_{m}dot": value for f, m, value in pairs}
+    hull = [Stated(i, values) for i in ("added_mass", "added_mass_coriolis", "added_mass_coupling")]
+    assert sum(part(ETA, NU, NU_DOT) for part in hull) == pytest.approx(flooded(ETA, NU, NU_DOT), rel=1e-12)
 
 
 # --- cross-flow drag ------------------------------------------------------------------------------

@@ -106,7 +106,7 @@ def _stepwise(
     """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
     rounds, chain, _ = _steps(vehicle, bench, known, report, quiet, [])
     last = rounds[-1].bench
-    if rounds[-1].winner is not None or not hidden_by_disturbance(last, quiet):
+    if rounds[-1].winner is not None or not hidden_by_disturbance(last):
         return rounds, chain
     bare = last.without_disturbance()
     again, longer, fit = _steps(vehicle, bare, known, lambda _, words: report(0.9, words), quiet, chain)
