@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from functools import cached_property
 
 import casadi as ca
@@ -22,6 +23,8 @@ from .late import reported_late
 from .prediction import Prediction
 
 Array = NDArray[np.float64]
+# Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
+_KEPT = 24
 
 
 class Predictor:
@@ -41,6 +44,7 @@ class Predictor:
         self._points = Pointwise(self.functions, ())
         self.lateness = Lateness(self.functions)
         self._inherited = Inherited(self.functions, self._points, self.lateness, self.simulated)
+        self._recent: OrderedDict[tuple[int, bytes], tuple[Windows, Array, Array]] = OrderedDict()
 
     @property
     def values(self) -> Array:
@@ -71,9 +75,23 @@ class Predictor:
     def start_and_drive(self, windows: Windows, p: Array, motion: Array | None = None) -> tuple[Array, Array]:
         """States at the start of every window, (b, nx), and commands in it, (b, k, n_commands)."""
         u = self._commands(windows, p)
-        measured = self.measured_motion(windows, u, p)
-        own = self._inherited.at_starts(windows, measured, self._drives(windows, p), u, p)
+        measured, own = self._found(windows, u, p)
         return np.column_stack([measured if motion is None else motion, own]), u
+
+    def _found(self, windows: Windows, u: Array, p: Array) -> tuple[Array, Array]:
+        """Measured motion and own states at the starts, kept for the next calls with the same parameters.
+
+        A descent comes back to the same parameters again and again while it moves the starts.
+        """
+        key = id(windows), p.tobytes()
+        if key not in self._recent:
+            measured = self.measured_motion(windows, u, p)
+            own = self._inherited.at_starts(windows, measured, self._drives(windows, p), u, p)
+            if len(self._recent) >= _KEPT:
+                self._recent.popitem(last=False)
+            self._recent[key] = windows, measured, own
+        self._recent.move_to_end(key)
+        return self._recent[key][1:]
 
     def measured_motion(self, windows: Windows, u: Array, p: Array) -> Array:
         """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
