@@ -197,6 +197,24 @@ def test_a_lag_is_followed_from_an_estimated_beginning() -> None:
     assert np.max(np.abs(start[0, 6:])) < 0.02 * np.max(np.abs(start[:, 6:]))
 
 
+def test_what_windows_inherit_is_that_of_these_parameters_whatever_was_asked_before() -> None:
+    """Kept from call to call, also past what is kept, and for windows that are not the same."""
+    case = make_case("usv", ("thruster_lag",), 2, duration=20.0, runs=("steps",))
+    lagged = with_effect(true_vehicle(case), "thruster_lag", T_lag=0.5)
+    runs, old = runs_of(case), Predictor(lagged)
+    place = old.functions.parameter_names.index("T_lag")
+    asked = [(cut(runs, lagged, h), lag) for h in (5.0, 2.0) for lag in (0.5, 0.6, *np.linspace(1, 2, 30))]
+    for windows, lag in [*asked, *asked[:2], *asked[32:34]]:
+        p = old.values
+        p[place] = lag
+        fresh = Predictor(lagged).start_and_drive(windows, p) if lag < 1.0 else None
+        found = old.start_and_drive(windows, p)
+        again = old.start_and_drive(windows, p, np.ones((len(windows), 6)))
+        assert np.all(again[0][:, :6] == 1.0)
+        assert np.array_equal(again[0][:, 6:], found[0][:, 6:])
+        assert fresh is None or np.array_equal(found[0], fresh[0])
+
+
 def test_the_best_start_of_a_line_is_its_least_squares_fit() -> None:
     t = np.linspace(0.0, 1.0, 30)
     measured = (2.0 + 3.0 * t)[None, :, None] / SIGMA
