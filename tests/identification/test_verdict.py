@@ -8,7 +8,7 @@ import pytest
 
 from undertow.identification.diagnosis.result import Indistinguishable
 from undertow.identification.diagnosis.story import Story
-from undertow.identification.diagnosis.verdict import NAMED_SHARE, _doubt, _named
+from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
 TWICE = ["thruster_gain", "thruster_gain"]
@@ -31,22 +31,22 @@ def test_what_stands_against_naming(
 ) -> None:
     """A second effect can make up for a first one that is wrong, so two have to explain all."""
     winners = [SimpleNamespace(id=i) for i in ids]
-    said = _doubt(winners, share, quiet=quiet, confirmed=confirmed)
+    said = _doubt(winners, share, Left(quiet=quiet, confirmed=confirmed))
     assert doubt in said
     assert bool(said) is bool(doubt)
 
 
 def test_a_size_that_changes_stands_against_naming_unless_only_noise_is_left() -> None:
     winners, words = [SimpleNamespace(id="net_buoyancy")], "its size would have to go from 0% to 120%"
-    assert words in _doubt(winners, 0.93, quiet=False, confirmed=True, change=words)
-    assert _doubt(winners, 0.93, quiet=True, confirmed=True, change=words) == ""
+    assert words in _doubt(winners, 0.93, Left(quiet=False, confirmed=True, change=words))
+    assert _doubt(winners, 0.93, Left(quiet=True, confirmed=True, change=words)) == ""
 
 
 def test_several_effects_that_leave_next_to_nothing_are_named() -> None:
     """The weak form leaves a little even of the truth where a force changes quickly between two samples."""
     winners = [SimpleNamespace(id=i) for i in TWO]
-    assert _doubt(winners, 0.96, quiet=False, confirmed=True, nearly=True) == ""
-    assert "too little" in _doubt(winners, 0.7, quiet=False, confirmed=True, nearly=True)
+    assert _doubt(winners, 0.96, Left(quiet=False, confirmed=True, nearly=True)) == ""
+    assert "too little" in _doubt(winners, 0.7, Left(quiet=False, confirmed=True, nearly=True))
 
 
 def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:

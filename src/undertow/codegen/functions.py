@@ -237,17 +237,6 @@ class Functions:
         """x_dot with the residual in the rows of the acceleration: one equation for each state."""
         return self.with_acceleration(self.driven_residual)
 
-    @cached_property
-    def quickest(self) -> ca.SX:
-        """How fast the velocities are at rest, where friction is stiffest, and the states that effects own.
-
-        d(rates)/d(states) in 1/s, in one block for the velocities and one for the states.
-        """
-        own = ca.vertcat(self.memory, self.actuator_states)
-        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        slopes = ca.jacobian(ca.vertcat(memory, self.chain_rates), own)
-        return ca.cse(ca.diagcat(self._slopes_at_rest, slopes))
-
     @property
     def _slopes_at_rest(self) -> ca.SX:
         """d(nu_dot)/d(nu) at rest, 1/s."""
@@ -268,6 +257,18 @@ class Functions:
     def dynamics(self) -> ca.Function:
         """`x_dot = dynamics(x, u, p, t)`."""
         return self._function("dynamics", [self.x_dot], ["x_dot"])
+
+    @cached_property
+    def quickest(self) -> ca.Function:
+        """`slopes = quickest(x, u, p, t)`: how fast velocities are at rest, where friction is stiffest, and
+        the states that effects own.
+
+        d(rates)/d(states) in 1/s, in one block for the velocities and one for the states.
+        """
+        own = ca.vertcat(self.memory, self.actuator_states)
+        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
+        slopes = ca.jacobian(ca.vertcat(memory, self.chain_rates), own)
+        return self._function("quickest", [ca.cse(ca.diagcat(self._slopes_at_rest, slopes))], ["slopes"])
 
     @cached_property
     def prepared(self) -> Prepared:

@@ -25,7 +25,7 @@ _PACKAGE = Path(undertow.__file__).parent
 # What of the package the equations and their C code follow from.
 _ROOMS = ("model", "codegen")
 # Functions that those ask for who simulate.
-_KEPT = ("outputs", "rest", "dead_time")
+_KEPT = ("outputs", "rest", "dead_time", "quickest")
 _OF_AN_EFFECT = {"thrusters", "allocation"}
 
 
@@ -61,15 +61,14 @@ class KnownFunctions(Functions):
 
     def _note(self) -> str:
         """What is kept, as JSON."""
-        quickest = ca.Function("quickest", [self.x, self.u, self.p, self.t], [ca.densify(self.quickest)])
+        functions = {name: getattr(self, name).serialize() for name in _KEPT}  # derives the model first
         return json.dumps(
             {
                 "parameters": self.parameter_names,
                 "sizes": {name: s.numel() for name, s in self.symbols.items()},
                 "memory": [str(x) for x in self._memory],
                 "actuators": [str(x) for x in self._chain_rates],
-                "functions": {name: getattr(self, name).serialize() for name in _KEPT},
-                "quickest": quickest.serialize(),
+                "functions": functions,
                 "model": model_source(self),
             }
         )
@@ -82,8 +81,6 @@ class KnownFunctions(Functions):
             {symbol(n): sm.nan for n in note[kind]} for kind in ("memory", "actuators")
         )
         vars(self).update({name: ca.Function.deserialize(text) for name, text in note["functions"].items()})
-        at = self.x, self.u, self.p, self.t
-        self.quickest = ca.Function.deserialize(note["quickest"])(*at)
         self.known_model_source = note["model"]
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError
@@ -229,15 +228,9 @@ class Simulator:
         in_threads(simulate, parts, threads)
 
     @cached_property
-    def _quickest(self) -> ca.Function:
-        f = self._functions
-        return ca.Function("quickest", [f.x, f.u, f.p, f.t], [ca.densify(f.quickest)])
-
-    @cached_property
     def _quickened_by(self) -> list[bool]:
         """Which of state, input, parameters and time make one run quicker than another."""
-        f = self._functions
-        return [bool(ca.depends_on(f.quickest, s)) for s in (f.x, f.u, f.p, f.t)]
+        return [self._functions.quickest.jac_sparsity(0, k).nnz() > 0 for k in range(4)]
 
     # --- input --------------------------------------------------------------------------------
     def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
@@ -256,7 +249,7 @@ class Simulator:
         at_first = [a if felt and a.strides[0] else a[:1] for a, felt in given]
         batch = max(map(len, at_first))
         columns = [np.broadcast_to(a.T, (a.shape[1], batch)) for a in at_first]
-        slopes = np.asarray(self._quickest.map(batch)(*columns))
+        slopes = np.asarray(self._functions.quickest.map(batch)(*columns))
         known = np.nan_to_num(slopes.reshape(len(slopes), batch, -1).transpose(1, 0, 2), posinf=0, neginf=0)
         rates = np.full(batch, _REACH / max_step)
         # No eigenvalue exceeds the norm: most runs need none worked out.

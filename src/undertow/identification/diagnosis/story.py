@@ -31,7 +31,7 @@ from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining,
 from .search import FALSE_ALARM_RATE, Search
 from .steadiness import sizes
 from .trial import Bench, Score, error_of, noise_ratio, scored, told_apart
-from .verdict import Judgement, judge, unique_ids
+from .verdict import Judgement, Left, judge, unique_ids
 
 Array = NDArray[np.float64]
 _MANOEUVRES = 20
@@ -66,15 +66,14 @@ class Story:
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         quiet = referee.quiet(weak[-1], self.bench.test)
-        self.judgement: Judgement = judge(
-            found,
-            (self.bench.judge(weak[0]), self.bench.judge(weak[-1])),
-            self.bench.noise_level,
+        left = Left(
             quiet=quiet,
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
             nearly=quiet or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
             change="" if quiet else self._change(),
         )
+        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
+        self.judgement: Judgement = judge(found, scores, self.bench.noise_level, left)
 
     def _change(self) -> str:
         """How the size of the one effect that was found changes in the course of the kept-aside data."""

@@ -46,16 +46,29 @@ class Judgement:
     share: float
 
 
-def judge(
-    found: Search,
-    scores: tuple[Score, Score],
-    noise: Array,
-    *,
-    quiet: bool,
-    confirmed: bool,
-    nearly: bool = False,
-    change: str = "",
-) -> Judgement:
+@dataclass(frozen=True)
+class Left:
+    """What the final model leaves, and what speaks against it.
+
+    Attributes
+    ----------
+    quiet : bool
+        Whether the noise explains what is left.
+    confirmed : bool
+        Whether the model does not simulate the kept-aside runs worse than the incomplete one.
+    nearly : bool
+        Whether less than twice the noise is left in every equation.
+    change : str
+        How the size of the effect would have to change in the course of the kept-aside data, if it would.
+    """
+
+    quiet: bool
+    confirmed: bool
+    nearly: bool = False
+    change: str = ""
+
+
+def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Left) -> Judgement:
     """Decide.
 
     Parameters
@@ -66,26 +79,20 @@ def judge(
         The incomplete and the final model under the final noise model.
     noise : (2n,) array
         Mean square that the noise of the sensors has under that noise model.
-    quiet : bool
-        Whether the noise explains what the final model leaves.
-    confirmed : bool
-        Whether the final model does not simulate the kept-aside runs worse than the incomplete one.
-    nearly : bool
-        Whether it leaves less than twice the noise in every equation.
-    change : str
-        How the size of the effect would have to change in the course of the kept-aside data, if it would.
+    left : Left
+        What the final model leaves.
     """
     winners = found.winners
     share = explained(*told_apart(*scores, found.bench.test), noise)
     sets = _sets(found)
     if not winners:
-        return _without_effect(quiet, share)
-    if doubt := _doubt(winners, share, quiet=quiet, confirmed=confirmed, nearly=nearly, change=change):
+        return _without_effect(left.quiet, share)
+    if doubt := _doubt(winners, share, left):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > _MANY for s in sets):
         verdict = "not_identifiable"
-    return Judgement(verdict, _named(winners, sets, share, quiet), winners, sets, share)
+    return Judgement(verdict, _named(winners, sets, share, left.quiet), winners, sets, share)
 
 
 def _without_effect(quiet: bool, share: float) -> Judgement:
@@ -99,32 +106,24 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
     return Judgement("unexplained", text, [], [], share)
 
 
-def _doubt(
-    winners: list[Finding],
-    share: float,
-    *,
-    quiet: bool,
-    confirmed: bool,
-    nearly: bool = False,
-    change: str = "",
-) -> str:
+def _doubt(winners: list[Finding], share: float, left: Left) -> str:
     """Why nothing can be named, or nothing where it can.
 
     Where more than noise is left, a later effect may only make up for an earlier one that is wrong or poorly
     fitted: several are named together only where they explain all but very little.
     """
-    if not confirmed:
+    if not left.confirmed:
         return "makes the simulation of the kept-aside runs worse, so it is not what is missing"
-    if quiet:
+    if left.quiet:
         return ""
     if share < NAMED_SHARE:
         return (
             f"explains only {share:.0%} of what exceeds the noise, too little to be named as what is missing"
         )
-    if len(unique_ids(winners)) > 1 and not nearly:
+    if len(unique_ids(winners)) > 1 and not left.nearly:
         return "leaves more than noise, and several effects are named only where next to nothing else is left"
-    if change:
-        return f"leaves more than noise, and {change} in the course of the kept-aside data"
+    if left.change:
+        return f"leaves more than noise, and {left.change} in the course of the kept-aside data"
     return ""
 
 

@@ -11,6 +11,12 @@ from undertow.model.parameter import DIAGONAL, DerivativeMatrix, Parameter
 from undertow.model.symbols import VELOCITY, Signals
 
 
+def _width(unit: str, description: str) -> Parameter:
+    """How narrow the smoothed sign is; it is searched for, and does nothing without friction."""
+    bounds, starts = (1e-4, 0.1), (0.005, 0.04)
+    return Parameter(unit, description, bounds, linear=False, default=0.02, starts=starts, neutral=None)
+
+
 class DryFriction(Wrench):
     """Friction of constant size against the motion: guides, bearings, a dragging cable on the bottom."""
 
@@ -23,24 +29,8 @@ class DryFriction(Wrench):
     coefficients = DerivativeMatrix(
         "{F}_sign{m}", ("1", "1"), DIAGONAL, "{force} against {motion}, whatever the speed", bounds=(-inf, 0)
     )
-    friction_speed = Parameter(
-        "m/s",
-        "speed at which friction is fully there",
-        (1e-4, 0.1),
-        linear=False,
-        default=0.02,
-        starts=(0.005, 0.04),
-        neutral=None,
-    )
-    friction_rate = Parameter(
-        "rad/s",
-        "the same for rotations",
-        (1e-4, 0.1),
-        linear=False,
-        default=0.02,
-        starts=(0.005, 0.04),
-        neutral=None,
-    )
+    friction_speed = _width("m/s", "speed at which friction is fully there")
+    friction_rate = _width("rad/s", "the same for rotations")
 
     def wrench(self, s: Signals) -> sm.Matrix:
         scale = [self.friction_speed if i < 3 else self.friction_rate for i in range(len(VELOCITY))]
