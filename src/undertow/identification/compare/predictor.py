@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+import weakref
+from collections.abc import Callable
 from functools import cached_property
 
 import casadi as ca
@@ -44,7 +45,9 @@ class Predictor:
         self._points = Pointwise(self.functions, ())
         self.lateness = Lateness(self.functions)
         self._inherited = Inherited(self.functions, self._points, self.lateness, self.simulated)
-        self._recent: OrderedDict[tuple[int, bytes], tuple[Windows, Array, Array]] = OrderedDict()
+        # Bound as one, so that threads with windows of their own do not mix them up.
+        self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
+        self._recent = (lambda: None), {}
 
     @property
     def values(self) -> Array:
@@ -81,17 +84,20 @@ class Predictor:
     def _found(self, windows: Windows, u: Array, p: Array) -> tuple[Array, Array]:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
-        A descent comes back to the same parameters again and again while it moves the starts.
+        A descent comes back to the same parameters again and again while it moves the starts. Of one set of
+        windows only: whoever predicts log after log keeps none of them.
         """
-        key = id(windows), p.tobytes()
-        if key not in self._recent:
+        of, recent = self._recent
+        if of() is not windows:
+            of, recent = self._recent = weakref.ref(windows), {}
+        found = recent.get(key := p.tobytes())
+        if found is None:
             measured = self.measured_motion(windows, u, p)
-            own = self._inherited.at_starts(windows, measured, self._drives(windows, p), u, p)
-            if len(self._recent) >= _KEPT:
-                self._recent.popitem(last=False)
-            self._recent[key] = windows, measured, own
-        self._recent.move_to_end(key)
-        return self._recent[key][1:]
+            found = measured, self._inherited.at_starts(windows, measured, self._drives(windows, p), u, p)
+            if len(recent) >= _KEPT:
+                recent.pop(next(iter(recent)), None)
+            recent[key] = found
+        return found
 
     def measured_motion(self, windows: Windows, u: Array, p: Array) -> Array:
         """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
