@@ -12,9 +12,11 @@ from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
 from undertow.identification.compare.beginning import best_start
+from undertow.identification.compare.drive import arriving
 from undertow.identification.compare.starting import local_value, start_values
 from undertow.identification.compare.windows import Predictor, cut, predict, prediction_error
 from undertow.identification.logs import Run
+from undertow.identification.output_error.shooting import Shooting
 from undertow.model.vehicle import Vehicle
 
 CLOCK = np.arange(0.0, 20.0, 0.05)
@@ -173,6 +175,57 @@ def test_a_dead_time_acts_on_the_commands() -> None:
     delayed = with_effect(vehicle, "actuation_delay", delay=0.4)
     assert predict(delayed, [late], None).rms["u"] < 1e-6
     assert predict(vehicle, [late], None).rms["u"] > 1e-3
+
+
+@pytest.mark.parametrize("delay", [0.004, 0.0125, 0.03, 0.05, 0.18])
+def test_a_dead_time_that_is_no_multiple_of_a_sample_is_simulated_exactly(delay: float) -> None:
+    """Against the same model without it, its command switched on a clock of half a millisecond."""
+    rng = np.random.default_rng(1)
+    t, fine = np.arange(200) * 0.05, np.arange(199 * 100 + 1) * 0.0005
+    u = np.repeat(rng.uniform(-3, 3, 100), 2)[:, None]
+    vehicle = _with_thruster({"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]})
+    plain, late = Predictor(vehicle), Predictor(with_effect(vehicle, "actuation_delay", delay=delay))
+    arrived = u[np.maximum(np.floor((fine - delay) / 0.05 + 1e-9).astype(int), 0)]
+    x = plain.simulator.run(np.zeros(2), fine, arrived, plain.values)[::100]
+    run = Run("run", t, {"x": x[:, 0], "u": x[:, 1], "f1": u[:, 0]})
+    windows = cut([run], vehicle, 2.0)
+    starts = x[windows.first]
+    assert np.nanmax(np.abs(late.reports(windows, late.values, starts) - windows.measured)) < 1e-6
+    shooting = Shooting(late.functions, windows, ("X_u",), np.ones(2))
+    found = shooting.linearise(late.values, starts)
+    assert found.cost < 1e-9
+    fed = replace(windows, measured=windows.measured + rng.normal(0, 0.1, windows.measured.shape))
+    by_states, by_reports = (Shooting(late.functions, fed, ("X_u",), np.ones(2)) for _ in range(2))
+    vars(by_reports)["_reports_states"] = False
+    one, other = (s.linearise(late.values, starts) for s in (by_states, by_reports))
+    assert one.cost == pytest.approx(other.cost, rel=1e-9)
+    np.testing.assert_allclose(one.start_step, other.start_step, rtol=1e-9)
+    np.testing.assert_allclose(one.start_slope, other.start_slope, rtol=1e-9)
+
+
+def test_late_commands_arrive_between_samples_that_are_not_regular() -> None:
+    t = np.array([0.0, 0.1, 0.15, 0.4, 0.5, 0.62])
+    u = np.arange(6.0)[:, None]
+    run = Run("run", t, {"x": t, "u": t, "f1": u[:, 0]})
+    windows = cut([run], _with_thruster({"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]}), None)
+    drive = arriving(windows, [u], 0.1)
+    np.testing.assert_allclose(drive.t[0], [0, 0.1, 0.15, 0.2, 0.25, 0.4, 0.5, 0.6, 0.62])
+    np.testing.assert_allclose(drive.held[0, :, 0], [0, 0, 0, 1, 2, 2, 3, 4, 4])
+    np.testing.assert_allclose(drive.at_samples(drive.t)[0], t)
+    np.testing.assert_allclose(drive.u[0, :, 0], [0, 0, 0, 2, 3, 4])
+    ones = drive.spread(np.ones((1, 6, 2)))
+    assert ones.sum() == 12
+    assert np.all(drive.at_samples(ones) == 1.0)
+
+
+def test_no_window_covers_what_is_skipped() -> None:
+    windows = cut([surge_run()], surge_vehicle(), 5.0, skip=1.0)
+    whole = cut([surge_run()], surge_vehicle(), 5.0)
+    assert windows.t[:, 0].min() == pytest.approx(whole.t[0, 0] + 1.0)
+    assert np.all(windows.segment == whole.segment[0])
+    assert len(cut([surge_run().slice(None, 5.0)], surge_vehicle(), 3.0, skip=1.0)) == 1
+    with pytest.raises(UndertowError, match="no stretch"):
+        cut([surge_run()], surge_vehicle(), 5.0, skip=1e3)
 
 
 def _with_thruster(thruster: dict[str, object]) -> Vehicle:

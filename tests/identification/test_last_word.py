@@ -146,16 +146,6 @@ def test_windows_that_contradict_each_other_or_a_single_one_decide_nothing(
     assert referee.outdone(one, other) is (outdone and diverged)
 
 
-def test_the_simulation_does_not_put_out_what_has_a_dead_time() -> None:
-    """It takes the mean of a command that changes between two samples, which is not what happens."""
-    bench, referee = _bench(), _referee()
-    quick = try_candidate(_candidate("quadratic_damping"), bench, {}).fit
-    late = bench.fit(_candidate("actuation_delay").model(), start={"delay": 0.01})
-    chains = [Chain((), fit, bench.judge(fit)) for fit in (quick, late, bench.base)]
-    # All but the first simulate worse; the model without either effect goes, the late one stays.
-    assert [c.fit for c in referee.standing(chains)] == [quick, late]
-
-
 @pytest.mark.parametrize(("times", "stands"), [(1.004, True), (1.2, False)])
 def test_a_regular_gap_of_little_tells_nothing_where_more_than_noise_is_left(
     times: float, stands: bool, monkeypatch: pytest.MonkeyPatch

@@ -25,19 +25,26 @@ def _trial(thinned: float, full: float) -> _Trial:
     return _Trial(thinned, SimpleNamespace(left=full, values={}))
 
 
-@pytest.mark.parametrize(("thinned", "full", "again"), [(20.0, 1.5, True), (20.0, 3.0, False)])
+@pytest.mark.parametrize(
+    ("thinned", "full", "a_step_on", "again"),
+    [(20.0, 1.5, 1.5, True), (20.0, 3.0, 2.5, False), (20.0, 3.0, 1.1, True)],
+)
 def test_what_the_coarse_noise_model_hid_does_not_put_an_effect_out_of_reach(
-    thinned: float, full: float, again: bool, monkeypatch: pytest.MonkeyPatch
+    thinned: float, full: float, a_step_on: float, again: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cubic drag that was left with one of four coefficients must not lose to square drag for that."""
+    """Cubic drag that was left with one of four coefficients must not lose to square drag for that, nor
+    square drag, that was fitted roughly, to a cable.
+    """
 
     def judged(fit: float | SimpleNamespace) -> SimpleNamespace:
         left = fit.left if isinstance(fit, SimpleNamespace) else fit
         return SimpleNamespace(r=np.sqrt(np.full(10, left)))
 
     monkeypatch.setattr(rounds, "try_candidate", lambda *_: "fitted again")
-    sharp, best, trial = SimpleNamespace(judge=judged), _trial(1.0, 1.0), _trial(thinned, full)
-    found = rounds._again(trial, sharp, best)
+    monkeypatch.setattr(rounds, "Scouted", lambda *_: SimpleNamespace(cost=10.0 * a_step_on))
+    rows = SimpleNamespace(at=SimpleNamespace(r=np.zeros(10)))
+    sharp, best = SimpleNamespace(judge=judged, base=rows), _trial(1.0, 1.0)
+    found = rounds._again(_trial(thinned, full), sharp, best)
     assert (found == "fitted again") is again
     if not again:
         assert np.mean(found.score.r**2) == pytest.approx(thinned)

@@ -192,15 +192,15 @@ def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Arr
     prompt = not predictor.lateness.present and predictor.sensors_are_true
     if not prompt or len(predictor.functions.state_names) > len(window.names):
         return np.concatenate([_path(predictor, window, one, by) for one, by in zip(p, shift, strict=True)])
-    start, u = predictor.start_and_drive(window, p[0])
-    states = predictor.simulator.run(start + shift, window.t[0], u[0], p)
-    return np.asarray(states[:, :, : len(window.names)])
+    start, drive = predictor.start_and_drive(window, p[0])
+    states = predictor.simulator.run(start + shift, drive.t[0], drive.held[0], p)
+    return drive.at_samples(states)[:, :, : len(window.names)]
 
 
 def _path(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
     """The same for one vehicle whose sensors or own states depend on the parameters."""
-    _, u = predictor.start_and_drive(window, p)
-    motion = predictor.measured_motion(window, u, p) + shift
+    _, drive = predictor.start_and_drive(window, p)
+    motion = predictor.measured_motion(window, drive.u, p) + shift
     return predictor.reports(window, p, motion)
 
 

@@ -136,6 +136,7 @@ def cut(
     *,
     overlap: float = 0.0,
     sigma: Array | None = None,
+    skip: float = 0.0,
 ) -> Windows:
     """Cut runs into windows and take the motion at each start from the measurement.
 
@@ -151,6 +152,8 @@ def cut(
         Share of a window that the next one repeats, 0 to less than 1.
     sigma : (2n,) array, optional
         Noise of the channels; estimated where it is not given.
+    skip : float
+        Seconds at the beginning of each run that no window covers.
 
     Raises
     ------
@@ -159,7 +162,7 @@ def cut(
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
-    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap)]
+    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap, skip)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)
     return _windows_of(runs, vehicle, horizon, sigma, stretches)
@@ -203,7 +206,7 @@ def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None
 
 
 def _stretches(
-    index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float
+    index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float, skip: float = 0.0
 ) -> list[Stretch]:
     pose = [n for n in vehicle.pose_names if run.has(n)]
     needed = [*pose, *vehicle.velocity_names]
@@ -212,7 +215,9 @@ def _stretches(
     for piece in run.segments([*needed, *vehicle.command_names]):
         t = run.t[piece]
         measured = np.column_stack([_column(run, n, piece) for n in names])
-        found.append(Stretch(index, piece.start, t, measured, *_windows(t, horizon, overlap)))
+        late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
+        edges = (late + edge for edge in _windows(t[late:], horizon, overlap))
+        found.append(Stretch(index, piece.start, t, measured, *edges))
     return found
 
 
@@ -226,9 +231,10 @@ def _column(run: Run, name: str, piece: slice) -> Array:
 def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First sample, and one after the last sample, of every window; a window ends where the next starts."""
     if horizon is None:
-        found = [(0, len(t))] if len(t) >= _FEWEST else []
-        return _columns(found)
-    slack = 1e-3 * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        return _columns([(0, len(t))] if len(t) >= _FEWEST else [])
+    if len(t) < _FEWEST:
+        return _columns([])
+    slack = 1e-3 * float(np.median(np.diff(t)))
     found, first = [], 0
     while t[first] + (1.0 - _LACKING) * horizon <= t[-1]:
         stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)

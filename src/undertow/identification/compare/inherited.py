@@ -6,7 +6,7 @@ then no log says: it is estimated from how the first window goes on, together wi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 
 from ..weak.carried import Carried, Inputs
+from ..weak.held import shifted_mean
 from ..weak.lateness import Lateness
 from ..weak.pointwise import Pointwise
 from .beginning import best_start
 from .cutting import Windows
+from .drive import Drive, arriving
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Simulate = Callable[[Array, Array, Array, Array, Array], Array]
+Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
 # Seconds of the first window that its beginning is estimated from.
 _LOOK = 10.0
 # Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
@@ -43,7 +45,7 @@ class Inherited:
     lateness : Lateness
         How late its sensors are.
     simulate : callable
-        Reports (b, k, 2n) from start (b, nx), t, u, p and what was reported at the start (b, 2n).
+        Reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b, 2n).
     """
 
     def __init__(
@@ -53,7 +55,9 @@ class Inherited:
         self._lateness = lateness
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
-    def at_starts(self, windows: Windows, motion: Array, drives: list[Array], u: Array, p: Array) -> Array:
+    def at_starts(
+        self, windows: Windows, motion: Array, held: Sequence[Array], delay: float, p: Array
+    ) -> Array:
         """Memory and actuator states at the start of every window, shape (b, size).
 
         Parameters
@@ -62,10 +66,10 @@ class Inherited:
             The windows.
         motion : (b, 2n) array
             True pose and velocity at the starts.
-        drives : list of (N, n_commands) arrays
-            Commands of every run as they arrive.
-        u : (b, k, n_commands) array
-            Commands in the windows.
+        held : sequence of (N, n_commands) arrays
+            Commands of every run, without gaps.
+        delay : float
+            How late they arrive, s.
         p : (n_parameters,) array
             Parameters.
         """
@@ -74,11 +78,16 @@ class Inherited:
             return own
         stretches = _stretches(windows)
         first = np.array([rows[0] for rows in stretches])
-        rest = self._at_rest(u[first, 0], windows.t[first, 0], p)
+        look = _opening(windows, first)
+        drive = arriving(look, held, delay)
+        drives = [
+            shifted_mean(run.t, u, delay) if delay else u for run, u in zip(windows.runs, held, strict=True)
+        ]
+        rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
         scale = self._scale(
             [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
         )
-        begin = self._begun(windows, first, np.column_stack([motion[first], rest]), u[first], scale, p)
+        begin = self._begun(look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p)
         for rows, state in zip(stretches, begin, strict=True):
             along = self._along(windows, rows, drives, state, p)
             own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
@@ -140,22 +149,24 @@ class Inherited:
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
 
     # --- at its beginning ---------------------------------------------------------------------
-    def _begun(self, windows: Windows, first: Index, start: Array, u: Array, scale: Array, p: Array) -> Array:
+    def _begun(
+        self, look: Windows, start: Array, drive: Drive, scale: Array, noise: Array, p: Array
+    ) -> Array:
         """Own states at the beginning of every stretch."""
-        step = float(np.median(np.diff(windows.runs[0].t)))
-        look = windows.take(first, max(int(_LOOK / step), 3))
-        noise = _noise(windows)
-        drive = u[:, : look.t.shape[1]]
 
         def report(trials: Array) -> Array:
-            times, commands, before = (
-                np.repeat(a, len(trials) // len(a), axis=0) for a in (look.t, drive, look.start)
-            )
-            return self._simulate(trials, times, commands, p, before) / noise
+            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
+            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
 
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
         width = np.concatenate([_MOTION * noise, scale])
         return best_start(report, measured, start, width)[:, -self.size :]
+
+
+def _opening(windows: Windows, first: Index) -> Windows:
+    """The first seconds of the first window of every stretch."""
+    step = float(np.median(np.diff(windows.runs[0].t)))
+    return windows.take(first, max(int(_LOOK / step), 3))
 
 
 def _stretches(windows: Windows) -> list[Index]:

@@ -14,11 +14,12 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.model.vehicle import Vehicle
 
-from ..weak.held import shifted_mean, without_gaps
+from ..weak.held import without_gaps
 from ..weak.lateness import Lateness
 from ..weak.mapping import mapped
 from ..weak.pointwise import Pointwise
 from .cutting import Windows
+from .drive import Drive, arriving
 from .inherited import Inherited
 from .late import reported_late
 from .prediction import Prediction
@@ -70,18 +71,22 @@ class Predictor:
         motion : (b, 2n) array, optional
             True pose and velocity at the starts; as measured where not given.
         """
-        start, u = self.start_and_drive(windows, p, motion)
-        reported = self.simulated(start, windows.t, u, p, windows.start)
+        start, drive = self.start_and_drive(windows, p, motion)
+        reported = self.simulated(start, windows.t, drive, p, windows.start)
         reported[~windows.inside] = np.nan
         return reported
 
-    def start_and_drive(self, windows: Windows, p: Array, motion: Array | None = None) -> tuple[Array, Array]:
-        """States at the start of every window, (b, nx), and commands in it, (b, k, n_commands)."""
-        u = self._commands(windows, p)
-        measured, own = self._found(windows, u, p)
-        return np.column_stack([measured if motion is None else motion, own]), u
+    def start_and_drive(self, windows: Windows, p: Array, motion: Array | None = None) -> tuple[Array, Drive]:
+        """States at the start of every window, (b, nx), and the commands in it."""
+        held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
+        delay = float(self.functions.dead_time(p))
+        drive = arriving(windows, held, delay)
+        measured, own = self._found(windows, drive.u, held, delay, p)
+        return np.column_stack([measured if motion is None else motion, own]), drive
 
-    def _found(self, windows: Windows, u: Array, p: Array) -> tuple[Array, Array]:
+    def _found(
+        self, windows: Windows, u: Array, held: list[Array], delay: float, p: Array
+    ) -> tuple[Array, Array]:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
         A descent comes back to the same parameters again and again while it moves the starts. Of one set of
@@ -93,7 +98,7 @@ class Predictor:
         found = recent.get(key := p.tobytes())
         if found is None:
             measured = self.measured_motion(windows, u, p)
-            found = measured, self._inherited.at_starts(windows, measured, self._drives(windows, p), u, p)
+            found = measured, self._inherited.at_starts(windows, measured, held, delay, p)
             if len(recent) >= _KEPT:
                 recent.pop(next(iter(recent)), None)
             recent[key] = found
@@ -108,19 +113,24 @@ class Predictor:
         (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
-    def simulated(self, start: Array, t: Array, u: Array, p: Array, before: Array | None = None) -> Array:
+    def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
         """Simulate, and say what the sensors report, shape (b, k, 2n).
 
         Parameters
         ----------
         start : (b, nx) array
             States at the starts.
-        t, u, p : arrays
-            Times (b, k) in s, commands (b, k, n_commands) and parameters.
+        t : (b, k) array
+            Times of the samples, s.
+        drive : Drive
+            Commands as they arrive.
+        p : (n_parameters,) array
+            Parameters.
         before : (b, 2n) array, optional
             What sensors that are late report at the starts; without it the vehicle was as at the start.
         """
-        prompt = self.reported(self.simulator.run(start, t, u, p), t, u, p)
+        states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
+        prompt = self.reported(states, t, drive.u, p)
         if not self.lateness.present:
             return prompt
         return reported_late(prompt, t, self.lateness.seconds(p), prompt[:, 0] if before is None else before)
@@ -139,18 +149,6 @@ class Predictor:
         """Whether the sensors report pose and velocity as they are."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.is_equal(self.functions.reported, motion, 2))
-
-    def _commands(self, windows: Windows, p: Array) -> Array:
-        drives, samples = self._drives(windows, p), windows.samples
-        return np.stack([drives[run][row] for run, row in zip(windows.run, samples, strict=True)])
-
-    def _drives(self, windows: Windows, p: Array) -> list[Array]:
-        """Commands of every run as they arrive: held where missing, late by the dead time of the model."""
-        held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
-        delay = float(self.functions.dead_time(p))
-        if delay == 0.0:
-            return held
-        return [shifted_mean(run.t, u, delay) for run, u in zip(windows.runs, held, strict=True)]
 
     @cached_property
     def _true_motion(self) -> ca.Function:

@@ -34,6 +34,9 @@ T = TypeVar("T")
 HORIZONS = (1.0, 5.0, 20.0)
 DECIDING = 5.0
 THOROUGH = 20.0
+# What was commanded before a log is not known: seconds at its beginning, and share of the shortest run at the
+# most, that judge nothing. A lag would fit them, for its past is free, and a dead time would not.
+_UNKNOWN_PAST, _SMALL_SHARE = 1.0, 0.05
 # Mean square of the simulation error below which it is nearly noise, from which no fit by output error brings
 # it down to that, and from which none is made.
 _NEAR_NOISE = 2.0
@@ -106,7 +109,12 @@ class Referee:
         return self._cut(THOROUGH)
 
     def _cut(self, horizon: float) -> Windows:
-        return cut(self.test, self._vehicle, min(horizon, self.shortest), sigma=self._sigma)
+        length = min(horizon, self.shortest)
+        return cut(self.test, self._vehicle, length, sigma=self._sigma, skip=self._unknown)
+
+    @property
+    def _unknown(self) -> float:
+        return min(_UNKNOWN_PAST, _SMALL_SHARE * self.shortest)
 
     def _once(self, what: str, fit: F, work: Callable[[F], T]) -> T:
         """What is worked out of a fit, once; the fit is kept, for its identity is the key."""
@@ -244,8 +252,7 @@ class Referee:
         All are fitted by output error, from where the weak form left them. Where they leave little but noise,
         windows short and long together tell them apart. Of those that do equally well the one leads whose
         declaration is the plainest: what has more freedom would fit more that did not happen, and that it
-        fits says less. What has a dead time stands, in the end, if the weak form lets it: the simulation
-        takes the mean of a command that changes between two samples, which a quick vehicle feels.
+        fits says less.
         """
         ordered = sorted((self.contender(c) for c in chains), key=lambda c: c.error)
         near = ordered[0].error ** 2 < _NEAR_NOISE
@@ -258,9 +265,8 @@ class Referee:
                 return True
             return (near or c.error > _NOTABLY * best.error) and clearly_worse(c.squares, best.squares)
 
-        others = [(c.chain, worse(c)) for c in ordered[1:]]
-        equals = sorted([best.chain, *(c for c, behind in others if not behind)], key=_freedom)
-        return [*equals, *(c for c, behind in others if behind and _has_dead_time(c.fit))]
+        equals = [best.chain, *(c.chain for c in ordered[1:] if not worse(c))]
+        return sorted(equals, key=_freedom)
 
     def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
         return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
@@ -284,10 +290,6 @@ class Referee:
 def _freedom(chain: Chain) -> int:
     """Number of parameters that its effects declare for this vehicle, whether they were needed or not."""
     return sum(len(f.trial.candidate.parameters) for f in chain.findings)
-
-
-def _has_dead_time(fit: Fitted) -> bool:
-    return bool(fit.model.functions.vehicle.composition.dead_time != 0)
 
 
 def _without_largest(gaps: Array) -> float:

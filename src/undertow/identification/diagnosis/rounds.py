@@ -17,7 +17,7 @@ from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
 from .finding import Finding
 from .linear import linear
-from .scouting import scout
+from .scouting import Scouted, scout
 from .sending import Sent, received, sent
 from .trial import Bench, Score, Trial, rejected, told_apart, try_candidate
 
@@ -93,14 +93,14 @@ def _fall(before: Score, after: Score) -> float:
     return float(np.mean(before.r**2) - np.mean(after.r**2))
 
 
-class _Scouted(NamedTuple):
+class _Look(NamedTuple):
     candidate: Candidate
     cost: float
     values: dict[str, float]
     linear: Linear
 
 
-def _scouted(listed: Sequence[Candidate], bench: Bench, report: Report) -> list[_Scouted]:
+def _scouted(listed: Sequence[Candidate], bench: Bench, report: Report) -> list[_Look]:
     """What every candidate promises that adds anything, the most promising first."""
     bench.work_out()
     # What has to be searched takes longest: begun first, it leaves no core idle at the end.
@@ -109,11 +109,11 @@ def _scouted(listed: Sequence[Candidate], bench: Bench, report: Report) -> list[
     for i, look in enumerate(mapped(lambda i: _look(listed[i], bench), len(listed))):
         report(0.5 * (i + 1) / len(listed), f"tried {listed[i].id}")
         if look is not None:
-            found.append(_Scouted(listed[i], *look))
+            found.append(_Look(listed[i], *look))
     return sorted(found, key=lambda entry: entry.cost)
 
 
-def _tried(worth: Sequence[_Scouted], bench: Bench, report: Report) -> list[tuple[Candidate, Sent]]:
+def _tried(worth: Sequence[_Look], bench: Bench, report: Report) -> list[tuple[Candidate, Sent]]:
     """Fits of the candidates that promise something."""
 
     def one(i: int) -> Sent:
@@ -160,10 +160,22 @@ def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
 
     What the coarser noise model hid of an effect was left out of it, and may be what makes it the right one.
     """
-    left, least = (np.mean(sharp.judge(t.full).r ** 2) for t in (trial, best))
-    if trial is not best and left > _OUT_OF_REACH * least:
+    if trial is not best and _out_of_reach(trial, sharp, best):
         return replace(trial, score=sharp.judge(trial.fit))
     return try_candidate(trial.candidate, sharp, trial.full.values)
+
+
+def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
+    """Whether an effect is far behind the best one, and no step of a fit would change that.
+
+    A rough fit under a coarse noise model may end many standard errors of the finer one from where it
+    belongs: a step brings it there.
+    """
+    left, least = (float(np.mean(sharp.judge(t.full).r ** 2)) for t in (trial, best))
+    if left <= _OUT_OF_REACH * least:
+        return False
+    promised = Scouted(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
+    return promised > _OUT_OF_REACH * max(least, 1.0)
 
 
 def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:

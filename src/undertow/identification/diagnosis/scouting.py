@@ -11,7 +11,7 @@ from ..weak.data import WeakData
 from ..weak.fit import opened, promise
 from ..weak.noise import Whitening
 from ..weak.residual import Linearised, whitened
-from ..weak.step import inverse_of
+from ..weak.step import bounded_step, bounds_of, prior_of, reach_of, within_reach
 from .candidates import Candidate
 from .trial import Bench
 
@@ -94,8 +94,10 @@ def scout(candidate: Candidate, bench: Bench) -> Scouted:
     if len(starts) > _MANY_STARTS:
         starts = _promising(candidate, bench, starts)
     found = sorted((Scouted(candidate, bench, start) for start in starts), key=lambda s: s.cost)
-    closer = [s.closer() for s in found[:_BEST_STARTS]] if len(found) > 1 else []
-    return min([*closer, *found], key=lambda s: s.cost)
+    if len(found) == 1:
+        return found[0]
+    # What a step promises may not come true; what some steps have reached has.
+    return min((s.closer() for s in found[:_BEST_STARTS]), key=lambda s: s.start.cost)
 
 
 def _own_columns(
@@ -112,12 +114,18 @@ def _own_columns(
 def _promising(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]]
 ) -> list[dict[str, float]]:
-    """The best of many starts, by the candidate's own columns beside those of the model as it is."""
-    known = bench.base.at
+    """The best of many starts, by the candidate's own columns beside those of the model as it is.
+
+    Parameters keep within their bounds: a negative mass may promise what no mass can do.
+    """
+    model = candidate.model()
+    bounds, prior, reach = bounds_of(model), prior_of(model), reach_of(model)
     costs = []
     for start in starts:
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
-        columns = np.hstack([known.J, at.J])
-        solution = inverse_of(columns.T @ columns) @ (columns.T @ at.r)
-        costs.append(float(at.r @ at.r - (columns.T @ at.r) @ solution))
+        beside = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
+        values = bench.base.values | start
+        now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
+        step = bounded_step(beside, now, within_reach(bounds, now, reach), prior)
+        costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
     return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]

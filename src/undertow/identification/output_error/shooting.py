@@ -13,6 +13,7 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.gauss_newton import Products, products_of
 
 from ..compare.cutting import Windows
+from ..compare.drive import Drive
 from ..compare.late import reported_late
 from ..compare.predictor import Predictor
 from ..weak.mapping import mapped
@@ -145,8 +146,8 @@ class Shooting:
     def linearise(self, p: Array, starts: Array) -> Reduced:
         """Simulate with sensitivities and eliminate the starts window by window."""
         finite = self._by_differences(p, starts)
-        start, u = self.predictor.start_and_drive(self.windows, p, starts)
-        parts = [self._part(rows, p, start, u, finite) for rows in self._batches()]
+        start, drive = self.predictor.start_and_drive(self.windows, p, starts)
+        parts = [self._part(rows, p, start[rows], drive[rows], finite) for rows in self._batches()]
         counts = np.count_nonzero(self._all_weights(slice(None)), axis=(0, 1)).astype(float)
         return eliminated(parts, counts, len(self.free))
 
@@ -225,18 +226,20 @@ class Shooting:
             ends.append(of(moved))
         return np.asarray((ends[0] - ends[1]) / (high - low))
 
-    def _part(self, rows: slice, p: Array, start: Array, u: Array, finite: dict[int, Array]) -> Products:
+    def _part(self, rows: slice, p: Array, start: Array, drive: Drive, finite: dict[int, Array]) -> Products:
         t, simulator = self.windows.t[rows], self.predictor.simulator
-        sums = self.windows.measured[rows], self._all_weights(rows), self._groups(t)
+        measured, weight = self.windows.measured[rows], self._all_weights(rows)
         if self._reports_states:
-            return simulator.products(start[rows], t, u[rows], p, self.places, *sums)
+            known = drive.spread(np.nan_to_num(measured)), drive.spread(weight), self._groups(drive.t)
+            return simulator.products(start, drive.t, drive.held, p, self.places, *known)
         x, s = simulator.run_with_sensitivities(
-            start[rows], t, u[rows], p, self.places, initial=range(self._size)
+            start, drive.t, drive.held, p, self.places, initial=range(self._size)
         )
-        reported, slope = self._late(*self.report_slopes(x, s, u[rows], t, p), rows, p)
+        x, s = drive.at_samples(x), drive.at_samples(s)
+        reported, slope = self._late(*self.report_slopes(x, s, drive.u, t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
-        return products_of(reported, slope, *sums)
+        return products_of(reported, slope, measured, weight, self._groups(t))
 
     @cached_property
     def _reports_states(self) -> bool:

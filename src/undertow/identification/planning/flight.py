@@ -15,10 +15,10 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Vehicle
 
+from ..compare.drive import late_by
 from ..compare.predictor import Predictor
 from ..logs import Run
 from ..weak.data import WeakData, prepare
-from ..weak.held import shifted_mean
 from .axes import Axis
 from .families import Design
 from .limits import MotionLimits, exceeded
@@ -84,12 +84,11 @@ class Plant:
         """
         p = self.p if p is None else p
         delay = float(self.functions.dead_time(p))
-        late = u if delay == 0.0 else np.stack([shifted_mean(t, one, delay) for one in u])
-        drive = [np.array(self.functions.rest(one[0], p, 0.0)).ravel() for one in late]
+        rest = [np.array(self.functions.rest(one[0], p, 0.0)).ravel() for one in u]
         memory = np.zeros((len(u), self.functions.memory.numel()))
-        start = np.column_stack([np.tile(motion, (len(u), 1)), memory, np.array(drive)])
+        start = np.column_stack([np.tile(motion, (len(u), 1)), memory, np.array(rest)])
         with np.errstate(over="ignore", invalid="ignore"):
-            return self.predictor.simulated(start, np.tile(t, (len(u), 1)), late, p)
+            return self.predictor.simulated(start, np.tile(t, (len(u), 1)), late_by(delay, t, u), p)
 
 
 @dataclass(frozen=True)

@@ -81,12 +81,12 @@ class Chained:
     def linearise(self, p: Array, starts: Array) -> LinearWindows:
         """Simulate every window with sensitivities."""
         shooting, predictor = self._shooting, self._predictor
-        start, u = predictor.start_and_drive(self.windows, p, starts)
-        t = self.windows.t
-        x, s = predictor.simulator.run_with_sensitivities(
-            start, t, u, p, shooting.places, initial=range(self._size)
+        start, drive = predictor.start_and_drive(self.windows, p, starts)
+        every = predictor.simulator.run_with_sensitivities(
+            start, drive.t, drive.held, p, shooting.places, initial=range(self._size)
         )
-        reported, slope = shooting.report_slopes(x, s, u, t, p)
+        x, s = map(drive.at_samples, every)
+        reported, slope = shooting.report_slopes(x, s, drive.u, self.windows.t, p)
         end, by_all = x[:, -1, : self._size], s[:, -1, : self._size].copy()
         both = shooting.differences(p, lambda moved: self._reports_and_ends(moved, starts))
         for k, values in both.items():
@@ -95,9 +95,9 @@ class Chained:
 
     def _reports_and_ends(self, p: Array, starts: Array) -> Array:
         """Reports of every window, and as a last row its end, shape (b, k + 1, 2n)."""
-        start, u = self._predictor.start_and_drive(self.windows, p, starts)
-        x = self._predictor.simulator.run(start, self.windows.t, u, p)
-        reported = self._predictor.reported(x, self.windows.t, u, p)
+        start, drive = self._predictor.start_and_drive(self.windows, p, starts)
+        x = drive.at_samples(self._predictor.simulator.run(start, drive.t, drive.held, p))
+        reported = self._predictor.reported(x, self.windows.t, drive.u, p)
         return np.concatenate([reported, x[:, -1:, : self._size]], axis=1)
 
     def _assembled(

@@ -35,11 +35,11 @@ class Slosh(Wrench):
         "its angular frequency in a hull held fast",
         (0.1, 30),
         linear=False,
-        starts=(0.5, 0.75, 1.1, 1.6, 2.4, 3.5, 5),
+        starts=(0.4, 0.5, 0.63, 0.8, 1, 1.25, 1.6, 2, 2.5, 3.2, 4, 5, 6.3),  # a resonance is narrow
         neutral=None,
     )
     slosh_damping = Parameter(
-        "1", "its damping ratio", (0.01, 0.7), linear=False, starts=(0.2,), neutral=None
+        "1", "its damping ratio", (0.01, 0.7), linear=False, starts=(0.1,), neutral=None
     )
 
     @classmethod
