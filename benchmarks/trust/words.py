@@ -76,9 +76,9 @@ before. The tables hold the runs as they were. What was changed between them, af
   for the frequency of a swinging load; late commands are simulated as they arrive, also between two samples,
   and the first second of the run kept aside judges nothing, since no log says what was commanded before it.
 
-A dead time of a fraction of a sample and a lag of the same length are not told apart by such data: for 12.5 ms
-at 20 Hz on a boat, both simulated exactly, the sums of squares over the run kept aside (12 000 readings)
-differ by 2, where 15 is what tells; which of them leads such a set is chance.
+A dead time of a fraction of a sample and a lag of the same length are not told apart by such data: for
+12.5 ms at 20 Hz on a boat, both simulated exactly, the sums of squares over the run kept aside (12 000
+readings) differ by 2, where 15 is what tells; which of them leads such a set is chance.
 
 No faint effect is larger than ten times its drawn size since this page (one had been made 1330 times as large
 before). Water in the hull reported together with added mass, of which it is a special case, counts as named
