@@ -70,9 +70,8 @@ def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = 
         Names of the values that were hidden.
     """
     level = not {"roll", "pitch"} & set(motions)
-    coupled = {"sway", "yaw"} <= set(motions)
-    if level and coupled and effect == "entrained_water":
-        return {effect, "added_mass_coupling"}
+    if level and effect == "entrained_water":
+        return {effect, *holding(effect, motions)}
     if level and effect == "added_mass_coupling" and set(parameters) == {"Y_rdot"}:
         return {effect, "entrained_water"}
     upright = "heave" in motions and level

@@ -230,10 +230,10 @@ def _column(run: Run, name: str, piece: slice) -> Array:
 
 def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First sample, and one after the last sample, of every window; a window ends where the next starts."""
-    if horizon is None:
-        return _columns([(0, len(t))] if len(t) >= _FEWEST else [])
     if len(t) < _FEWEST:
         return _columns([])
+    if horizon is None:
+        return _columns([(0, len(t))])
     slack = 1e-3 * float(np.median(np.diff(t)))
     found, first = [], 0
     while t[first] + (1.0 - _LACKING) * horizon <= t[-1]:

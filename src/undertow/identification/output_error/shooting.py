@@ -230,7 +230,7 @@ class Shooting:
         t, simulator = self.windows.t[rows], self.predictor.simulator
         measured, weight = self.windows.measured[rows], self._all_weights(rows)
         if self._reports_states:
-            known = drive.spread(np.nan_to_num(measured)), drive.spread(weight), self._groups(drive.t)
+            known = drive.spread(measured), drive.spread(weight), self._groups(drive.t)
             return simulator.products(start, drive.t, drive.held, p, self.places, *known)
         x, s = simulator.run_with_sensitivities(
             start, drive.t, drive.held, p, self.places, initial=range(self._size)
