@@ -25,6 +25,7 @@ from ..weak.data import WeakData
 from ..weak.fit import WeakFit
 from .chain import Chain
 from .level import simulates_to_noise
+from .transfer import within_errors
 from .trial import only_noise
 
 Array = NDArray[np.float64]
@@ -137,9 +138,12 @@ class Referee:
         return self._once(f"shot over {horizon:g} s", fit, lambda fit: self._settled(fit, horizon))
 
     def _settled(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
-        windows = self.windows if horizon == DECIDING else self._long_windows
-        shooting = Shooting(fit.model.functions, windows, (), channel_weights(windows), compiled=False)
+        shooting = self._shooting(fit, horizon)
         return shooting, shooting.settled_starts(np.asarray(fit.p))
+
+    def _shooting(self, fit: Fitted, horizon: float, free: Sequence[str] = ()) -> Shooting:
+        windows = self.windows if horizon == DECIDING else self._long_windows
+        return Shooting(fit.model.functions, windows, free, channel_weights(windows), compiled=False)
 
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
@@ -182,7 +186,8 @@ class Referee:
 
         This is free of what the weak form adds of its own: the error of its quadrature where the noise is
         next to nothing, and the bias of |v|v of a noisy v where the noise is large. Windows are long, in
-        which even a small force shows.
+        which even a small force shows; and so does a parameter that the fit leaves a little open, which is
+        let move within its errors.
         """
         return self._once("noise", weak, self._leaves_only_noise)
 
@@ -198,10 +203,13 @@ class Referee:
         if not self._within_reach(weak):
             return False
         fit = self._refined(weak, THOROUGH)
-        if fit is weak:
+        if not isinstance(fit, OutputErrorFit):
             return False
         shooting, starts = self._shot(fit, THOROUGH)
-        return simulates_to_noise(shooting, np.asarray(fit.p), starts)
+        if simulates_to_noise(shooting, np.asarray(fit.p), starts):
+            return True
+        moved = within_errors(fit, self._shooting(fit, THOROUGH, fit.model.free), starts)
+        return moved is not None and simulates_to_noise(shooting, *moved)
 
     def outdone(self, weak: WeakFit, by: WeakFit) -> bool:
         """Whether a model simulates worse than another by more than chance, in short windows or long ones.
