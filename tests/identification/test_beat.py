@@ -63,3 +63,19 @@ def test_waves_begin_where_something_swings() -> None:
     assert sorted({s["wave_frequency"] for s in starts}) == pytest.approx([1.05, 1.1, 1.15])
     assert len(starts) == 12
     assert Waves.starts_near({"x": (0.0, 1.0)}) == []
+
+
+@pytest.mark.parametrize("gap", [0.0, 40.0])
+def test_a_stretch_with_a_single_test_function_hides_no_swing(gap: float) -> None:
+    """Between two gaps, or before the first, there may be a second or so."""
+    t = np.arange(0.0, 100.0, 0.05)
+    lost = np.zeros(len(t), dtype=bool)
+    for begin in {gap, gap + 1.9} - {0.0}:
+        lost |= (t > begin - 0.87) & (t < begin)
+    rng = np.random.default_rng(7)
+    channels = {n: 0.01 * rng.standard_normal(len(t)) for n in ("x", "y", "u", "v", "r")} | {"psi": 0.3 * t}
+    data = prepare([Run("torn", t[~lost], {n: c[~lost] for n, c in channels.items()})], VESSEL)
+    assert 1 in [s.functions.count for s in data.segments]
+    found = beat(swinging(data, 1.9, 0.8), data)
+    assert found is not None
+    assert found[0] < 1.9 < found[1]

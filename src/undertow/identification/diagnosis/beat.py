@@ -33,7 +33,11 @@ def beat(r: Array, data: WeakData) -> tuple[float, float] | None:
         None where the runs are too short for three periods of anything.
     """
     cell = 2 * np.pi / max(float(s.t[-1] - s.t[0]) for s in data.segments)
-    spacing = max(float(np.median(np.diff(s.functions.centre))) for s in data.segments)
+    # A stretch between two gaps may hold a single test function.
+    spacings = [float(np.median(np.diff(s.functions.centre))) for s in data.segments if s.functions.count > 1]
+    if not spacings:
+        return None
+    spacing = max(spacings)
     grid = np.arange(_FEWEST_PERIODS * cell, 0.5 * np.pi / spacing, cell / _FINE)
     if len(grid) <= 2 * _BESIDE * _FINE:
         return None

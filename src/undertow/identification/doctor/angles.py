@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ..logs import Run
+from ..logs import Mapping, Run
 from .findings import Finding
 from .kinematics import Array
 from .mending import column_edit
 from .mistake import Mistake, with_channels
-from .reading_mistakes import ANGLES, unwrapped
+from .reading_mistakes import ANGLES, reading_mistakes, unwrapped
 
 _TURN = 2 * np.pi
 _NEAR = 0.3
 _QUIET = 0.5
+# Beyond these, and this often, an angle is no attitude; and rad in an ordinary second that no vehicle turns.
+_UPRIGHT = {"theta": 1.05 * np.pi / 2, "phi": 1.05 * np.pi}
+_OFTEN, _FASTEST = 0.01, np.pi
 
 
 def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
@@ -34,13 +38,59 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
             )
 
 
+def in_degrees(runs: Sequence[Run], mapping: Mapping) -> Mistake | None:
+    """Angles that are too large, or turn too fast, to be in radians; for logs without velocities to ask."""
+    tilted = [n for n in _UPRIGHT if any(_share_beyond(run, n, _UPRIGHT[n]) > _OFTEN for run in runs)]
+    turning = max((_turned_in_a_second(run) for run in runs), default=0.0)
+    if not tilted and turning < _FASTEST:
+        return None
+    known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
+    wanted = ANGLES if tilted else ("psi",)
+    change = {m.told: _changed(m, runs[0]) for m in known}
+    found = next((m for m in known if change[m.told] == {n for n in wanted if runs[0].has(n)}), None)
+    if found is None:
+        return None
+    reason = (
+        f"{tilted[0]} reaches {max(np.nanmax(np.abs(r.channels[tilted[0]])) for r in runs):.3g} in the log"
+        if tilted
+        else f"psi changes by {turning:.3g} in an ordinary second"
+    )
+    return replace(found, told=f"{found.told}: {reason}")
+
+
+def _changed(mistake: Mistake, run: Run) -> set[str]:
+    """Channels that undoing a mistake changes."""
+    after = mistake.undo(run)
+    return {n for n in run.channels if not np.array_equal(after.channels[n], run.channels[n], equal_nan=True)}
+
+
+def _share_beyond(run: Run, name: str, limit: float) -> float:
+    data = _present(run, name)
+    return float(np.mean(np.abs(data) > limit)) if len(data) else 0.0
+
+
+def _turned_in_a_second(run: Run) -> float:
+    """Median change of the heading in a second, as it is in the log: jumps of a wrapped angle are few."""
+    given = run.wrapped.get("psi", run.channels.get("psi", np.zeros(0)))
+    there = np.flatnonzero(np.isfinite(given))
+    if len(there) < 3:
+        return 0.0
+    t, psi = run.t[there], given[there]
+    later = np.searchsorted(t, t + 1.0)
+    inside = later < len(t)
+    return float(np.median(np.abs(psi[later[inside]] - psi[inside]))) if np.any(inside) else 0.0
+
+
 def _unwrapped(run: Run, name: str) -> Run:
     return with_channels(run, {name: unwrapped(run.channels[name])}) if run.has(name) else run
 
 
 def _jumps(run: Run, name: str) -> int:
-    step = np.diff(_present(run, name))
-    return int(np.sum(np.abs(np.abs(step) - _TURN) < _NEAR))
+    """Steps by a turn between small ones: where those beside them are large, too, it only turns fast."""
+    step = np.abs(np.diff(_present(run, name)))
+    beside = np.pad(step, 1)
+    alone = np.maximum(beside[:-2], beside[2:]) < 2 * _QUIET
+    return int(np.sum((np.abs(step - _TURN) < _NEAR) & alone))
 
 
 def _present(run: Run, name: str) -> Array:

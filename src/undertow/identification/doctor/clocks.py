@@ -115,6 +115,13 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
                 id="late_velocity",
                 severity="warning",
                 text=f"{names} {verb} {abs(one.delay):.3f} ± {one.delay_error:.1g} s {way} against the pose; "
-                "the effect sensor_delay describes it",
+                + _remedy(one),
                 evidence=evidence,
             )
+
+
+def _remedy(one: Shift) -> str:
+    """What describes late velocities: the effect delays linear ones, and none comes before its time."""
+    if one.delay > 0 and set(one.names) <= set(_GROUPS["linear"][0]):
+        return "the effect sensor_delay describes it"
+    return f"add {-one.delay:+.3f} s to their stamps, and interpolate them to those of the pose"

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from undertow.model.vehicle import Vehicle
+
 from ..logs import Mapping, Run, frames
 from ..logs.run import UNITS, VELOCITY
 from .findings import Finding
@@ -119,6 +121,23 @@ def _told(fit: SensorFit, before: Mismatch) -> Finding:
                 strict=True,
             )
         ),
+    )
+
+
+# --- what was not looked at ---------------------------------------------------------------------
+def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
+    """Degrees of freedom whose pose rate and velocity were not both measured: a frame or sign shows less."""
+    pairs = zip(vehicle.pose_names, vehicle.velocity_names, strict=True)
+    alone = [f"{v} with the rate of {p}" for p, v in pairs if p not in kinematics.rows]
+    if not alone:
+        return
+    what = "no pose rate could be compared" if not kinematics.rows else f"not compared: {', '.join(alone)}"
+    yield Finding(
+        id="not_compared",
+        severity="note",
+        text=f"{what} (pose and velocity were not both measured, or one never changes): units, frames and "
+        "signs there can only be judged by how the model fits",
+        evidence={"degrees_of_freedom": float(len(alone))},
     )
 
 

@@ -24,6 +24,8 @@ _WORTH_A_FIT = 1.1
 # Explanations within this factor of the best one's are as good as it.
 _AS_GOOD = 1.5
 _CHANGES = 1e-9
+# Share of the motion by which pose rates and velocities may disagree in a log that is a witness at all.
+_UNREADABLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,9 @@ def dynamic_mistakes(
 ) -> Explanation | None:
     """The mistake in frames that kinematics cannot see, or in commands, that explains the motion decisively.
 
+    None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
+    no evidence of anything.
+
     Parameters
     ----------
     vehicle : Vehicle
@@ -86,6 +91,8 @@ def dynamic_mistakes(
     mapping : Mapping
         How they were read.
     """
+    if kinematics and np.any(kinematics.mismatch(runs).excess > _UNREADABLE):
+        return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
     signs = reversed_commands(vehicle)
     unseen = allowed(kinematics, runs, at, reading_mistakes(mapping, runs))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from undertow import __version__
 from undertow.model.vehicle import Vehicle
 
-from ..logs import Mapping, Run
+from ..logs import Mapping, Run, velocities_from_pose
 from . import angles, consistency, excitation
 from .clocks import clock_findings
 from .command_clock import command_drift
@@ -20,10 +20,11 @@ from .findings import Examination, Finding, most_serious_first
 from .kinematic_search import best_explanation
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
-from .mistake import Mistake
+from .mistake import Mistake, Undo
 from .model_mistakes import lost_signs, other_mass
 from .reading_mistakes import reading_mistakes
 from .sampling import DROP, sampling
+from .time_unit import other_time_unit
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
 Report = Callable[[float, str], None]
@@ -114,6 +115,11 @@ class _Case:
         self.findings += sampling(self.runs, names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
+        kinematics = Kinematics(self.runs, self.vehicle)
+        if unit := other_time_unit(kinematics, self.runs, self.mapping):
+            self._undo(unit, f"{unit.told}: only then have pose rates and velocities the same size", {})
+        if "psi" not in kinematics.rows and (degrees := angles.in_degrees(self.runs, self.mapping)):
+            self._undo(degrees, f"{degrees.told}, which is no vehicle's in radians", {}, apply=self._afresh)
         for mistake, count in angles.wrapped_angles(self.runs):
             self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
         self.findings += angles.halfway(self.runs)
@@ -171,13 +177,28 @@ class _Case:
 
     def look_at_the_rest(self) -> None:
         kinematics = Kinematics(self.runs, self.vehicle)
+        self.findings += consistency.not_compared(kinematics, self.vehicle)
         if kinematics:
             self.findings += consistency.sensor_findings(kinematics, self.runs)
             self.findings += clock_findings(kinematics, self.runs)
             self.findings.append(consistency.agreement(kinematics, self.runs))
 
+    def _afresh(self, run: Run, undo: Undo) -> Run:
+        """A run without a mistake, its velocities derived anew where they were derived from its pose."""
+        if not run.derived:
+            return undo(run)
+        own = {n: data for n, data in run.channels.items() if n not in run.derived}
+        return velocities_from_pose(
+            undo(replace(run, channels=own, derived=frozenset())), self.vehicle.degrees_of_freedom
+        )
+
     def _undo(
-        self, mistake: Mistake, text: str, evidence: dict[str, float], rivals: Sequence[Mistake] = ()
+        self,
+        mistake: Mistake,
+        text: str,
+        evidence: dict[str, float],
+        rivals: Sequence[Mistake] = (),
+        apply: Callable[[Run, Undo], Run] = rederived,
     ) -> None:
         edits = mistake.edits(self.mapping)
         self.findings.append(
@@ -191,7 +212,7 @@ class _Case:
                 alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
             )
         )
-        self.runs = [rederived(run, mistake.undo) for run in self.runs]
+        self.runs = [apply(run, mistake.undo) for run in self.runs]
         self._write(edits)
 
     def _write(self, edits: Edits) -> None:

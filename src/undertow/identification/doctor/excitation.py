@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
@@ -154,6 +155,48 @@ def findings(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> 
                 evidence={"rms": row.rms, "noise": row.noise, "reversals": float(row.reversals)},
             )
     yield from _headings(vehicle, runs)
+    yield from _still_commands(rows, vehicle, runs)
+
+
+def _still_commands(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Commands that never change: nothing can be learned of them, and the column may be a wrong one."""
+    still = {n for n in vehicle.command_names if all(_still(run.channels[n]) for run in runs)}
+    if not still:
+        return
+    moving = [
+        row.degree_of_freedom
+        for row, place in zip(rows, vehicle.dof_indices, strict=True)
+        if _moved(row) and (acting := _acting_on(vehicle, place)) and still.issuperset(acting)
+    ]
+    names = [n for n in vehicle.command_names if n in still]
+    told = (
+        f"what acts on {', '.join(moving)} stands still while the vehicle moves there, and the model can "
+        "only blame something else"
+        if moving
+        else f"what {'they do' if len(names) > 1 else 'it does'} cannot be told from this log"
+    )
+    yield Finding(
+        id="still_commands",
+        severity="warning" if moving else "note",
+        text=f"{', '.join(names)} never change{'' if len(names) > 1 else 's'}: {told}; is this the right "
+        "column?",
+        evidence={"commands": float(len(still))},
+    )
+
+
+def _still(data: Array) -> bool:
+    there = data[np.isfinite(data)]
+    return not len(there) or bool(np.max(there) == np.min(there))
+
+
+def _moved(row: Excited) -> bool:
+    return not any(text.startswith("anything") for text in row.cannot)
+
+
+def _acting_on(vehicle: Vehicle, place: int) -> set[str]:
+    """Commands of the thrusters that push along a degree of freedom, or its force itself."""
+    pushing = {t.name for t in vehicle.thrusters if t.wrench[place]}
+    return pushing | ({f"tau_{FORCE[place]}"} & {*vehicle.command_names})
 
 
 def _headings(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:

@@ -18,7 +18,8 @@ from .dynamics import Dynamics, Gain
 _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 # Another mass is believed between these factors of the one in the file, and only from a tenth on.
 _LIGHTEST, _HEAVIEST, _LEAST = 0.6, 2.5, 0.1
-_SURE = 3.0  # standard errors
+# Standard errors by themselves, and where added masses that were far off come home with another mass.
+_SURE, _SURE_BESIDE = 3.0, 1.0
 # Standard deviations of its prior: within two, an added mass is where it should be; one must be far beyond.
 _HOME, _FAR = 2.0, 4.0
 
@@ -57,12 +58,13 @@ def other_mass(at: Dynamics) -> OtherMass | None:
         return None
     found, error = fit.values["m"], fit.standard_errors["m"]
     ratio = found / known.value
-    sure = abs(found - known.value) > _SURE * error and abs(ratio - 1) > _LEAST
-    if not (_LIGHTEST < ratio < _HEAVIEST and sure):
+    if not (_LIGHTEST < ratio < _HEAVIEST and abs(ratio - 1) > _LEAST):
         return None
     gain = at.gain(fit)
     moved = _come_home(at.fit, fit) if gain.explained else {}
-    return OtherMass(known.value, found, error, gain, moved) if moved or gain.decisive else None
+    # What added masses and mass share is poorly known; that added masses are where they should be is not.
+    sure = abs(found - known.value) > (_SURE_BESIDE if moved else _SURE) * error
+    return OtherMass(known.value, found, error, gain, moved) if sure and (moved or gain.decisive) else None
 
 
 def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:

@@ -1,0 +1,173 @@
+"""The doctor on logs that say less, or nothing: what is mended still, and what is not claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import Case, make_case
+from tests.cli.bad import text_of
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification import Mapping, Run, read_log, velocities_from_pose
+from undertow.identification.doctor import Examined, Finding, examine
+from undertow.identification.doctor.angles import in_degrees, wrapped_angles
+from undertow.identification.doctor.clocks import Shift, _remedy
+from undertow.identification.doctor.command_mistakes import reversed_commands
+from undertow.identification.doctor.dynamic_search import best_of, dynamic_mistakes
+from undertow.identification.doctor.dynamics import dynamics_of
+from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.doctor.mending import edited
+
+POSE = ("x", "y", "z", "phi", "theta", "psi")
+Columns = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def auv() -> Case:
+    """An underwater vehicle with four thrusters, 60 s of sines."""
+    return make_case("mini-auv", (), 6, duration=60.0, runs=("multisine",))
+
+
+@pytest.fixture
+def examined(auv: Case, tmp_path: Path) -> Callable[..., Examined]:
+    """Return a function that writes columns, reads them by a mapping and examines them."""
+
+    def look(columns: Columns, mapping: Mapping | None = None) -> Examined:
+        vehicle, path = vehicle_of(auv), tmp_path / "log.csv"
+        path.write_text(text_of(columns))
+        run = read_log(path, mapping, vehicle.command_names)
+        return examine(vehicle, [velocities_from_pose(run, vehicle.degrees_of_freedom)], mapping=mapping)
+
+    return look
+
+
+def _by_id(result: Examined) -> dict[str, Finding]:
+    return {f.id: f for f in result.result.findings}
+
+
+def _pose_only(case: Case) -> Columns:
+    (columns,) = case.runs.values()
+    return {n: c for n, c in columns.items() if n not in ("u", "v", "w", "p", "q", "r")}
+
+
+# --- angles without velocities ---------------------------------------------------------------------------
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_heading_in_degrees_shows_without_velocities(
+    auv: Case, examined: Callable[..., Examined], wrapped: bool
+) -> None:
+    columns = _pose_only(auv)
+    degrees = np.degrees(columns["psi"]) % 360 if wrapped else np.degrees(columns["psi"])
+    found = examined(columns | {"psi": degrees})
+    (mistake,) = found.result.mistakes
+    assert mistake.mapping == '[columns]\npsi = { channel = "psi", unit = "deg" }'
+    assert "in an ordinary second" in mistake.text
+    r = next(iter(auv.runs.values()))["r"]
+    assert np.nanstd(found.mended[0].channels["r"] - r) < 0.1 * np.std(r)
+    assert not examined(columns | {"psi": degrees}, edited(Mapping(), found.edits)).result.mistakes
+
+
+def test_an_attitude_beyond_upright_is_in_degrees() -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    tilted = {"phi": 3.0 * np.sin(t), "theta": 6.0 * np.cos(t), "psi": 20.0 * np.sin(0.1 * t)}
+    found = in_degrees([Run("tilted", t, tilted)], Mapping())
+    assert found is not None
+    assert "phi, theta" in found.told
+    assert "theta reaches 6 in the log" in found.told
+    np.testing.assert_allclose(
+        found.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
+    )
+    assert in_degrees([Run("level", t, {n: 0.05 * a for n, a in tilted.items()})], Mapping()) is None
+
+
+def test_steps_of_a_turn_among_large_ones_are_no_jumps() -> None:
+    t = np.arange(0.0, 30.0, 0.05)
+    spinning = 60.0 * t + 60.0 * np.cos(t)
+    steps = np.abs(np.diff(spinning))
+    assert np.any(np.abs(steps - 2 * np.pi) < 0.3)
+    assert not list(wrapped_angles([Run("spinning", t, {"psi": spinning})]))
+
+
+# --- a log that is no witness ----------------------------------------------------------------------------
+@pytest.mark.parametrize(("unit", "seconds"), [("ms", 1e-3), ("us", 1e-6)])
+def test_times_in_another_unit_are_mended_and_blamed_for_nothing_else(
+    auv: Case, examined: Callable[..., Examined], unit: str, seconds: float
+) -> None:
+    (columns,) = auv.runs.values()
+    found = examined(columns | {"t": columns["t"] / seconds})
+    (mistake,) = found.result.mistakes
+    assert mistake.mapping == f'[time]\nunit = "{unit}"'
+    np.testing.assert_allclose(found.mended[0].t, columns["t"], atol=1e-9)
+    assert not examined(
+        columns | {"t": columns["t"] / seconds}, edited(Mapping(), found.edits)
+    ).result.mistakes
+
+
+def test_a_log_whose_pose_and_velocities_disagree_blames_no_thruster(auv: Case) -> None:
+    """Read in milliseconds, it would fit better with a thruster reversed."""
+    vehicle, (run,) = vehicle_of(auv), runs_of(auv)
+    slow = [replace(run, t=1e3 * run.t)]
+    kinematics, at = Kinematics(slow, vehicle), dynamics_of(vehicle, slow)
+    assert at is not None
+    assert np.all(kinematics.mismatch(slow).excess > 0.5)
+    blamed = best_of(at, reversed_commands(vehicle))
+    assert blamed is not None
+    assert dynamic_mistakes(vehicle, at, kinematics, slow, Mapping()) is None
+
+
+def test_commands_that_stand_still_are_told(auv: Case) -> None:
+    vehicle, (run,) = vehicle_of(auv), runs_of(auv)
+
+    def told(*names: str) -> Finding | None:
+        still = {n: np.zeros(len(run.t)) for n in names}
+        found = examine(vehicle, [replace(run, channels={**run.channels, **still})])
+        return _by_id(found).get("still_commands")
+
+    assert told() is None
+    one, all_ = told("f4"), told(*vehicle.command_names)
+    assert one is not None
+    assert (one.severity, one.text[:16]) == ("note", "f4 never changes")
+    assert all_ is not None
+    assert all_.severity == "warning"
+    assert "what acts on surge, heave, yaw stands still while the vehicle moves there" in all_.text
+
+
+def test_what_could_not_be_compared_is_said(auv: Case, examined: Callable[..., Examined]) -> None:
+    (columns,) = auv.runs.values()
+    assert "not_compared" not in _by_id(examined(columns))
+    assert "no pose rate could be compared" in _by_id(examined(_pose_only(auv)))["not_compared"].text
+    without_z = {n: c for n, c in columns.items() if n != "z"}
+    vehicle, (run,) = vehicle_of(auv), runs_of(auv)
+    lacking = replace(run, channels={n: c for n, c in run.channels.items() if n in without_z})
+    assert "w with the rate of z" in _by_id(examine(vehicle, [lacking]))["not_compared"].text
+
+
+@pytest.mark.parametrize(
+    ("names", "delay", "effect"), [(("u", "v", "w"), 0.2, True), (("r",), 0.2, False), (("u",), -0.2, False)]
+)
+def test_the_remedy_for_late_velocities_is_one_that_works(
+    names: tuple[str, ...], delay: float, effect: bool
+) -> None:
+    """The effect sensor_delay delays u, v, w and nothing else."""
+    text = _remedy(Shift(names, delay, 1e-3, 0.0, 1e-3))
+    assert ("sensor_delay" in text) is effect
+    assert effect or f"add {-delay:+.3f} s to their stamps" in text
+
+
+# --- the mass --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("factor", "found"), [(0.7, True), (0.8, True), (0.95, False), (1.05, False)])
+def test_a_dry_mass_shows_in_added_masses_that_are_known_to_fifteen_per_cent(
+    factor: float, found: bool
+) -> None:
+    case = make_case("mini-auv", (), 6, duration=60.0, runs=("multisine", "steps"))
+    vehicle = vehicle_of(case)
+    stated = vehicle.value_of("m")
+    wrong = vehicle.with_values({"m": replace(stated, value=factor * stated.value)})
+    findings = [f for f in examine(wrong, runs_of(case)).result.findings if f.id == "dry_mass"]
+    assert len(findings) == found
+    for finding in findings:
+        assert "looks like the dry mass" in finding.text
+        assert abs(finding.evidence["found"] - stated.value) < 2.0 * finding.evidence["error"]
