@@ -118,9 +118,21 @@ def test_a_parameter_near_its_prior_is_not_told() -> None:
     assert absorbing(box, _fit(box, X_u=-6.0), []) == []
 
 
-def test_a_parameter_without_a_prior_is_not_told() -> None:
+@pytest.mark.parametrize(("value", "told"), [(-10.0, False), (-14.0, False), (-16.0, True), (-1.5, True)])
+def test_a_value_stated_without_a_deviation_is_told_from_three_times_on(value: float, told: bool) -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
-    assert absorbing(box, _fit(box, X_u=-50.0), []) == []
+    lines = absorbing(box, _fit(box, X_u=value), [])
+    assert bool(lines) is told
+    assert not told or f"is {value / -5:.3g} times its stated value (no standard deviation is" in lines[0]
+    # Where the data hardly tell, it may have gone anywhere.
+    loose = replace(_fit(box, X_u=value), standard_errors={"X_u": 4.0})
+    assert absorbing(box, loose, []) == []
+
+
+def test_what_the_data_cannot_tell_from_a_changed_parameter_is_said_beside_it() -> None:
+    box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
+    (line,) = absorbing(box, _fit(box, X_u=-15.0), [], {"X_u": ["tether_drag"]})
+    assert line.endswith("either the prior is wrong, or it makes up for tether_drag")
 
 
 def test_only_leading_effects_can_be_what_is_absorbed() -> None:

@@ -107,8 +107,22 @@ def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surg
     (found,) = equivalents(off, bench, possible)
     assert found.effects == ["entrained_water"]
     assert found.parameters == ["X_udot", "Y_vdot"]
+    assert "X_udot and Y_vdot from elsewhere" in found.separated_by
     right = open_bench(model, train, bench.test)
     assert equivalents(model, right, possible) == []
+
+
+def test_water_in_the_hull_is_said_where_added_masses_are_only_guessed() -> None:
+    """A mass of two thirds: every guess is off by its own few per cent, and all must go the same way."""
+    case = make_case("mini-auv", (), 21, duration=60.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    dry = model.with_values({"m": replace(model.value_of("m"), value=0.67 * model.value_of("m").value)})
+    train = prepare(runs[:3], dry)
+    bench = open_bench(dry, train, prepare(runs[3:], dry, sigma=train.sigma))
+    assert {"X_udot", "Y_vdot", "Z_wdot"} <= set(moved_parameters(dry, bench.base))
+    listed = ("entrained_water", "dry_friction", "lift", "constant_force", "thruster_lag")
+    (found,) = equivalents(dry, bench, [Candidate(catalogue()[n], dry) for n in listed])
+    assert found.effects == ["entrained_water"]
 
 
 def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_to_blame() -> None:

@@ -23,6 +23,8 @@ _BACK = 0.5
 _AS_GOOD = 1.05
 _SHOWN_OTHERS = 2
 _ON_BOUND = 1e-6
+# Factor from which a value is far from one that was stated without a standard deviation.
+_MANY_TIMES = 3.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,9 @@ def reliefs(findings: Iterable[Finding]) -> list[Relief]:
     return [Relief((f.id,), f.trial.fit.values, f.trial.score.error) for f in found]
 
 
-def absorbing(vehicle: Vehicle, fit: Fitted, helpers: Sequence[Relief]) -> list[str]:
+def absorbing(
+    vehicle: Vehicle, fit: Fitted, helpers: Sequence[Relief], alike: Mapping[str, Sequence[str]] | None = None
+) -> list[str]:
     """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be.
 
     Parameters
@@ -81,6 +85,8 @@ def absorbing(vehicle: Vehicle, fit: Fitted, helpers: Sequence[Relief]) -> list[
         The refitted model without further effects.
     helpers : sequence of Relief
         Models with effects added.
+    alike : mapping, optional
+        For parameters, ids of effects that the data cannot tell from what these were changed by.
 
     Returns
     -------
@@ -90,7 +96,10 @@ def absorbing(vehicle: Vehicle, fit: Fitted, helpers: Sequence[Relief]) -> list[
     """
     least = min((h.error for h in helpers), default=0.0)
     leading = [h for h in helpers if h.error <= _AS_GOOD * least]
-    lines = [_line(vehicle, pushed, leading) for pushed in _pushed(vehicle, fit)]
+    lines = [
+        _line(vehicle, pushed, leading, (alike or {}).get(pushed.name, ()))
+        for pushed in _pushed(vehicle, fit)
+    ]
     return [*lines, *_impossible(vehicle, fit.vehicle)]
 
 
@@ -98,13 +107,18 @@ def _pushed(vehicle: Vehicle, fit: Fitted) -> list[_Pushed]:
     errors, found = fit.standard_errors, []
     for name, value in fit.values.items():
         stated, bound = vehicle.value_of(name), _bound(vehicle, name, value)
-        if stated.sigma is None and bound is None:
+        if stated.sigma is None and bound is None and not _many_times(value, stated.value):
             continue
         spread = float(np.hypot(stated.sigma or 0.0, errors[name]))
         distance = abs(value - stated.value) / spread if spread > 0 else np.inf
         if distance > _FAR:
             found.append(_Pushed(name, value, stated.value, distance, bound))
     return found
+
+
+def _many_times(value: float, stated: float) -> bool:
+    ratio = value / stated if stated else 1.0
+    return not 1.0 / _MANY_TIMES < ratio < _MANY_TIMES
 
 
 def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
@@ -115,13 +129,14 @@ def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
 
 
 # --- words ------------------------------------------------------------------------------------
-def _line(vehicle: Vehicle, pushed: _Pushed, leading: Sequence[Relief]) -> str:
+def _line(vehicle: Vehicle, pushed: _Pushed, leading: Sequence[Relief], alike: Sequence[str]) -> str:
     bare = bare_name(pushed.name)
     owner = next(e.id for e in vehicle.all_effects if any(p.name == bare for p in e.parameters))
     line = f"{owner.replace('_', ' ')}: {pushed.name} {_where(vehicle, pushed)}"
     helping = [h for h in leading if _comes_back(pushed, h)]
     if not helping:
-        return f"{line}: either the prior is wrong, or it makes up for something that is missing"
+        missing = " or ".join(alike) or "something that is missing"
+        return f"{line}: either the prior is wrong, or it makes up for {missing}"
     best, after = helping[0].name, helping[0].values[pushed.name]
     others = [h.name for h in helping[1:] if not {*helping[0].effects} & {*h.effects}][:_SHOWN_OTHERS]
     back = f"{after / pushed.prior:.3g} times" if pushed.prior else _number(vehicle, pushed.name, after)
@@ -133,6 +148,10 @@ def _where(vehicle: Vehicle, pushed: _Pushed) -> str:
     prior = _number(vehicle, pushed.name, pushed.prior)
     if pushed.bound is not None:
         return f"is at its bound {_number(vehicle, pushed.name, pushed.bound)}, {far} from {prior}"
+    if pushed.prior and vehicle.value_of(pushed.name).sigma is None:
+        return (
+            f"is {pushed.value / pushed.prior:.3g} times its stated value (no standard deviation is stated)"
+        )
     if pushed.prior:
         return f"is {pushed.value / pushed.prior:.3g} times its prior ({far})"
     return f"is {_number(vehicle, pushed.name, pushed.value)} against a prior of 0 ({far})"

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
 
 from ..weak.fit import WeakFit
-from ..weak.step import inverse_of
+from ..weak.step import bounded_step, bounds_of, reach_of, within_reach
 from .candidates import Candidate
 from .result import Equivalent
 from .scouting import scout
 from .trial import Bench
 
-Array = NDArray[np.float64]
 # Standard deviations from which a parameter has moved away from what was stated.
 _MOVED = 3.0
-# Mean square, in units of the noise, that an equivalent may leave of the change.
-_UNSEEN = 0.02
+# ... and within which it is where it was stated; and the rise of the sum of squares, in units of the noise,
+# that the data do not tell from none.
+_HOME, _UNSEEN = 2.0, 15.0
 
 
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
@@ -43,8 +42,11 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
     moved = moved_parameters(stated, bench.base)
     if not moved:
         return []
-    found = [c.id for c in possible if c.parameters and _acts_alike(c, bench, moved)]
-    return [Equivalent(parameters=list(moved), effects=found, reason=_reason(moved))] if found else []
+    found = [c.id for c in possible if c.parameters and _brings_back(c, bench, stated, moved)]
+    if not found:
+        return []
+    told = {"reason": _reason(moved), "separated_by": _separating(list(moved))}
+    return [Equivalent(parameters=list(moved), effects=found, **told)]
 
 
 def moved_parameters(stated: Vehicle, fit: WeakFit) -> dict[str, float]:
@@ -59,22 +61,24 @@ def moved_parameters(stated: Vehicle, fit: WeakFit) -> dict[str, float]:
     return changes
 
 
-def _acts_alike(candidate: Candidate, bench: Bench, moved: dict[str, float]) -> bool:
-    """Whether the effect, with the other parameters where they may be, changes the residual just as much."""
+def _brings_back(candidate: Candidate, bench: Bench, stated: Vehicle, moved: dict[str, float]) -> bool:
+    """Whether the data are as well explained by the effect, with all that moved near its stated value.
+
+    Values are only stated to within their standard deviations, and the effect need not act like exactly what
+    the parameters moved by: stated values have full weight here, and the sum of squares may not rise.
+    """
     start = scout(candidate, bench).start
-    names = start.model.free
-    shift = start.at.J[:, [names.index(n) for n in moved]] @ np.array(list(moved.values()))
-    own = {p.name for p in candidate.parameters}
-    columns = start.at.J[:, [k for k, n in enumerate(names) if n not in moved]]
-    model = start.at.J[:, [k for k, n in enumerate(names) if n not in moved and n not in own]]
-    return _left(shift, model) > _UNSEEN > _left(shift, columns)
-
-
-def _left(change: Array, columns: Array) -> float:
-    """Mean square of what columns cannot make of a change."""
-    gram = columns.T @ columns
-    rest = change - columns @ (inverse_of(gram) @ (columns.T @ change))
-    return float(np.mean(rest**2))
+    model, now = start.model, start.p[list(start.model.places)]
+    values = [stated.values.get(n) for n in model.free]
+    known = [v if v is not None and v.sigma else None for v in values]
+    centre = np.array([0.0 if v is None else v.value for v in known])
+    stiffness = np.array([0.0 if v is None or v.sigma is None else 1.0 / v.sigma for v in known])
+    bounds = within_reach(bounds_of(model), now, reach_of(model))
+    step = bounded_step(start.at, now, bounds, (centre, stiffness))
+    off = np.abs(stiffness * (now + step - centre))
+    home = all(off[model.free.index(n)] < _HOME for n in moved)
+    left = np.sum((start.at.r + start.at.J @ step) ** 2)
+    return bool(home and left < np.sum(bench.base.at.r**2) + _UNSEEN)
 
 
 def _reason(moved: dict[str, float]) -> str:
@@ -83,4 +87,12 @@ def _reason(moved: dict[str, float]) -> str:
     return (
         f"{names} {'is' if one else 'are'} far from what was stated; each of these effects would do the same "
         "to these data, and either explanation leaves only noise"
+    )
+
+
+def _separating(moved: list[str]) -> str:
+    names = " and ".join([", ".join(moved[:-1]), moved[-1]] if len(moved) > 1 else moved)
+    return (
+        "No manoeuvre tells them apart: what does is to know "
+        f"{names} from elsewhere (a weighing, a tank test, CFD) better than the standard deviations stated"
     )

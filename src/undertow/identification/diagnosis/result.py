@@ -91,11 +91,15 @@ class Indistinguishable(Table):
 
 
 class Equivalent(Table):
-    """Parameters that moved far from what was stated, effects that would do the same, and why that is so."""
+    """Parameters that moved far from what was stated, effects that would do the same, and why that is so.
+
+    `separated_by` says what would tell the explanations apart.
+    """
 
     parameters: list[str]
     effects: list[str]
     reason: str
+    separated_by: str = ""
 
 
 class Dependence(Table):

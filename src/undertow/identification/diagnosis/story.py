@@ -91,7 +91,7 @@ class Story:
     def told(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""
         equivalent = self._equivalents()
-        doubts = [f"But {e.reason}: {_either(e)}." for e in equivalent]
+        doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
         doubts += self._by_heart() if self.judgement.effects else []
         left = remaining(self.after, self.bench.train, self.bench.test)
         doubts += self._nowhere_alone(left)
@@ -108,7 +108,7 @@ class Story:
             steps=self._steps(),
             indistinguishable=self._sets(),
             equivalent=equivalent,
-            warnings=self._warnings(),
+            warnings=self._warnings(equivalent),
             remaining=left,
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=FALSE_ALARM_RATE,
@@ -213,13 +213,14 @@ class Story:
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
         )
 
-    def _warnings(self) -> list[str]:
+    def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
         claimed = {*named, *(e for s in self.judgement.sets for e in s.effects)}
         helpers = [h for h in reliefs(self.found.rounds[0].findings) if claimed.issuperset(h.effects)]
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
-        return absorbing(self.vehicle, self.base, helpers)
+        alike = {name: e.effects for e in equivalent for name in e.parameters}
+        return absorbing(self.vehicle, self.base, helpers, alike)
 
 
 def decided(found: Search, referee: Referee) -> Search:
