@@ -7,6 +7,7 @@ from typing import Any
 
 from benchmarks.results.text import MISSING, listed, number, percent, table
 from benchmarks.results.text import chance as chance_of
+from undertow.identification.diagnosis.result import how_sure
 
 from .calls import Told
 
@@ -129,7 +130,7 @@ def ranking(d: Told) -> str:
             f"{number(r['error_before'])} → {number(r['error_after'])}",
             f"{100 * r['explained']:.0f} %",
             _chance(r.get("p_value")),
-            "yes" if r["significant"] else "no",
+            how_sure(r["significant"], r["error_before"], r["error_after"]),
         ]
         for r in helping
     ]

@@ -164,6 +164,13 @@ def test_an_example_without_a_diagnosis(undertow: Undertow, tmp_path: Path) -> N
     assert "my_effect" in undertow("effects", "--effects", "mine.py")[1]
 
 
+def test_a_file_that_could_not_be_loaded_is_not_written(undertow: Undertow, tmp_path: Path) -> None:
+    code, _, err = undertow("effects", "new", "my_effect", "--out", "mine.txt")
+    assert code == 2
+    assert "'mine.txt' does not end in .py, as the file of an effect has to: --out my_effect.py" in err
+    assert not (tmp_path / "mine.txt").exists()
+
+
 def _checked(tmp_path: Path, *left: Remaining, effect_id: str = "mine") -> Any:
     file = tmp_path / f"{effect_id}.py"
     file.write_text(effect_file(effect_id, file.name, suggested(_diagnosis(*left), "found.json")))

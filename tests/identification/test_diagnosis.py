@@ -101,6 +101,12 @@ def test_blocks_cover_a_third_and_leave_gaps() -> None:
     assert all(later[0] - earlier[1] > 0.5 for earlier, later in pairwise(edges))
 
 
+def test_a_run_too_short_to_be_cut_is_refused() -> None:
+    t = np.arange(0.0, 2.0, 0.1)
+    with pytest.raises(UndertowError, match=r"run 'a' has 20 samples, 60 are the least .* --holdout"):
+        keep_blocks_aside([Run("a", t, {"u": np.sin(t)})])
+
+
 def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=20.0)
     rng = np.random.default_rng(0)

@@ -204,6 +204,8 @@ def test_bad_files_are_one_clear_line(log, content, parts):
 def test_missing_columns_are_named_with_those_there_are(log):
     parts = ["no command channel 'f2'", "did you mean 'f1'?", "t, u, r, f1"]
     refused(log, PLAIN, *parts, channels=["f1", "f2"])
+    other_case = ["no command channel 'R'", "did you mean 'r'?"]
+    refused(log, PLAIN, *other_case, channels=["R"])
     mapping = {"columns": {"heading": "psi"}}
     refused(log, PLAIN, "no column for channel 'psi', 'heading'", mapping=mapping)
     assert not log(PLAIN, {"columns": {"heading": {"channel": "psi", "optional": True}}}).has("psi")

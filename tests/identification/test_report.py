@@ -11,6 +11,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from undertow.cli._outcome import _content
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.diagnose import _with_doctor
 from undertow.identification.diagnosis.result import (
@@ -474,3 +475,22 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
     assert told(late, mistake).headline == f"{first} headline of mini-auv"
     assert told(mistake).warnings[0] == "mistake: thruster 'f1' pushes backwards"
     assert told(late).headline == "headline of mini-auv"
+
+
+def test_what_a_written_vehicle_file_has_is_said() -> None:
+    """That nothing was added, and that one of a set stands for others, must not be silent."""
+    one_of_two = _diagnosis("indistinguishable")
+    assert _content(one_of_two) == (
+        "mini-auv added, values refitted; mini-auv stands for a set: it may as well be lift"
+    )
+    alone = one_of_two.model_copy(update={"indistinguishable": []})
+    assert _content(alone) == "mini-auv added, values refitted"
+    assert "none was added, for none is named" in _content(alone.model_copy(update={"effects": []}))
+
+
+def test_an_error_that_rises_is_no_plain_yes() -> None:
+    risen = _diagnosis().model_copy(update={"ranking": [_ranked("lift", 3.0, error_after=7.5)]})
+    page = render_report(risen)
+    assert "<td>in part" in page
+    assert "In part: more than chance where a disturbance is allowed for" in page
+    assert "<td>in part" not in render_report(_diagnosis())

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from undertow.identification.diagnosis.result import Indistinguishable
+from undertow.identification.diagnosis.result import Indistinguishable, how_sure
 from undertow.identification.diagnosis.story import Story
 from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
 
@@ -74,3 +74,19 @@ def test_what_is_named_in_the_end_leads_the_candidates(named: str | None, order:
         found=SimpleNamespace(rounds=[SimpleNamespace(findings=candidates)]),
     )
     assert Story._in_order(story) == [candidates[i] for i in order]
+
+
+@pytest.mark.parametrize(
+    ("significant", "before", "after", "sure"),
+    [(True, 3.0, 2.0, "yes"), (False, 3.0, 2.0, "no"), (True, 3.0, 3.2, "in part"), (False, 3.0, 3.2, "no")],
+)
+def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
+    significant: bool, before: float, after: float, sure: str
+) -> None:
+    assert how_sure(significant, before, after) == sure
+
+
+def test_no_share_below_zero_is_told() -> None:
+    winners = [SimpleNamespace(id="lift")]
+    doubt = _doubt(winners, -0.21, Left(quiet=False, confirmed=True))
+    assert doubt == "explains none of what exceeds the noise, too little to be named as what is missing"

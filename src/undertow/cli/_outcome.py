@@ -46,6 +46,8 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
 
 
 def _ranking(diagnosis: Diagnosis) -> Table:
+    from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
+
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     table = Table(
         title=f"Candidates on kept-aside data (error of the model as it is {before:.3g}, noise 1)",
@@ -62,13 +64,13 @@ def _ranking(diagnosis: Diagnosis) -> Table:
         most = 4 if i == 0 else 1
         more = " ..." if len(r.parameters) > most else ""
         text = ", ".join(_value(p) for p in r.parameters[:most]) + more
-        sure = "yes" if r.significant else "no"
         table.add_row(
-            r.effect, f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), sure, escape(text)
+            r.effect, f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), r.sure, escape(text)
         )
     rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""
-    table.caption = f"{more}Chance: that the best of all looks as good when nothing is missing."
+    partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
+    table.caption = f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}"
     return table
 
 
@@ -116,7 +118,21 @@ def write_outcome(
     for path, text in texts.items():
         write_whole(path, text)
     for written in filter(None, (json, report, apply)):
-        Console().print(f"wrote {escape(str(written))}")
+        about = f": {_content(outcome.diagnosis)}" if written == apply else ""
+        Console().print(f"wrote {escape(str(written))}{about}", highlight=False)
+
+
+def _content(diagnosis: Diagnosis) -> str:
+    """What a vehicle file with the outcome of a diagnosis has that the given one had not."""
+    if not diagnosis.effects:
+        return "the same effects with refitted values; none was added, for none is named"
+    said = f"{' and '.join(diagnosis.effects)} added, values refitted"
+    for equals in diagnosis.indistinguishable:
+        chosen = next((e for e in equals.effects if e in diagnosis.effects), None)
+        others = [e for e in equals.effects if e != chosen]
+        if chosen and others:
+            said += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
+    return said
 
 
 def page(outcome: Outcome) -> str:

@@ -45,7 +45,10 @@ def diagnose(
     ] = None,
     apply: Annotated[
         Path | None,
-        typer.Option(metavar="OUT.toml", help="Write a vehicle file with the effects that were found."),
+        typer.Option(
+            metavar="OUT.toml",
+            help="Write a vehicle file with the effects that were found, or with refitted values only.",
+        ),
     ] = None,
 ) -> None:
     from undertow.cli._outcome import show, write_outcome

@@ -106,6 +106,8 @@ def new(
 
     check_id(id)
     target = out or Path(f"{id}.py")
+    if target.suffix != ".py":
+        raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
     check_writable(target, inputs=[diagnosis] if diagnosis else [])
     replaced = target.exists()
     if replaced and not force:

@@ -51,6 +51,9 @@ class Ranked(Table):
     kept-aside data with its 95 % interval. `p_value` is the chance that the best of all candidates looks as
     good when nothing is missing; `inclusion` how often this one is the best when the blocks of the logs are
     drawn anew. Both are absent for candidates that do not help.
+
+    Whether a candidate helps by more than chance is judged under a noise model with room for what the best
+    model leaves; the errors are in units of the noise of the sensors alone. `sure` puts both together.
     """
 
     effect: str
@@ -65,6 +68,23 @@ class Ranked(Table):
     significant: bool
     p_value: float | None = None
     inclusion: float | None = None
+
+    @property
+    def sure(self) -> str:
+        """How sure it is that the candidate helps, see `how_sure`."""
+        return how_sure(self.significant, self.error_before, self.error_after)
+
+
+IN_PART = "in part"
+IN_PART_MEANS = (
+    f"{IN_PART[0].upper()}{IN_PART[1:]}: more than chance where a disturbance is allowed for, while the "
+    "error, in which all equations count alike, does not fall."
+)
+
+
+def how_sure(significant: bool, before: float, after: float) -> str:
+    """ "yes" or "no", or "in part" where an effect helps by more than chance and the error does not fall."""
+    return "no" if not significant else "yes" if after < before else IN_PART
 
 
 class Step(Table):

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+from undertow.errors import UndertowError
+
 from ..logs import Run
 
 _PIECES = 6
 _ASIDE = (1, 4)
 _GAP_SECONDS = 1.0
+# Samples of a run from which its pieces hold anything to judge by.
+_FEWEST = 60
 
 
 def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
@@ -20,7 +24,18 @@ def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
     -------
     (list of Run, list of Run)
         What models are fitted to, and what they are judged by.
+
+    Raises
+    ------
+    UndertowError
+        If a run is too short to be cut.
     """
+    for run in runs:
+        if len(run.t) < _FEWEST:
+            raise UndertowError(
+                f"run {run.name!r} has {len(run.t)} samples, {_FEWEST} are the least of which stretches can "
+                "be kept aside: give longer logs, or another run to judge by with --holdout"
+            )
     pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run))]
     train = [piece for i, piece in pieces if i not in _ASIDE]
     return train, [piece for i, piece in pieces if i in _ASIDE]

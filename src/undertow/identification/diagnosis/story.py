@@ -205,10 +205,11 @@ class Story:
             parameters=[estimate(trial.fit, n, self.vehicle) for n in names],
             error_before=self._before,
             error_after=self._normalised(trial.fit) if helps else self._before,
-            explained=finding.explained,
+            explained=max(finding.explained, 0.0),
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
-            significant=finding.significant,
+            # Where nothing is missing the simulation, which has the last word, needs none of them.
+            significant=finding.significant and self.judgement.verdict != "adequate",
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
         )

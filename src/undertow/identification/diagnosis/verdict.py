@@ -117,9 +117,8 @@ def _doubt(winners: list[Finding], share: float, left: Left) -> str:
     if left.quiet:
         return ""
     if share < NAMED_SHARE:
-        return (
-            f"explains only {share:.0%} of what exceeds the noise, too little to be named as what is missing"
-        )
+        much = f"only {share:.0%}" if share > 0.0 else "none"
+        return f"explains {much} of what exceeds the noise, too little to be named as what is missing"
     if len(unique_ids(winners)) > 1 and not left.nearly:
         return "leaves more than noise, and several effects are named only where next to nothing else is left"
     if left.change:

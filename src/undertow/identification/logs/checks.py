@@ -17,10 +17,9 @@ Array = NDArray[np.float64]
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``" (did you mean 'abc'?)"`` for the known name most like `name`, or an empty text."""
     names = list(known)
-    alike = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    alike = alike or [
-        other for other in names if other.lower().startswith(name.lower()) or other.lower() == name.lower()
-    ]
+    alike = [other for other in names if other.lower() == name.lower()]
+    alike = alike or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    alike = alike or [other for other in names if other.lower().startswith(name.lower())]
     return f" (did you mean {alike[0]!r}?)" if alike else ""
 
 

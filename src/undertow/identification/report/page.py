@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from undertow.model.symbols import POSE, VELOCITY, VELOCITY_UNITS
 
-from ..diagnosis.result import Diagnosis
+from ..diagnosis.result import IN_PART_MEANS, Diagnosis
 from . import words
 from .data import ReportData
 from .pictures import (
@@ -47,6 +47,7 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         d=diagnosis,
         data=shown,
         meaning=words.meaning(diagnosis),
+        in_part_means=IN_PART_MEANS,
         runs=shown.runs[:_MOST_RUNS],
         units=_CHANNEL_UNITS,
         left_out=[run.run for run in shown.runs[_MOST_RUNS:]],
