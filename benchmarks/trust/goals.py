@@ -11,6 +11,8 @@ from .cases import COMPLETE
 from .tally import VISIBLE, Scored, Share, of_kind, share
 
 WHOLE_CATALOGUE_SECONDS = 30.0
+# Cases from which "never" means something: that one in ten fails would have shown in 95 of 100 times.
+_NO_FAILURE = 29
 
 
 @dataclass(frozen=True)
@@ -27,18 +29,31 @@ class Goal:
         The number with its interval.
     met : bool or None
         Whether it reaches the goal; None without cases.
+    needed : int
+        Cases from which it can be shown: with fewer, one failure more would miss the goal by itself.
+    count : int
+        Cases that there are.
     """
 
     name: str
     aim: str
     measured: str
     met: bool | None
+    needed: int = 1
+    count: int = 1
 
     @property
     def row(self) -> list[str]:
         """Cells of the table."""
-        said = "no cases" if self.met is None else "met" if self.met else "**not met**"
-        return [self.name, self.measured, self.aim, said]
+        return [self.name, self.measured, self.aim, self._said]
+
+    @property
+    def _said(self) -> str:
+        if self.met is None:
+            return "no cases"
+        if not self.met:
+            return "**not met**"
+        return "met" if self.count >= self.needed else f"no failure, which takes {self.needed} cases to show"
 
 
 def goals(cases: Sequence[Scored]) -> list[Goal]:
@@ -119,12 +134,17 @@ def seconds_by_motions(cases: Iterable[Scored]) -> list[list[str]]:
 
 def _at_least(name: str, found: Share, least: float) -> Goal:
     aim = "100 %" if least == 1.0 else f"≥ {100 * least:g} %"
-    return Goal(name, aim, str(found), _met(found.value >= least, found.n))
+    return Goal(name, aim, str(found), _met(found.value >= least, found.n), _needed(1.0 - least), found.n)
 
 
 def _at_most(name: str, found: Share, most: float) -> Goal:
     aim = "none" if most == 0.0 else f"≤ {100 * most:g} %"
-    return Goal(name, aim, str(found), _met(found.value <= most, found.n))
+    return Goal(name, aim, str(found), _met(found.value <= most, found.n), _needed(most), found.n)
+
+
+def _needed(failures: float) -> int:
+    """Cases of which one failure is no more than the share that a goal allows."""
+    return int(np.ceil(1.0 / failures - 1e-9)) if failures > 0.0 else _NO_FAILURE
 
 
 def _met(true: bool, count: int) -> bool | None:
