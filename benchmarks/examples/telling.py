@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.results.text import MISSING, listed, number, percent, table
 from benchmarks.results.text import chance as chance_of
-from undertow.identification.diagnosis.result import how_sure
+from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS, how_sure
 
 from .calls import Told
 
@@ -137,6 +137,7 @@ def ranking(d: Told) -> str:
     rest = d["candidates"] - len(helping)
     head = ("candidate", "parameters", "kept-aside error", "explains", "p", "more than chance")
     shown = table(head, rows, left=2) if rows else ""
+    shown += f"\n{IN_PART_MEANS}\n" if any(row[-1] == IN_PART for row in rows) else ""
     return shown + f"\n{rest} further candidates help less or not at all.\n"
 
 
