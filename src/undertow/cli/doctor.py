@@ -2,9 +2,10 @@
 
 Looked at are the clock and the samples, the rate of the pose against the body velocities, and the motion
 against the commands. Where they disagree, the usual mistakes are undone one after the other: degrees for
-radians, ENU for NED, FLU for FRD, a flipped axis, velocities north-east-down or through the water, swapped or
-reversed thrusters, commands in percent, the dry mass. A mistake is told only where undoing it explains the
-log; with it comes the line for the mapping file that mends it.
+radians, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis, velocities north-east-down or
+through the water, swapped or reversed thrusters, commands in percent, the dry mass. A mistake is told only
+where undoing it explains the log; with it comes the line for the mapping file that mends it. What could not
+be looked at, for want of velocities or of a pose, is noted.
 
     undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml
 
