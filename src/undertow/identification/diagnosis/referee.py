@@ -44,6 +44,8 @@ _NEAR_NOISE = 2.0
 _WITHIN_REACH = 10.0
 _FAR_OFF = 100.0
 _SURE = 0.01
+# Windows from which a rank test can be as sure as that; of fewer, but so many, all have to say the same.
+_TESTABLE, _UNANIMOUS = 7, 5
 # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
 # likelihood ratio on kept-aside data, which white noise brings above this once in 18 000 times at the most.
 _MORE_THAN_CHANCE = 15.0
@@ -311,4 +313,6 @@ def clearly_worse(squares: Array, than: Array) -> bool:
         return bool(np.all(np.isfinite(than)))
     if np.allclose(gap, 0.0, atol=1e-9):
         return False
+    if len(gap) < _TESTABLE:
+        return len(gap) >= _UNANIMOUS and bool(np.all(gap > 0.0))
     return bool(wilcoxon(gap, alternative="greater").pvalue < _SURE and np.mean(gap) > 0.0)
