@@ -73,14 +73,18 @@ def test_a_heading_in_degrees_shows_without_velocities(
 def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     t = np.arange(0.0, 20.0, 0.05)
     tilted = {"phi": 3.0 * np.sin(t), "theta": 6.0 * np.cos(t), "psi": 20.0 * np.sin(0.1 * t)}
-    found = in_degrees([Run("tilted", t, tilted)], Mapping())
+    found = in_degrees([Run("tilted", t, tilted)], Mapping(), POSE)
     assert found is not None
     assert "phi, theta" in found.told
     assert "theta reaches 6 in the log" in found.told
     np.testing.assert_allclose(
         found.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
     )
-    assert in_degrees([Run("level", t, {n: 0.05 * a for n, a in tilted.items()})], Mapping()) is None
+    # Level, and rolling on and on like a spent torpedo: radians both.
+    level = {n: 0.05 * a for n, a in tilted.items()}
+    assert in_degrees([Run("level", t, level)], Mapping(), POSE) is None
+    assert in_degrees([Run("rolling", t, level | {"phi": 3.0 * t})], Mapping(), POSE) is None
+    assert in_degrees([Run("no pitch", t, tilted)], Mapping(), ("x", "y", "psi")) is None
 
 
 def test_steps_of_a_turn_among_large_ones_are_no_jumps() -> None:

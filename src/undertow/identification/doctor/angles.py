@@ -17,9 +17,8 @@ from .reading_mistakes import ANGLES, reading_mistakes, unwrapped
 _TURN = 2 * np.pi
 _NEAR = 0.3
 _QUIET = 0.5
-# Beyond these, and this often, an angle is no attitude; and rad in an ordinary second that no vehicle turns.
-_UPRIGHT = {"theta": 1.05 * np.pi / 2, "phi": 1.05 * np.pi}
-_OFTEN, _FASTEST = 0.01, np.pi
+# Pitch ends upright: a share of the samples beyond that is none; and rad that no vehicle turns in a second.
+_UPRIGHT, _OFTEN, _FASTEST = 1.05 * np.pi / 2, 0.01, np.pi
 
 
 def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
@@ -38,10 +37,20 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
             )
 
 
-def in_degrees(runs: Sequence[Run], mapping: Mapping) -> Mistake | None:
-    """Angles that are too large, or turn too fast, to be in radians; for logs without velocities to ask."""
-    tilted = [n for n in _UPRIGHT if any(_share_beyond(run, n, _UPRIGHT[n]) > _OFTEN for run in runs)]
-    turning = max((_turned_in_a_second(run) for run in runs), default=0.0)
+def in_degrees(runs: Sequence[Run], mapping: Mapping, names: Sequence[str]) -> Mistake | None:
+    """Pitch that is too large, or a heading that turns too fast, to be in radians.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs without velocities to ask.
+    mapping : Mapping
+        How they were read.
+    names : sequence of str
+        Pose coordinates that matter.
+    """
+    tilted = "theta" in names and any(_beyond_upright(run) > _OFTEN for run in runs)
+    turning = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
     if not tilted and turning < _FASTEST:
         return None
     known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
@@ -51,7 +60,7 @@ def in_degrees(runs: Sequence[Run], mapping: Mapping) -> Mistake | None:
     if found is None:
         return None
     reason = (
-        f"{tilted[0]} reaches {max(np.nanmax(np.abs(r.channels[tilted[0]])) for r in runs):.3g} in the log"
+        f"theta reaches {max(float(np.max(np.abs(_present(r, 'theta')))) for r in runs):.3g} in the log"
         if tilted
         else f"psi changes by {turning:.3g} in an ordinary second"
     )
@@ -64,9 +73,9 @@ def _changed(mistake: Mistake, run: Run) -> set[str]:
     return {n for n in run.channels if not np.array_equal(after.channels[n], run.channels[n], equal_nan=True)}
 
 
-def _share_beyond(run: Run, name: str, limit: float) -> float:
-    data = _present(run, name)
-    return float(np.mean(np.abs(data) > limit)) if len(data) else 0.0
+def _beyond_upright(run: Run) -> float:
+    data = _present(run, "theta")
+    return float(np.mean(np.abs(data) > _UPRIGHT)) if len(data) else 0.0
 
 
 def _turned_in_a_second(run: Run) -> float:

@@ -118,7 +118,8 @@ class _Case:
         kinematics = Kinematics(self.runs, self.vehicle)
         if unit := other_time_unit(kinematics, self.runs, self.mapping):
             self._undo(unit, f"{unit.told}: only then have pose rates and velocities the same size", {})
-        if "psi" not in kinematics.rows and (degrees := angles.in_degrees(self.runs, self.mapping)):
+        unasked = [n for n in self.vehicle.pose_names if n not in kinematics.rows]
+        if degrees := angles.in_degrees(self.runs, self.mapping, unasked):
             self._undo(degrees, f"{degrees.told}, which is no vehicle's in radians", {}, apply=self._afresh)
         for mistake, count in angles.wrapped_angles(self.runs):
             self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
