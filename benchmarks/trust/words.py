@@ -62,8 +62,8 @@ DEFINITIONS = """\
     python -m benchmarks.trust run --out one.jsonl --seed 811237 --rounds 5 --jobs 2 --kind complete
     python -m benchmarks.trust report one.jsonl --out docs/trust.md --summary docs/results.md
 
-The seed was used once, with one and the same program (commit d04e24a). Both runs were cut off by the clock, the
-first after 133 of its 375 cases, which come in a random order; the second holds complete models only,
+The seed was used once, with one and the same program (commit d04e24a). Both runs were cut off by the clock,
+the first after 133 of its 375 cases, which come in a random order; the second holds complete models only,
 since that one in a hundred of them raises no false alarm takes the most cases to show.
 
 Seconds on this page are those of a slow machine with tests and example pages running beside the cases.
