@@ -106,10 +106,10 @@ def new(
 
     check_id(id)
     target = out or Path(f"{id}.py")
-    if target.suffix != ".py":
-        raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
     check_writable(target, inputs=[diagnosis] if diagnosis else [])
     replaced = target.exists()
+    if target.suffix != ".py":
+        raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
     if replaced and not force:
         raise UndertowError(f"'{target}' exists already: name another file with --out, or give --force")
     found = suggested(read_diagnosis(diagnosis), diagnosis.name) if diagnosis else example()

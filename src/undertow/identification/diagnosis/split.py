@@ -13,8 +13,8 @@ from ..logs import Run
 _PIECES = 6
 _ASIDE = (1, 4)
 _GAP_SECONDS = 1.0
-# Samples of a run from which its pieces hold anything to judge by.
-_FEWEST = 60
+# Samples of a run with fewer than which some of its pieces may hold none.
+_FEWEST = 10
 
 
 def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
@@ -33,8 +33,8 @@ def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
     for run in runs:
         if len(run.t) < _FEWEST:
             raise UndertowError(
-                f"run {run.name!r} has {len(run.t)} samples, {_FEWEST} are the least of which stretches can "
-                "be kept aside: give longer logs, or another run to judge by with --holdout"
+                f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
+                f"({_FEWEST} at the very least): give longer logs, or another run to judge by with --holdout"
             )
     pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run))]
     train = [piece for i, piece in pieces if i not in _ASIDE]
