@@ -9,7 +9,7 @@ import numpy as np
 from undertow.model.vehicle import Vehicle
 
 from ..weak.fit import WeakFit
-from ..weak.step import bounded_step, bounds_of, reach_of, within_reach
+from ..weak.step import PRIOR_WIDTH, bounded_step, bounds_of, prior_of, reach_of, within_reach
 from .candidates import Candidate
 from .result import Equivalent
 from .scouting import scout
@@ -42,7 +42,7 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
     moved = moved_parameters(stated, bench.base)
     if not moved:
         return []
-    found = [c.id for c in possible if c.parameters and _brings_back(c, bench, stated, moved)]
+    found = [c.id for c in possible if c.parameters and _brings_back(c, bench, moved)]
     if not found:
         return []
     told = {"reason": _reason(moved), "separated_by": _separating(list(moved))}
@@ -61,7 +61,7 @@ def moved_parameters(stated: Vehicle, fit: WeakFit) -> dict[str, float]:
     return changes
 
 
-def _brings_back(candidate: Candidate, bench: Bench, stated: Vehicle, moved: dict[str, float]) -> bool:
+def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) -> bool:
     """Whether the data are as well explained by the effect, with all that moved near its stated value.
 
     Values are only stated to within their standard deviations, and the effect need not act like exactly what
@@ -69,10 +69,8 @@ def _brings_back(candidate: Candidate, bench: Bench, stated: Vehicle, moved: dic
     """
     start = scout(candidate, bench).start
     model, now = start.model, start.p[list(start.model.places)]
-    values = [stated.values.get(n) for n in model.free]
-    known = [v if v is not None and v.sigma else None for v in values]
-    centre = np.array([0.0 if v is None else v.value for v in known])
-    stiffness = np.array([0.0 if v is None or v.sigma is None else 1.0 / v.sigma for v in known])
+    centre, weight = prior_of(model)
+    stiffness = PRIOR_WIDTH * weight
     bounds = within_reach(bounds_of(model), now, reach_of(model))
     step = bounded_step(start.at, now, bounds, (centre, stiffness))
     off = np.abs(stiffness * (now + step - centre))

@@ -54,9 +54,8 @@ def in_degrees(runs: Sequence[Run], mapping: Mapping, names: Sequence[str]) -> M
     if not tilted and turning < _FASTEST:
         return None
     known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
-    wanted = ANGLES if tilted else ("psi",)
-    change = {m.told: _changed(m, runs[0]) for m in known}
-    found = next((m for m in known if change[m.told] == {n for n in wanted if runs[0].has(n)}), None)
+    wanted = {n for n in (ANGLES if tilted else ("psi",)) if runs[0].has(n)}
+    found = next((m for m in known if _changed(m, runs[0]) == wanted), None)
     if found is None:
         return None
     reason = (

@@ -107,6 +107,7 @@ class _Case:
 
     def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: Mapping) -> None:
         self.vehicle, self.runs, self.mapping = vehicle, runs, mapping
+        self.kinematics = Kinematics(runs, vehicle)
         self.findings: list[Finding] = []
         self.edits: list[Edit] = []
 
@@ -115,10 +116,9 @@ class _Case:
         self.findings += sampling(self.runs, names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
-        kinematics = Kinematics(self.runs, self.vehicle)
-        if unit := other_time_unit(kinematics, self.runs, self.mapping):
+        if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
             self._undo(unit, f"{unit.told}: only then have pose rates and velocities the same size", {})
-        unasked = [n for n in self.vehicle.pose_names if n not in kinematics.rows]
+        unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
         if degrees := angles.in_degrees(self.runs, self.mapping, unasked):
             self._undo(degrees, f"{degrees.told}, which is no vehicle's in radians", {}, apply=self._afresh)
         for mistake, count in angles.wrapped_angles(self.runs):
@@ -127,8 +127,7 @@ class _Case:
 
     def undo_reading_mistakes(self) -> None:
         for _ in range(_MOST_MISTAKES):
-            kinematics = Kinematics(self.runs, self.vehicle)
-            if not kinematics or not self._undo_next(kinematics):
+            if not self.kinematics or not self._undo_next(self.kinematics):
                 return
 
     def _undo_next(self, kinematics: Kinematics) -> bool:
@@ -154,8 +153,7 @@ class _Case:
             at = dynamics_of(self.vehicle, self.runs)
             if at is None or not at.unexplained:
                 break
-            kinematics = Kinematics(self.runs, self.vehicle)
-            found = dynamic_mistakes(self.vehicle, at, kinematics, self.runs, self.mapping)
+            found = dynamic_mistakes(self.vehicle, at, self.kinematics, self.runs, self.mapping)
             if found is None:
                 break
             text, evidence = dynamic_text(self.vehicle, found)
@@ -177,7 +175,7 @@ class _Case:
             self.findings.append(mass_finding(self.vehicle, mass))
 
     def look_at_the_rest(self) -> None:
-        kinematics = Kinematics(self.runs, self.vehicle)
+        kinematics = self.kinematics
         self.findings += consistency.not_compared(kinematics, self.vehicle)
         if kinematics:
             self.findings += consistency.sensor_findings(kinematics, self.runs)
@@ -214,6 +212,7 @@ class _Case:
             )
         )
         self.runs = [apply(run, mistake.undo) for run in self.runs]
+        self.kinematics = Kinematics(self.runs, self.vehicle)
         self._write(edits)
 
     def _write(self, edits: Edits) -> None:

@@ -146,7 +146,7 @@ def findings(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> 
     """Degrees of freedom that were not moved, and what else the motion leaves open."""
     for row in rows:
         if row.cannot:
-            dead = row.cannot[0].startswith("anything")
+            dead = not _moved(row)
             yield Finding(
                 id="excitation",
                 severity="warning" if dead else "note",

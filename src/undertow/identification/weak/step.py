@@ -16,7 +16,7 @@ from .residual import Linearised, WeakModel
 
 Array = NDArray[np.float64]
 # A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
-_PRIOR_WIDTH = 5.0
+PRIOR_WIDTH = 5.0
 # Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.
 _REACH = 10.0
 # The same as a share of all that is physical: a tether may come from far away.
@@ -95,7 +95,7 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
     values = [model.functions.vehicle.value_of(n) for n in model.free]
     # A value without a stated error is no prior, and may be infinite (a limit that is not there).
     centre = np.array([0.0 if v.sigma is None else v.value for v in values])
-    weight = np.array([0.0 if v.sigma is None else 1.0 / (_PRIOR_WIDTH * v.sigma) for v in values])
+    weight = np.array([0.0 if v.sigma is None else 1.0 / (PRIOR_WIDTH * v.sigma) for v in values])
     for k, name in enumerate(model.free):
         for other, factor in model.functions.followers(name).items():
             stated = model.functions.vehicle.value_of(other)
@@ -112,7 +112,7 @@ def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
 
 def _both(centre: float, weight: float, value: float, sigma: float, factor: float) -> tuple[float, float]:
     """One prior for two: of a parameter, and of its multiple."""
-    other = abs(factor) / (_PRIOR_WIDTH * sigma)
+    other = abs(factor) / (PRIOR_WIDTH * sigma)
     total = weight**2 + other**2
     return (weight**2 * centre + other**2 * value / factor) / total, float(np.sqrt(total))
 
