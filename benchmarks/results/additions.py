@@ -93,7 +93,7 @@ def _chained(bench: Bench, vehicle: Vehicle, chain: tuple[str, ...]) -> WeakFit:
         start = scout(candidate, bench).values
         # All parameters of the effect are kept, also those that a diagnosis would drop as uncertain.
         fit = bench.fit(candidate.vehicle, candidate.free(), start)
-        bench = Bench(bench.train, bench.test, bench.train_whitening, bench.test_whitening, fit)
+        bench = replace(bench, base=fit)
         vehicle = _estimating(candidate)
     return bench.base
 

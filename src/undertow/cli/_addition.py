@@ -19,9 +19,15 @@ from undertow.identification.diagnosis.final import last_fit
 from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.scouting import scout
-from undertow.identification.diagnosis.search import FALSE_ALARM_RATE
 from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.diagnosis.trial import Bench, Trial, error_of, open_bench, try_candidate
+from undertow.identification.diagnosis.trial import (
+    FALSE_ALARM_RATE,
+    Bench,
+    Trial,
+    error_of,
+    open_bench,
+    try_candidate,
+)
 from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare

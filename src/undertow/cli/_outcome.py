@@ -49,8 +49,9 @@ def _ranking(diagnosis: Diagnosis) -> Table:
     from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
+    model = "model with other values" if diagnosis.freed else "model as it is"
     table = Table(
-        title=f"Candidates on kept-aside data (error of the model as it is {before:.3g}, noise 1)",
+        title=f"Candidates on kept-aside data (error of the {model} {before:.3g}, noise 1)",
         title_justify="left",
         caption_justify="left",
     )
@@ -97,7 +98,7 @@ def _steps(diagnosis: Diagnosis) -> Table:
     for step in diagnosis.steps:
         simulated = "diverges" if step.simulation is None else f"{step.simulation:.3g}"
         ahead = [f"{step.ahead[h]:.1%}" if h in step.ahead else "diverges" for h in horizons]
-        table.add_row(" + ".join(["model", *step.added]), f"{step.error:.3g}", simulated, *ahead)
+        table.add_row(" + ".join(["model", *step.changes]), f"{step.error:.3g}", simulated, *ahead)
     return table
 
 
@@ -124,9 +125,10 @@ def write_outcome(
 
 def _content(diagnosis: Diagnosis) -> str:
     """What a vehicle file with the outcome of a diagnosis has that the given one had not."""
+    freed = f", {', '.join(diagnosis.freed)} among them, held fixed before" if diagnosis.freed else ""
     if not diagnosis.effects:
-        return "the same effects with refitted values; none was added, for none is named"
-    said = f"{' and '.join(diagnosis.effects)} added, values refitted"
+        return f"the same effects with refitted values{freed}; none was added, for none is named"
+    said = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
     for equals in diagnosis.indistinguishable:
         chosen = next((e for e in equals.effects if e in diagnosis.effects), None)
         others = [e for e in equals.effects if e != chosen]
@@ -148,8 +150,9 @@ def pictures_data(outcome: Outcome) -> ReportData:
     from undertow.identification.report import report_data
 
     before = compare(outcome.before, outcome.test)
-    after = compare(outcome.after, outcome.test) if outcome.diagnosis.effects else None
-    names = ("model refitted", " ".join(["with", " and ".join(outcome.diagnosis.effects) or "nothing added"]))
+    added = outcome.diagnosis.last_step.changes
+    after = compare(outcome.after, outcome.test) if added else None
+    names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
     return report_data(before, after, names=names)
 
 
@@ -165,7 +168,7 @@ def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> 
         "added": d.effects,
         "logs": [{"name": r.name, "sha256": r.sha256, "role": r.role} for r in d.runs],
         "error_before": d.steps[0].error,
-        "error_after": d.steps[-1 if d.effects else 0].error,
+        "error_after": d.last_step.error,
         "covariance": {"parameters": list(free), "matrix": outcome.fit.covariance.tolist()},
     }
     save_vehicle(outcome.after, template, out, history=history)

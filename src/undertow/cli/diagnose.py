@@ -5,6 +5,11 @@ data that was kept aside: the logs given with --holdout, or stretches of the log
 answer is one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that
 these data cannot tell apart, or unexplained.
 
+Values that the vehicle file holds fixed (all that are not marked estimate = true) are tried as well: where
+others explain more than any effect, the answer names them, and what is written has them fitted. What is
+weighed and drawn (mass, inertia, weight, buoyancy and their centres) is taken as known; where that is wrong,
+an effect says so: entrained_water, net_buoyancy, trim_offset.
+
 On Linux all cores share the work, which changes no result; UNDERTOW_JOBS=1 in the environment keeps it to
 one.
 
@@ -39,6 +44,15 @@ def diagnose(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
+    false_alarms: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            min=0.005,
+            max=0.2,
+            help="Chance of naming an effect where nothing is missing: lower asks for more evidence.",
+        ),
+    ] = 0.01,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Write the whole result as JSON.")] = None,
     report: Annotated[
         Path | None, typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
@@ -65,6 +79,8 @@ def diagnose(
     )
     known = merge(catalogue(), [cls for file in effects or [] for cls in load_effects(file)])
     with progress("looking for what is missing") as tell:
-        outcome = run(loaded.vehicle, loaded.train, loaded.holdout, known=known, report=tell)
+        outcome = run(
+            loaded.vehicle, loaded.train, loaded.holdout, known=known, report=tell, false_alarms=false_alarms
+        )
     show(outcome)
     write_outcome(outcome, loaded.path, json=json, report=report, apply=apply)

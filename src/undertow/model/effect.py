@@ -35,6 +35,9 @@ class Effect(abc.ABC):
         Ids of effects whose parameters it shares where the vehicle has them, and takes as zero where not.
     built_in : bool
         True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
+    weighed : bool
+        True where the values come from scales and drawings, and what may be wrong with them is an effect of
+        its own (water in the hull, net buoyancy, a shifted centre of buoyancy).
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     """
@@ -46,6 +49,7 @@ class Effect(abc.ABC):
     requires: ClassVar[tuple[str, ...]] = ()
     shares: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
+    weighed: ClassVar[bool] = False
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
         self.thrusters = tuple(thrusters)

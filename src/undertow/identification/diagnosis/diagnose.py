@@ -21,6 +21,7 @@ from .result import Diagnosis, RunInfo
 from .search import search
 from .split import keep_blocks_aside
 from .story import Story
+from .trial import FALSE_ALARM_RATE
 
 Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
@@ -58,6 +59,7 @@ def diagnose(
     *,
     known: Catalogue | None = None,
     report: Report = lambda done, words: None,
+    false_alarms: float = FALSE_ALARM_RATE,
 ) -> Outcome:
     """Find out which effect a model lacks, judged on data kept aside.
 
@@ -73,6 +75,8 @@ def diagnose(
         Effects that may be missing; the whole catalogue by default.
     report : callable
         Told what share is done, and what is being done.
+    false_alarms : float
+        Chance of naming an effect where nothing is missing, that the evidence is held to.
 
     Raises
     ------
@@ -88,14 +92,20 @@ def diagnose(
         referee = Referee(vehicle, train_runs, test_runs, train.sigma)
         effects = known or catalogue()
         found = search(
-            vehicle, train, test, effects, lambda done, words: report(0.9 * done, words), referee.quiet
+            vehicle,
+            train,
+            test,
+            effects,
+            lambda done, words: report(0.9 * done, words),
+            referee.quiet,
+            false_alarms,
         )
         report(0.9, "judging the result by simulation")
         story = Story(vehicle, found, referee, effects)
         roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
         infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
         diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
-    return Outcome(diagnosis, story.base.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
+    return Outcome(diagnosis, story.given.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,8 +12,11 @@ from undertow.model.vehicle import Vehicle
 from ..weak.fit import WeakFit
 from ..weak.step import PRIOR_WIDTH, bounded_step, bounds_of, prior_of, reach_of, within_reach
 from .candidates import Candidate
+from .chain import Chain, fitted
+from .fixed_values import other_values
 from .result import Equivalent
 from .scouting import scout
+from .second_look import Quiet
 from .trial import Bench
 
 # Standard deviations from which a parameter has moved away from what was stated.
@@ -47,6 +51,40 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
         return []
     told = {"reason": _reason(moved), "separated_by": _separating(list(moved))}
     return [Equivalent(parameters=list(moved), effects=found, **told)]
+
+
+def instead_of_effects(chain: Chain, vehicle: Vehicle, bench: Bench, quiet: Quiet) -> list[Equivalent]:
+    """Other values of what the vehicle file holds fixed that leave as little as one of the effects named.
+
+    Parameters
+    ----------
+    chain : Chain
+        Effects with which nothing but noise is left.
+    vehicle : Vehicle
+        The model without them.
+    bench : Bench
+        Data and noise model.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    found = []
+    for finding in chain.findings:
+        others = [f for f in chain.findings if f is not finding]
+        without = replace(bench, base=fitted(vehicle, others, bench).fit) if others else bench
+        found += _instead_of(finding.id, without, quiet)
+    return found
+
+
+def _instead_of(effect: str, bench: Bench, quiet: Quiet) -> list[Equivalent]:
+    found = other_values(bench)
+    if found is None or not quiet(found.fit, bench.test):
+        return []
+    names = ", ".join(found.alike)
+    told = {
+        "reason": f"other values of {names}, which the vehicle file holds fixed, would leave only noise, too",
+        "separated_by": f"What tells them apart is to know {names} from elsewhere (a tank test, CFD)",
+    }
+    return [Equivalent(parameters=list(found.alike), effects=[effect], **told)]
 
 
 def moved_parameters(stated: Vehicle, fit: WeakFit) -> dict[str, float]:

@@ -92,7 +92,8 @@ class Step(Table):
 
     `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
     windows of 5 s whose starts are estimated, in units of the noise; `prediction` the error of velocities 5 s
-    ahead in shares of their rms, and `ahead` the same over several horizons and over the whole run.
+    ahead in shares of their rms, and `ahead` the same over several horizons and over the whole run. `freed`
+    are values that the vehicle file holds fixed, fitted here with the rest.
     """
 
     added: list[str]
@@ -100,6 +101,12 @@ class Step(Table):
     prediction: float | None = None
     simulation: float | None = None
     ahead: dict[str, float] = {}
+    freed: list[str] = []
+
+    @property
+    def changes(self) -> list[str]:
+        """What the model has beside what was given, in words."""
+        return [*(["other values"] if self.freed else []), *self.added]
 
 
 class Indistinguishable(Table):
@@ -214,3 +221,13 @@ class Diagnosis(Table):
     false_alarm_rate: float
     noise: dict[str, float]
     seconds: float
+
+    @property
+    def freed(self) -> list[str]:
+        """Values that the vehicle file holds fixed and that were fitted with the rest."""
+        return self.steps[-1].freed if self.steps else []
+
+    @property
+    def last_step(self) -> Step:
+        """The model as it is handed on: with the effects that are named, or with none of those tried."""
+        return self.steps[-1] if self.effects else [s for s in self.steps if not s.added][-1]

@@ -24,7 +24,6 @@ from .trial import Bench, Score, Trial, rejected, told_apart, try_candidate
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
 
-FALSE_ALARM_RATE = 0.01
 _FULL_FITS = 10
 _FINALISTS = 6
 # Times that the noise model is made anew because another candidate leads under it.
@@ -201,7 +200,7 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     # The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
     # other is blind to, and each gets half of the false alarms.
     chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
-    strong = chance < FALSE_ALARM_RATE and evidence.mean > SMALLEST_FALL
+    strong = chance < bench.false_alarms and evidence.mean > SMALLEST_FALL
     share = explained(*told_apart(bench.base_score, trial.score, bench.test), bench.noise_level)
     better = trial.score.error < bench.base_score.error
     return Finding(trial, evidence, share, chance, strong and better, inclusion)

@@ -5,8 +5,9 @@ at all of them together.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
@@ -16,15 +17,16 @@ from ..weak.fit import WeakFit, free_parameters
 from .chain import Chain, alternatives, fitted, thinned, with_effects
 from .evidence import as_good
 from .finding import Finding
+from .fixed_values import freed, values_to_free
 from .pairs import promising_pairs
-from .rounds import FALSE_ALARM_RATE, Round, try_all
+from .rounds import Round, try_all
 from .second_look import Quiet, explains_all, hidden_by_disturbance
-from .trial import Bench, only_noise, open_bench
-
-__all__ = ["FALSE_ALARM_RATE", "Search", "search"]
+from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench
 
 _log = logging.getLogger("undertow.diagnosis")
 Report = Callable[[float, str], None]
+Freed = Mapping[str, tuple[str, ...]]
+ToFree = Callable[[Round, Quiet], Freed]
 MAX_EFFECTS = 3
 _PAIRS = 2
 _RIVALS = 5
@@ -41,7 +43,7 @@ class Search:
     Attributes
     ----------
     vehicle : Vehicle
-        The model as given.
+        The model as given, or with some of its fixed values to be estimated.
     rounds : list of Round
         Its steps; the last is without a winner unless the noise floor was reached or effects ran out.
     bench : Bench
@@ -50,6 +52,8 @@ class Search:
         The effects that were found, none or several, fitted together.
     rivals : list of list of Chain
         For each of the effects, what does as well in its place.
+    freed : mapping
+        Those values, each with fixed values that would do the same in its place.
     """
 
     vehicle: Vehicle
@@ -57,6 +61,7 @@ class Search:
     bench: Bench
     chain: Chain
     rivals: list[list[Chain]]
+    freed: Freed = field(default_factory=dict)
 
     @property
     def winners(self) -> list[Finding]:
@@ -66,8 +71,8 @@ class Search:
     def steps(self) -> list[WeakFit]:
         """Fits of the model without effects, with the first, with the first two, and so on."""
         found = self.winners
-        partial = [fitted(self.vehicle, found[:i], self.bench).fit for i in range(1, len(found))]
-        return [self.bench.base, *partial, *([self.chain.fit] if found else [])]
+        between = [fitted(self.vehicle, found[:i], self.bench).fit for i in range(1, len(found))]
+        return [self.bench.base, *between, *([self.chain.fit] if found else [])]
 
 
 def search(
@@ -77,6 +82,7 @@ def search(
     known: Catalogue,
     report: Report = lambda done, words: None,
     quiet: Quiet = only_noise,
+    false_alarms: float = FALSE_ALARM_RATE,
 ) -> Search:
     """Look for missing effects until the noise floor or until nothing helps.
 
@@ -92,38 +98,80 @@ def search(
         Told the share done and what is going on.
     quiet : callable, optional
         Whether a model leaves only noise of the kept-aside data; the search ends with one that does.
+    false_alarms : float
+        Chance of naming an effect where nothing is missing.
     """
     report(0.0, "fitting the model as it is")
-    opened = open_bench(vehicle, train, test)
-    rounds, chain = _stepwise(vehicle, opened, known, report, quiet)
+    opened = open_bench(vehicle, train, test, false_alarms)
+    steps = _stepwise(vehicle, opened, known, report, quiet, values_to_free)
+    if names := steps.freed:
+        _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
+        found = search(freed(vehicle, list(names)), train, test, known, report, quiet, false_alarms)
+        if not _do_alone(vehicle, found.winners, opened, quiet):
+            return replace(found, freed={**names, **found.freed})
+        steps = _stepwise(vehicle, opened, known, report, quiet, _none_to_free)
     report(0.9, "looking at all effects together")
-    return _together(vehicle, opened, rounds, chain)
+    return _together(vehicle, opened, steps.rounds, steps.chain)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Rounds of candidates, the effects that were added, and the model with them.
+
+    `freed` are fixed values that do more than the next effect would: then the search ends here.
+    """
+
+    rounds: list[Round]
+    chain: list[Finding]
+    fit: WeakFit
+    freed: Freed
+
+
+def _none_to_free(current: Round, quiet: Quiet) -> Freed:
+    return {}
+
+
+def _do_alone(vehicle: Vehicle, effects: Sequence[Finding], bench: Bench, quiet: Quiet) -> bool:
+    """Whether effects that were found beside other values leave only noise without these."""
+    return bool(effects) and quiet(fitted(vehicle, effects, bench).fit, bench.test)
 
 
 def _stepwise(
-    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet
-) -> tuple[list[Round], list[Finding]]:
+    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet, to_free: ToFree
+) -> _Steps:
     """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
-    rounds, chain, _ = _steps(vehicle, bench, known, report, quiet, [])
-    last = rounds[-1].bench
-    if rounds[-1].winner is not None or not hidden_by_disturbance(last):
-        return rounds, chain
+    steps = _steps(vehicle, bench, known, report, quiet, [], to_free)
+    last = steps.rounds[-1].bench
+    if steps.freed or steps.rounds[-1].winner is not None or not hidden_by_disturbance(last):
+        return steps
     bare = last.without_disturbance()
-    again, longer, fit = _steps(vehicle, bare, known, lambda _, words: report(0.9, words), quiet, chain)
-    if len(longer) > len(chain) and explains_all(bare, fit, quiet):
-        return [*rounds[:-1], *again], longer
-    return rounds, chain
+    again = _steps(vehicle, bare, known, partial(_late, report), quiet, steps.chain, _none_to_free)
+    if len(again.chain) > len(steps.chain) and explains_all(bare, again.fit, quiet):
+        return replace(again, rounds=[*steps.rounds[:-1], *again.rounds])
+    return steps
+
+
+def _late(report: Report, done: float, words: str) -> None:
+    report(0.9, words)
 
 
 def _steps(
-    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet, found: Sequence[Finding]
-) -> tuple[list[Round], list[Finding], WeakFit]:
-    """Rounds of candidates, each on top of what was found so far; the effects, and the model with them."""
+    vehicle: Vehicle,
+    bench: Bench,
+    known: Catalogue,
+    report: Report,
+    quiet: Quiet,
+    found: Sequence[Finding],
+    to_free: ToFree,
+) -> _Steps:
+    """Rounds of candidates, each on top of what was found so far."""
     rounds: list[Round] = []
     chain, fit = list(found), bench.base
     while len(chain) < MAX_EFFECTS:
         current = _sound_first(try_all(bench, known, _share_of(report, len(rounds))), quiet)
         rounds.append(current)
+        if names := to_free(current, quiet):
+            return _Steps(rounds, chain, fit, names)
         if current.winner is None:
             break
         chain.append(current.winner)
@@ -138,7 +186,7 @@ def _steps(
             if quiet(fit, bench.test):
                 break
         bench = _on_top(current.bench, vehicle, chain, fit)
-    return rounds, chain, fit
+    return _Steps(rounds, chain, fit, {})
 
 
 def _sound_first(current: Round, quiet: Quiet) -> Round:
@@ -160,7 +208,7 @@ def _on_top(bench: Bench, vehicle: Vehicle, chain: list[Finding], fit: WeakFit) 
     """The bench for the next round: what was found belongs to the model."""
     grown = with_effects(vehicle, chain)
     base = bench.fit(grown, free_parameters(grown), fit.values)
-    return Bench(bench.train, bench.test, bench.train_whitening, bench.test_whitening, base)
+    return replace(bench, base=base)
 
 
 def _pair(current: Round, quiet: Quiet) -> Chain | None:

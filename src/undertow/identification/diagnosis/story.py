@@ -20,15 +20,16 @@ from ..planning.suggest import suggest
 from .candidates import possible
 from .chain import Chain, fitted, with_effects
 from .compensation import Relief, absorbing, reliefs
-from .equivalents import equivalents
+from .equivalents import equivalents, instead_of_effects
 from .estimates import estimate, estimates
 from .final import last_fit
 from .finding import Finding
+from .freed_words import changed_values, with_values
 from .referee import DECIDING, Referee, clearly_worse
 from .remaining import remaining
 from .repeats import repeats
 from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
-from .search import FALSE_ALARM_RATE, Search
+from .search import Search
 from .steadiness import sizes
 from .trial import Bench, Score, error_of, noise_ratio, scored, told_apart
 from .verdict import Judgement, Left, judge, unique_ids
@@ -63,9 +64,11 @@ class Story:
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
+        #: The model as given, refitted: `base` where no fixed value was found to be another.
+        self.given = referee.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
-        quiet = referee.quiet(weak[-1], self.bench.test)
+        self._quiet = quiet = referee.quiet(weak[-1], self.bench.test)
         left = Left(
             quiet=quiet,
             confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
@@ -102,7 +105,7 @@ class Story:
             signs=self.vehicle.signs,
             runs=infos,
             verdict=self.judgement.verdict,
-            headline=" ".join([self.judgement.headline, *doubts]),
+            headline=" ".join([self._headline(), *doubts]),
             effects=unique_ids(self.judgement.effects),
             ranking=[self._ranked(f) for f in self._in_order()],
             steps=self._steps(),
@@ -111,16 +114,23 @@ class Story:
             warnings=self._warnings(equivalent),
             remaining=left,
             parameters=estimates(self.after, self.vehicle),
-            false_alarm_rate=FALSE_ALARM_RATE,
+            false_alarm_rate=self.bench.false_alarms,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
             seconds=seconds,
         )
 
+    def _headline(self) -> str:
+        values = changed_values(self.vehicle, self.after, self.found.freed)
+        return with_values(self.judgement.headline, values, self._quiet, bool(self.judgement.effects))
+
     def _equivalents(self) -> list[Equivalent]:
+        model, bench = self.found.vehicle, self.bench
+        if self.judgement.effects and self._quiet:
+            return instead_of_effects(self.found.chain, model, bench, self.referee.quiet)
         if self.judgement.verdict != "adequate":
             return []
-        derived = self.bench.train.velocities_derived
-        return equivalents(self.vehicle, self.bench, possible(self.vehicle, self._known, derived=derived))
+        derived = bench.train.velocities_derived
+        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
         nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
@@ -149,7 +159,7 @@ class Story:
         values = {c.findings[place].id: c.findings[place].trial.fit.values for c in chains}
         try:
             return suggest(
-                with_effects(self.vehicle, others),
+                with_effects(self.found.vehicle, others),
                 equals.effects,
                 self.referee.train,
                 values,
@@ -175,10 +185,12 @@ class Story:
         return self._left_before.error
 
     def _steps(self) -> list[Step]:
-        ids = [w.id for w in self.found.winners]
-        return [self._step(ids[:i], fit, self.simulated[i]) for i, fit in enumerate(self.fits)]
+        ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
+        steps = [self._step(ids[:i], fit, self.simulated[i], freed) for i, fit in enumerate(self.fits)]
+        first = [self._step([], self.given, self.referee.squares(self.given))] if freed else []
+        return [*first, *steps]
 
-    def _step(self, added: list[str], fit: Fitted, squares: Array) -> Step:
+    def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
         ahead = self.referee.ahead(fit.vehicle)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
@@ -187,6 +199,7 @@ class Story:
             prediction=ahead.get(f"{DECIDING:g} s", ahead["free run"]),
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
+            freed=list(freed),
         )
 
     def _in_order(self) -> list[Finding]:

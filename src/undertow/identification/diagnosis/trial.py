@@ -5,7 +5,7 @@ kept-aside data.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,8 @@ _NOISE_KNOWN_TO, _BY_CHANCE = 0.1, 4.0
 # Share of the sum of squares that a step must promise while candidates are compared with each other.
 _ROUGH = 1e-4
 _SHARPENING = 3
+#: Chance of naming an effect where nothing is missing, unless another is asked for.
+FALSE_ALARM_RATE = 0.01
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,8 @@ class Bench:
         Noise of both, the same for all candidates.
     base : WeakFit
         The model without any candidate, fitted to the training data.
+    false_alarms : float
+        Chance up to which the best of all candidates may look as good when nothing is missing.
     """
 
     train: WeakData
@@ -127,6 +131,7 @@ class Bench:
     train_whitening: list[Whitening]
     test_whitening: list[Whitening]
     base: WeakFit
+    false_alarms: float = FALSE_ALARM_RATE
 
     @cached_property
     def base_score(self) -> Score:
@@ -184,14 +189,15 @@ class Bench:
         fit = settled(fit, most=_SHARPENING)
         test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
         refitted = self._base_under(fit.whitening, fit.disturbance, _ROUGH)
-        return Bench(self.train, self.test, fit.whitening, test, refitted)
+        return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
     def without_disturbance(self) -> Bench:
         """The bench under the noise of the sensors alone."""
         base = self.base
         quiet = base.model.whitening(self.train, base.p)
         refitted = self._base_under(quiet, np.zeros_like(base.disturbance))
-        return Bench(self.train, self.test, quiet, refitted.model.whitening(self.test, refitted.p), refitted)
+        on_test = refitted.model.whitening(self.test, refitted.p)
+        return replace(self, train_whitening=quiet, test_whitening=on_test, base=refitted)
 
     def _base_under(self, noise: list[Whitening], disturbance: Array, enough: float = 0.0) -> WeakFit:
         """The model without any candidate, fitted under another noise model."""
@@ -221,11 +227,14 @@ class Bench:
         return found if line is None else found | {"beat": line}
 
 
-def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData) -> Bench:
+def open_bench(
+    vehicle: Vehicle, train: WeakData, test: WeakData, false_alarms: float = FALSE_ALARM_RATE
+) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
     base = fit_weak(vehicle, train)
     quiet = base.model.whitening(test, base.p)
-    return Bench(train, test, base.whitening, disturbed(quiet, base.disturbance, test), base)
+    noise = base.whitening, disturbed(quiet, base.disturbance, test)
+    return Bench(train, test, *noise, base, false_alarms)
 
 
 def noise_ratio(fit: Fitted, data: WeakData) -> Array:

@@ -18,6 +18,8 @@ from .dynamics import Dynamics, Gain
 _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 # Another mass is believed between these factors of the one in the file, and only from a tenth on.
 _LIGHTEST, _HEAVIEST, _LEAST = 0.6, 2.5, 0.1
+# Sum of squares, in units of the noise, up to which another value of an added mass does as well.
+_ALIKE = 15.0
 # Standard errors by themselves, and where added masses that were far off come home with another mass.
 _SURE, _SURE_BESIDE = 3.0, 1.0
 # Standard deviations of its prior: within two, an added mass is where it should be; one must be far beyond.
@@ -48,7 +50,8 @@ class OtherMass:
 def other_mass(at: Dynamics) -> OtherMass | None:
     """The mass that the logs ask for; None where it is no other, or they cannot tell.
 
-    With added masses that are free and have no stated spread, nothing can be told: they take up any mass.
+    With added masses that are free and have no stated spread, nothing can be told: they take up any mass. Nor
+    can it where an added mass that is held fixed explains as much with another value.
     """
     known = at.vehicle.values.get("m")
     if known is None or known.estimate or "m" not in at.vehicle.parameter_names:
@@ -64,7 +67,16 @@ def other_mass(at: Dynamics) -> OtherMass | None:
     moved = _come_home(at.fit, fit) if gain.explained else {}
     # What added masses and mass share is poorly known; that added masses are where they should be is not.
     sure = abs(found - known.value) > (_SURE_BESIDE if moved else _SURE) * error
-    return OtherMass(known.value, found, error, gain, moved) if sure and (moved or gain.decisive) else None
+    if not sure or not (moved or gain.decisive) or _added_mass_instead(at, fit):
+        return None
+    return OtherMass(known.value, found, error, gain, moved)
+
+
+def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
+    """Whether another value of one fixed added mass explains as much as another mass."""
+    values = {n: at.vehicle.values[n] for n in _TRANSLATION if n in at.vehicle.values}
+    tried = (at.refitted(free=(n,)) for n, v in values.items() if not v.estimate)
+    return any(fit is not None and fit.cost < with_mass.cost + _ALIKE for fit in tried)
 
 
 def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:

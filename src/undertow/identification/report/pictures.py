@@ -52,9 +52,9 @@ def _x_share(axis: Any) -> Any:
 
 
 def _step_name(step: Step, place: int) -> str:
-    if not step.added:
+    if not step.changes:
         return "model as given" if place == 0 else "refitted"
-    return "+ " + "\n+ ".join(plain(name, 24) for name in step.added)
+    return "+ " + "\n+ ".join(plain(name, 24) for name in step.changes)
 
 
 def _log_axis(axis: Any, values: Sequence[float]) -> None:

@@ -23,6 +23,7 @@ class Restoring(Wrench):
 
     id = "restoring"
     family = "statics"
+    weighed = True
     reference = "Fossen (2021), chapter 4 (restoring forces of submerged vehicles)"
     signature = "roll and pitch do not swing back to level, or with the wrong period"
 

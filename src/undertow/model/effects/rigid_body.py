@@ -20,6 +20,7 @@ class RigidBody(Wrench):
 
     id = "rigid_body"
     family = "inertia"
+    weighed = True
     reference = "Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 3"
     signature = "acceleration answers a change of force by another amount than the mass says"
 

@@ -1,0 +1,139 @@
+"""A value that the vehicle file holds fixed and that is wrong is told from a missing effect; the rate of
+false alarms that evidence is held to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from benchmarks.hidden_effects import Case, make_case
+from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
+from undertow.identification.diagnosis.diagnose import Outcome, diagnose
+from undertow.identification.diagnosis.fixed_values import other_values
+from undertow.identification.diagnosis.rounds import Round, _finding, try_all
+from undertow.identification.diagnosis.trial import Bench, open_bench
+from undertow.identification.weak.data import prepare
+from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Vehicle
+
+KNOWN = (
+    "constant_force", "cubic_damping", "drag_asymmetry", "lift", "thruster_gain", "thruster_lag",
+)  # fmt: skip
+SEED = 20261123
+
+
+@cache
+def _case(*hidden: str) -> Case:
+    return make_case("usv", hidden, SEED, duration=40.0)
+
+
+def _fixed(case: Case, factors: dict[str, float]) -> Vehicle:
+    """The user's model with some values fixed, at a factor times the truth."""
+    vehicle, true = vehicle_of(case), true_vehicle(case)
+    return vehicle.with_values(
+        {n: replace(true.value_of(n), value=k * true.value_of(n).value, estimate=False, sigma=None)
+         for n, k in factors.items()}
+    )  # fmt: skip
+
+
+@cache
+def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) -> Outcome:
+    case = _case(*hidden)
+    runs = runs_of(case)
+    known = {i: catalogue()[i] for i in KNOWN}
+    return diagnose(_fixed(case, dict(factors)), runs[:-1], runs[-1:], known=known)
+
+
+def _bench(factors: dict[str, float]) -> Bench:
+    case = _case()
+    vehicle, runs = _fixed(case, factors), runs_of(case)
+    train = prepare(runs[:-1], vehicle)
+    return open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
+
+
+@cache
+def _round() -> Round:
+    known = {i: catalogue()[i] for i in KNOWN}
+    return try_all(_bench({"Y_v": 2.5}), known, lambda done, words: None)
+
+
+@pytest.mark.parametrize("name", ["N_r", "X_u", "X_udot"])
+def test_a_wrong_fixed_value_is_no_missing_effect(name: str) -> None:
+    found = _diagnosed((), ((name, 2.0),)).diagnosis
+    true = true_vehicle(_case()).value_of(name).value
+    value = next(e for e in found.parameters if e.name == name)
+    assert found.verdict == "adequate"
+    assert not found.effects
+    assert found.freed == [name]
+    assert value.standard_error is not None
+    assert value.value == pytest.approx(true, abs=4 * value.standard_error + 0.02 * abs(true))
+    assert value.prior == pytest.approx(2.0 * true)
+    assert found.headline.startswith("No effect is missing, but values that the vehicle file holds fixed")
+    assert not [f for f in found.doctor if f.severity == "mistake"]
+
+
+def test_the_error_falls_from_the_model_as_given_to_noise() -> None:
+    found = _diagnosed((), (("N_r", 2.0),)).diagnosis
+    given, other = found.steps
+    assert (given.freed, other.freed) == ([], ["N_r"])
+    assert given.error > 2.0
+    assert other.error == pytest.approx(1.0, abs=0.15)
+    assert found.last_step is other
+
+
+def test_what_is_handed_on_has_the_other_value() -> None:
+    outcome = _diagnosed((), (("N_r", 2.0),))
+    true = true_vehicle(_case()).value_of("N_r").value
+    given, after = outcome.before.value_of("N_r"), outcome.after.value_of("N_r")
+    assert given.value == pytest.approx(2.0 * true)
+    assert not given.estimate
+    assert after.value == pytest.approx(true, rel=0.05)
+    assert after.estimate
+
+
+def test_a_wrong_fixed_value_beside_a_missing_effect() -> None:
+    found = _diagnosed(("thruster_lag",), (("N_r", 2.0),)).diagnosis
+    assert (found.effects, found.freed) == (["thruster_lag"], ["N_r"])
+    assert "Beside it, values that the vehicle file holds fixed do not fit: N_r" in found.headline
+
+
+def test_a_right_fixed_value_stays_where_it_is_and_takes_no_effect_away() -> None:
+    found = _diagnosed(("thruster_lag",), (("Y_v", 1.0), ("N_r", 1.0))).diagnosis
+    assert (found.verdict, found.effects, found.freed) == ("missing_effect", ["thruster_lag"], [])
+
+
+def test_fixed_values_that_fit_are_left_alone() -> None:
+    found = _diagnosed((), (("Y_v", 1.0), ("N_r", 1.0))).diagnosis
+    assert (found.verdict, found.freed) == ("adequate", [])
+
+
+def test_values_that_do_the_same_are_told() -> None:
+    """Inertia and added inertia in yaw only show as their sum."""
+    found = other_values(_bench({"N_rdot": 3.0}))
+    assert found is not None
+    assert found.alike == {"N_rdot": ("I_z",)}
+
+
+def test_what_is_weighed_is_not_called_wrong() -> None:
+    """A wrong mass has effects of its own in the catalogue."""
+    case = _case()
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    heavier = vehicle.with_values(
+        {"m": replace(vehicle.value_of("m"), value=1.3 * vehicle.value_of("m").value)}
+    )
+    train = prepare(runs[:-1], heavier)
+    assert other_values(open_bench(heavier, train, prepare(runs[-1:], heavier, sigma=train.sigma))) is None
+
+
+@pytest.mark.parametrize(("rate", "enough"), [(0.005, False), (0.01, False), (0.05, True), (0.2, True)])
+def test_evidence_is_held_to_the_rate_of_false_alarms_that_is_asked_for(rate: float, enough: bool) -> None:
+    """The same fall of the error, that happens by chance in 2 of 100 searches among as many candidates."""
+    found = _round().findings[0]
+    tried = round(0.01 / found.evidence.p_value)
+    bench = replace(_round().bench, false_alarms=rate)
+    again = _finding(found.trial, bench, 1.0, 1.0, tried)
+    assert again.p_value == pytest.approx(0.02, rel=0.01)
+    assert again.significant is enough
