@@ -47,10 +47,8 @@ def diagnose(
     false_alarms: Annotated[
         float,
         typer.Option(
-            metavar="SHARE",
-            min=0.005,
-            max=0.2,
-            help="Chance of naming an effect where nothing is missing: lower asks for more evidence.",
+            metavar="CHANCE",
+            help="Chance of naming an effect where nothing is missing, 0.005 to 0.2.",
         ),
     ] = 0.01,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Write the whole result as JSON.")] = None,
@@ -69,10 +67,12 @@ def diagnose(
     from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
+    from undertow.identification.diagnosis.diagnose import check_false_alarms
     from undertow.identification.diagnosis.diagnose import diagnose as run
     from undertow.model.catalogue import catalogue, load_effects, merge
 
     read: list[str | Path] = [vehicle, *logs, *(holdout or []), *(effects or []), *([map] if map else [])]
+    check_false_alarms(false_alarms)
     check_writable(json, report, apply, inputs=read)
     loaded = load(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True

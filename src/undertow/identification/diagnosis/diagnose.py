@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 
@@ -26,6 +27,8 @@ from .trial import FALSE_ALARM_RATE
 Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
 HORIZON = DECIDING
+# Chances of a false alarm that evidence can be held to: less than the first no bootstrap of 1000 draws shows.
+_LEAST_RATE, _MOST_RATE = 0.005, 0.2
 
 
 @dataclass(frozen=True)
@@ -81,8 +84,9 @@ def diagnose(
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short, or nothing moved in it.
+        If a channel is missing, a log is too short, nothing moved in it, or `false_alarms` is out of bounds.
     """
+    check_false_alarms(false_alarms)
     began = time.perf_counter()
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
@@ -106,6 +110,21 @@ def diagnose(
         infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
         diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
     return Outcome(diagnosis, story.given.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
+
+
+def check_false_alarms(rate: float) -> None:
+    """Refuse a chance of false alarms that the evidence cannot be held to.
+
+    Raises
+    ------
+    UndertowError
+        If it is below what 1000 draws can show, or so high that a name would mean little.
+    """
+    if not _LEAST_RATE <= rate <= _MOST_RATE:
+        raise UndertowError(
+            f"a chance of false alarms of {rate:g} is not possible: choose one between {_LEAST_RATE:g} and "
+            f"{_MOST_RATE:g} ({FALSE_ALARM_RATE:g} by default)"
+        )
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
