@@ -10,11 +10,72 @@ from numpy.typing import NDArray
 
 from ..weak.residual import whitened
 from ..weak.step import inverse_of
+from .chain import Chain, fitted
+from .evidence import SMALLEST_FALL, as_good, compare_scores
 from .finding import Finding
+from .rounds import Round
+from .second_look import Quiet
 from .trial import Bench
 
 Array = NDArray[np.float64]
 _LEADING = 8
+# Pairs that are tried beside an effect that shows alone, and where none does.
+_PAIRS, _LONE_PAIRS = 2, 6
+
+
+def pair_beside(current: Round, quiet: Quiet) -> Chain | None:
+    """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
+
+    A pair with the best single effect is found by the next round.
+
+    Parameters
+    ----------
+    current : Round
+        Every effect by itself.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    assert current.winner is not None
+    bench = current.bench
+    vehicle = bench.base.model.functions.vehicle
+    tried = [
+        fitted(vehicle, pair, bench)
+        for pair in promising_pairs(current.findings, bench, _PAIRS)
+        if current.winner not in pair
+    ]
+    good = [c for c in tried if quiet(c.fit, bench.test)]
+    return min(good, key=lambda c: c.score.error, default=None)
+
+
+def lone_pair(current: Round, quiet: Quiet) -> Chain | None:
+    """Two effects of which neither is in evidence alone and that together leave only noise.
+
+    All pairs of effects were in the race, so that by chance the best of them looks good more easily than the
+    best single one; and of several that do as well, none is in evidence.
+
+    Parameters
+    ----------
+    current : Round
+        Every effect by itself.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    bench = current.bench
+    if quiet(bench.base, bench.test):
+        return None
+    count = len(current.findings) * (len(current.findings) - 1) // 2
+    vehicle = bench.base.model.functions.vehicle
+    tried = [fitted(vehicle, pair, bench) for pair in promising_pairs(current.findings, bench, _LONE_PAIRS)]
+    good = [c for c in tried if _in_evidence(c, bench, count) and quiet(c.fit, bench.test)]
+    best = min(good, key=lambda c: c.score.error, default=None)
+    if best is None or any(as_good(best.score, c.score, bench.test) for c in tried if c is not best):
+        return None
+    return best
+
+
+def _in_evidence(pair: Chain, bench: Bench, count: int) -> bool:
+    gap = compare_scores(bench.base_score, pair.score, bench.test)
+    return count * gap.p_value < bench.false_alarms and gap.mean > SMALLEST_FALL
 
 
 def promising_pairs(findings: Sequence[Finding], bench: Bench, most: int) -> list[tuple[Finding, Finding]]:

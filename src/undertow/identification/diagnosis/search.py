@@ -18,7 +18,7 @@ from .chain import Chain, alternatives, fitted, thinned, with_effects
 from .evidence import as_good
 from .finding import Finding
 from .fixed_values import freed, values_to_free
-from .pairs import promising_pairs
+from .pairs import lone_pair, pair_beside
 from .rounds import Round, try_all
 from .second_look import Quiet, explains_all, hidden_by_disturbance
 from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench
@@ -28,7 +28,6 @@ Report = Callable[[float, str], None]
 Freed = Mapping[str, tuple[str, ...]]
 ToFree = Callable[[Round, Quiet], Freed]
 MAX_EFFECTS = 3
-_PAIRS = 2
 _RIVALS = 5
 # Significant effects of which one may leave only noise although another has the smaller weak residual.
 _LEADING = 4
@@ -118,13 +117,15 @@ def search(
 class _Steps:
     """Rounds of candidates, the effects that were added, and the model with them.
 
-    `freed` are fixed values that do more than the next effect would: then the search ends here.
+    `freed` are fixed values that do more than the next effect would: then the search ends here. `paired`: the
+    effects are two of which neither shows alone.
     """
 
     rounds: list[Round]
     chain: list[Finding]
     fit: WeakFit
     freed: Freed
+    paired: bool = False
 
 
 def _none_to_free(current: Round, quiet: Quiet) -> Freed:
@@ -142,7 +143,9 @@ def _stepwise(
     """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
     steps = _steps(vehicle, bench, known, report, quiet, [], to_free)
     last = steps.rounds[-1].bench
-    if steps.freed or steps.rounds[-1].winner is not None or not hidden_by_disturbance(last):
+    if steps.freed or steps.paired or steps.rounds[-1].winner is not None:
+        return steps
+    if not hidden_by_disturbance(last):
         return steps
     bare = last.without_disturbance()
     again = _steps(vehicle, bare, known, partial(_late, report), quiet, steps.chain, _none_to_free)
@@ -173,13 +176,16 @@ def _steps(
         if names := to_free(current, quiet):
             return _Steps(rounds, chain, fit, names)
         if current.winner is None:
+            pair = None if chain else lone_pair(current, quiet)
+            if pair is not None:
+                return _Steps(rounds, list(pair.findings), pair.fit, {}, paired=True)
             break
         chain.append(current.winner)
         fit = current.winner.trial.fit
         _log.info("adding %s: normalised error %.3f", current.winner.id, current.winner.trial.score.error)
         if quiet(fit, bench.test):
             break
-        pair = _pair(current, quiet) if len(chain) == 1 else None
+        pair = pair_beside(current, quiet) if len(chain) == 1 else None
         if pair is not None:
             chain, fit = list(pair.findings), pair.fit
             _log.info("a pair: %s, normalised error %.3f", [f.id for f in chain], pair.score.error)
@@ -209,23 +215,6 @@ def _on_top(bench: Bench, vehicle: Vehicle, chain: list[Finding], fit: WeakFit) 
     grown = with_effects(vehicle, chain)
     base = bench.fit(grown, free_parameters(grown), fit.values)
     return replace(bench, base=base)
-
-
-def _pair(current: Round, quiet: Quiet) -> Chain | None:
-    """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
-
-    A pair with the best single effect is found by the next round.
-    """
-    assert current.winner is not None
-    bench = current.bench
-    vehicle = bench.base.model.functions.vehicle
-    tried = [
-        fitted(vehicle, pair, bench)
-        for pair in promising_pairs(current.findings, bench, _PAIRS)
-        if current.winner not in pair
-    ]
-    good = [c for c in tried if quiet(c.fit, bench.test)]
-    return min(good, key=lambda c: c.score.error, default=None)
 
 
 def _share_of(report: Report, done_rounds: int) -> Report:
