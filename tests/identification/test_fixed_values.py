@@ -16,6 +16,7 @@ from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.fixed_values import other_values
 from undertow.identification.diagnosis.rounds import Round, _finding, try_all
 from undertow.identification.diagnosis.trial import Bench, open_bench
+from undertow.identification.report.page import render_report
 from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
@@ -83,6 +84,14 @@ def test_the_error_falls_from_the_model_as_given_to_noise() -> None:
     assert given.error > 2.0
     assert other.error == pytest.approx(1.0, abs=0.15)
     assert found.last_step is other
+
+
+def test_the_report_says_what_it_does_and_does_not_mean() -> None:
+    found = _diagnosed((), (("N_r", 2.0),)).diagnosis
+    page = " ".join(render_report(found).split())
+    assert "No effect is missing, but values that are held fixed do not fit" in page
+    assert "Nothing is missing" not in page
+    assert "other values of <code>N_r</code>" in page
 
 
 def test_what_is_handed_on_has_the_other_value() -> None:
