@@ -70,11 +70,11 @@ _MEANINGS: dict[Verdict, Meaning] = {
 
 _OTHER_VALUES = Meaning(
     "No effect is missing, but values that are held fixed do not fit",
-    "With other values in place of some that the vehicle file holds fixed, what the model leaves over on data "
-    "that the fit has not seen looks like the noise of the sensors, and no effect of the catalogue lowers the "
-    "error by more than chance would.",
+    "With other values in place of some that the vehicle file holds fixed, what the model leaves over on "
+    "data that the fit has not seen looks like the noise of the sensors, and no effect of the catalogue "
+    "lowers the error by more than chance would.",
     (
-        "That those values themselves are wrong: whatever acts like another value of them would look the same.",
+        "That those values themselves are wrong: whatever acts like another value would look the same.",
         *_LIMITS,
     ),
 )
