@@ -80,7 +80,7 @@ def values_to_free(current: Round, quiet: Quiet) -> dict[str, tuple[str, ...]]:
 
 def other_values(bench: Bench) -> OtherValues | None:
     """The model with those fixed values free that the data want to be others; None where they want none."""
-    alike = _wanted(bench)
+    alike = _wanted(bench) if _fixed(bench) else {}
     if not alike:
         return None
     model = WeakModel(bench.base.model.functions, (*bench.base.model.free, *alike))
