@@ -13,7 +13,7 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 
 from ..weak.data import WeakData
-from ..weak.fit import WeakFit, free_parameters
+from ..weak.fit import WeakFit, free_parameters, settled
 from .chain import Chain, alternatives, fitted, thinned, with_effects
 from .evidence import as_good
 from .finding import Finding
@@ -33,6 +33,8 @@ _RIVALS = 5
 _LEADING = 4
 # Parameters more than the plainest of equally good effects from which one is none of them.
 _BENDABLE = 3
+# Times the error of an effect with many parameters up to which a plain one is worth another look.
+_NEAR = 1.1
 
 
 @dataclass(frozen=True)
@@ -238,8 +240,28 @@ def _together(vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[
         # With enough parameters an effect can be bent into another: it is no rival of the plain one.
         plainest = min(_size(c, place) for c in equals)
         chain, *others = [c for c in equals if _size(c, place) <= plainest + _BENDABLE]
-        rivals.append(others)
+        rivals.append(others or _plain_ones(vehicle, chain, rounds, bench))
     return Search(vehicle, rounds, bench, chain, rivals)
+
+
+def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Bench) -> list[Chain]:
+    """Much plainer effects than the single one found that do as well once each is fitted under its own noise.
+
+    Under a noise model with room for a disturbance, what is steady is fitted loosely, and an effect with many
+    parameters gets ahead by that alone. Which of them it is, the simulation has to say.
+    """
+    if len(chain.findings) != 1 or len(rounds) != 1:
+        return []
+    plain = [
+        fitted(vehicle, [f], bench)
+        for f in rounds[0].findings
+        if f.significant and f.id != chain.findings[0].id and f.trial.score.error < _NEAR * chain.score.error
+    ]
+    plain = [c for c in plain[:_RIVALS] if _size(c, 0) + _BENDABLE < _size(chain, 0)]
+    if not plain:
+        return []
+    best = bench.judge(settled(chain.fit))
+    return [c for c in plain if as_good(best, bench.judge(settled(c.fit)), bench.test)]
 
 
 def _size(chain: Chain, place: int) -> int:
