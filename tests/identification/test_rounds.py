@@ -68,3 +68,33 @@ def test_what_may_stand_for_one_effect_of_a_pair_is_tried_beside_the_other(
     found = SimpleNamespace(findings=list(findings.values()))
     search._rivals(None, chain, 0, [found], SimpleNamespace(test=None))
     assert [n for n in tried if n not in effects] == asked
+
+
+@pytest.mark.parametrize(
+    ("plain_size", "settled_error", "expected"),
+    [(3, 1.0, ["trim"]), (3, 3.0, []), (6, 1.0, [])],
+)
+def test_a_plain_effect_is_looked_at_again_beside_one_with_many_parameters(
+    plain_size: int, settled_error: float, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind under a noise model with room for a disturbance, level under its own: the simulation decides."""
+
+    def score(size: float, seed: int) -> SimpleNamespace:
+        return SimpleNamespace(r=size * np.random.default_rng(seed).standard_normal(400), error=size)
+
+    def chain(name: str, parameters: int, error: float, after: float) -> SimpleNamespace:
+        own = [SimpleNamespace(name=f"{name}_{i}") for i in range(parameters)]
+        fit = SimpleNamespace(model=SimpleNamespace(free=[p.name for p in own]), after=after)
+        trial = SimpleNamespace(score=score(error, 1), fit=fit, candidate=SimpleNamespace(parameters=own))
+        finding = SimpleNamespace(id=name, significant=True, trial=trial)
+        return SimpleNamespace(findings=(finding,), fit=fit, score=trial.score)
+
+    tether, trim = chain("tether", 8, 1.06, 1.0), chain("trim", plain_size, 1.1, settled_error)
+    known = {"tether": tether, "trim": trim}
+    monkeypatch.setattr(search, "fitted", lambda vehicle, found, bench: known[found[0].id])
+    monkeypatch.setattr(search, "settled", lambda fit: fit)
+    data = SimpleNamespace(block=np.arange(400) // 10)
+    bench = SimpleNamespace(test=data, judge=lambda fit: score(fit.after, 7))
+    current = SimpleNamespace(findings=[tether.findings[0], trim.findings[0]])
+    found = search._plain_ones(None, tether, [current], bench)
+    assert [c.findings[0].id for c in found] == expected
