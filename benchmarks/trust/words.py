@@ -80,15 +80,15 @@ make up for something, effects that act like changed parameters, what the doctor
 What was changed in the diagnosis after these cases, and what of them was answered anew by it:
 
 - The one wrong name (ship:trim_offset, in the list of failures) is mended: beside an effect with many
-  parameters much plainer ones are looked at again. The change can only matter where one effect with more than four
-  parameters is named alone, and not by much. Of the medium and weak cases with such answers sixteen were
-  answered anew (tethers, boundaries, cross-flow, memory, slosh, wind): fifteen as before, and that ship's by
-  "trim_offset or constant_force", led by the truth; for the others there was no time.
-- Two effects of which neither shows alone are tried as a pair. That can only matter where nothing at all was
-  found: those ten cases here and five of earlier runs, thirteen of them outsiders, were answered anew; no pair
-  is named for any.
-- Values that the vehicle file holds fixed are tried beside the effects. In these vehicles nothing is held fixed
-  but what is weighed, so nothing changes here.
+  parameters much plainer ones are looked at again. The change can only matter where one effect with more
+  than four parameters is named alone, and not by much. Of the medium and weak cases with such answers
+  sixteen were answered anew (tethers, boundaries, cross-flow, memory, slosh, wind): fifteen as before,
+  and that ship's by "trim_offset or constant_force", led by the truth; for the others there was no time.
+- Two effects of which neither shows alone are tried as a pair. That can only matter where nothing at all
+  was found: those ten cases here and five of earlier runs, thirteen of them outsiders, were answered
+  anew; no pair is named for any.
+- Values that the vehicle file holds fixed are tried beside the effects. In these vehicles nothing is held
+  fixed but what is weighed, so nothing changes here.
 
 A dead time of a fraction of a sample and a lag of the same length are not told apart by such data: for 12.5
 ms at 20 Hz on a boat, both simulated exactly, the sums of squares over the run kept aside (12 000 readings)
