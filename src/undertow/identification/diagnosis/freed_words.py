@@ -8,6 +8,7 @@ from undertow.model.vehicle import Vehicle
 
 from ..fitted import Fitted
 from .estimates import estimate
+from .verdict import Judgement
 
 
 def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[str]]) -> str:
@@ -34,27 +35,26 @@ def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str
     return f"{name} = {found.value:.4g}{error}{unit}{before}{same}"
 
 
-def with_values(headline: str, values: str, quiet: bool, named: bool) -> str:
-    """A headline with what is to be said of the values.
+def with_values(judgement: Judgement, values: str, quiet: bool) -> str:
+    """The headline of a verdict with what is to be said of the values.
 
     Parameters
     ----------
-    headline : str
-        What is said of effects.
+    judgement : Judgement
+        The verdict on effects.
     values : str
         The values, as `changed_values` tells them.
     quiet : bool
         Whether nothing but noise is left with them.
-    named : bool
-        Whether an effect is named.
     """
+    said = judgement.headline
     if not values:
-        return headline
-    if not quiet:
-        return f"{headline} Values that the vehicle file holds fixed were fitted with the rest: {values}."
-    if named:
-        return f"{headline} Beside it, values that the vehicle file holds fixed do not fit: {values}."
-    return (
-        "No effect is missing, but values that the vehicle file holds fixed do not fit. With others what is "
-        f"left is the noise of the sensors: {values}."
-    )
+        return said
+    if judgement.verdict == "adequate":
+        return (
+            "No effect is missing, but values that the vehicle file holds fixed do not fit. With others what "
+            f"is left is the noise of the sensors: {values}."
+        )
+    if quiet and judgement.effects:
+        return f"{said} Beside it, values that the vehicle file holds fixed do not fit: {values}."
+    return f"{said} Values that the vehicle file holds fixed were fitted with the rest: {values}."

@@ -252,12 +252,10 @@ def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Benc
     """
     if len(chain.findings) != 1 or len(rounds) != 1:
         return []
-    plain = [
-        fitted(vehicle, [f], bench)
-        for f in rounds[0].findings
-        if f.significant and f.id != chain.findings[0].id and f.trial.score.error < _NEAR * chain.score.error
-    ]
-    plain = [c for c in plain[:_RIVALS] if _size(c, 0) + _BENDABLE < _size(chain, 0)]
+    others = [f for f in rounds[0].findings if f.significant and f is not chain.findings[0]]
+    near = [f for f in others if f.trial.score.error < _NEAR * chain.score.error][:_RIVALS]
+    most = _size(chain, 0) - _BENDABLE
+    plain = [fitted(vehicle, [f], bench) for f in near if _parameters(f) < most]
     if not plain:
         return []
     best = bench.judge(settled(chain.fit))
@@ -266,9 +264,12 @@ def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Benc
 
 def _size(chain: Chain, place: int) -> int:
     """Number of parameters that one effect of a chain brings in."""
-    trial = chain.findings[place].trial
-    own = {p.name for p in trial.candidate.parameters}
-    return sum(n in own for n in trial.fit.model.free)
+    return _parameters(chain.findings[place])
+
+
+def _parameters(finding: Finding) -> int:
+    own = {p.name for p in finding.trial.candidate.parameters}
+    return sum(n in own for n in finding.trial.fit.model.free)
 
 
 def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], bench: Bench) -> list[Chain]:

@@ -121,7 +121,7 @@ class Story:
 
     def _headline(self) -> str:
         values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self.judgement.headline, values, self._quiet, bool(self.judgement.effects))
+        return with_values(self.judgement, values, self._quiet)
 
     def _equivalents(self) -> list[Equivalent]:
         model, bench = self.found.vehicle, self.bench
