@@ -30,7 +30,7 @@ def _round(sizes: list[float], base: float, monkeypatch: pytest.MonkeyPatch) -> 
         test=SimpleNamespace(block=np.arange(_ROWS) // _PER_BLOCK),
         false_alarms=0.01,
     )
-    return SimpleNamespace(bench=bench, findings=[None] * 20)
+    return SimpleNamespace(bench=bench, findings=[None] * 20, winner=None)
 
 
 def _quiet(fit: object, data: object) -> bool:

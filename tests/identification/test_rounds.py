@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from undertow.identification.diagnosis import rounds, search
+from undertow.identification.diagnosis.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,10 @@ def test_a_plain_effect_is_looked_at_again_beside_one_with_many_parameters(
     def chain(name: str, parameters: int, error: float, after: float) -> SimpleNamespace:
         own = [SimpleNamespace(name=f"{name}_{i}") for i in range(parameters)]
         fit = SimpleNamespace(model=SimpleNamespace(free=[p.name for p in own]), after=after)
-        trial = SimpleNamespace(score=score(error, 1), fit=fit, candidate=SimpleNamespace(parameters=own))
-        finding = SimpleNamespace(id=name, significant=True, trial=trial)
+        trial = SimpleNamespace(
+            score=score(error, 1), fit=fit, candidate=SimpleNamespace(parameters=own), id=name
+        )
+        finding = Finding(trial, None, 1.0, 0.0, True)
         return SimpleNamespace(findings=(finding,), fit=fit, score=trial.score)
 
     tether, trim = chain("tether", 8, 1.06, 1.0), chain("trim", plain_size, 1.1, settled_error)

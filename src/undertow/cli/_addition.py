@@ -13,7 +13,7 @@ from undertow.identification.compare.cutting import cut
 from undertow.identification.compare.windows import Windows, predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.diagnose import HORIZON
-from undertow.identification.diagnosis.evidence import SMALLEST_FALL, Comparison, compare_scores
+from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.final import last_fit
 from undertow.identification.diagnosis.referee import Referee
@@ -106,8 +106,7 @@ class Addition:
     @property
     def helps(self) -> bool:
         """Whether the error on kept-aside data falls by more than chance and by enough to matter."""
-        strong = self.evidence.p_value < FALSE_ALARM_RATE and self.evidence.mean > SMALLEST_FALL
-        return strong and self.after.error < self.before.error
+        return self.evidence.beyond_chance(FALSE_ALARM_RATE) and self.after.error < self.before.error
 
 
 def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = ()) -> Ground:

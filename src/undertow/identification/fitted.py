@@ -16,6 +16,9 @@ from .weak.step import at_bounds, inverse_of
 Array = NDArray[np.float64]
 #: |value| over its standard error below which a parameter could as well be zero.
 SURE = 2.0
+#: Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
+#: likelihood ratio, which white noise brings above this once in 18 000 times at the most on kept-aside data.
+MORE_THAN_CHANCE = 15.0
 # The same for a parameter that is known, if not well.
 _CLEAR = 5.0
 # Correlation between the errors of two parameters beyond which only a combination of both is known, unless

@@ -9,6 +9,7 @@ import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
+from ..fitted import MORE_THAN_CHANCE
 from ..weak.fit import WeakFit
 from ..weak.step import PRIOR_WIDTH, bounded_step, bounds_of, prior_of, reach_of, within_reach
 from .candidates import Candidate
@@ -21,9 +22,8 @@ from .trial import Bench
 
 # Standard deviations from which a parameter has moved away from what was stated.
 _MOVED = 3.0
-# ... and within which it is where it was stated; and the rise of the sum of squares, in units of the noise,
-# that the data do not tell from none.
-_HOME, _UNSEEN = 2.0, 15.0
+# ... and within which it is where it was stated.
+_HOME = 2.0
 
 
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
@@ -114,7 +114,7 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     off = np.abs(stiffness * (now + step - centre))
     home = all(off[model.free.index(n)] < _HOME for n in moved)
     left = np.sum((start.at.r + start.at.J @ step) ** 2)
-    return bool(home and left < np.sum(bench.base.at.r**2) + _UNSEEN)
+    return bool(home and left < np.sum(bench.base.at.r**2) + MORE_THAN_CHANCE)
 
 
 def _reason(moved: dict[str, float]) -> str:

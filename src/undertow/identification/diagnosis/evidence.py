@@ -40,6 +40,10 @@ class Comparison:
     interval: tuple[float, float]
     p_value: float
 
+    def beyond_chance(self, rate: float, among: int = 1) -> bool:
+        """Whether the fall is enough to matter and, the best among so many, no chance of this rate."""
+        return among * self.p_value < rate and self.mean > SMALLEST_FALL
+
 
 def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
     """Compare two models on the same data, both whitened by the same noise model."""

@@ -36,6 +36,12 @@ class Finding:
     inclusion: float = float("nan")
 
     @property
+    def parameters(self) -> tuple[str, ...]:
+        """Parameters that its fit brings into the model."""
+        free = self.trial.fit.model.free
+        return tuple(p.name for p in self.trial.candidate.parameters if p.name in free)
+
+    @property
     def id(self) -> str:
         """Id of the effect."""
         return self.trial.id

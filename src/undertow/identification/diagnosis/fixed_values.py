@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from undertow.model.parameter import bare_name
 from undertow.model.vehicle import Vehicle
 
+from ..fitted import MORE_THAN_CHANCE
 from ..weak.fit import WeakFit
 from ..weak.residual import Linearised, WeakModel, whitened
-from ..weak.step import inverse_of, prior_of
+from ..weak.step import PRIOR_WIDTH, inverse_of, normal_equations, prior_cost, prior_of
 from .evidence import as_good
 from .rounds import Round
 from .second_look import Quiet
@@ -22,8 +23,6 @@ from .trial import Bench, Score
 Array = NDArray[np.float64]
 # Fall of the sum of squares, in units of the noise, from which another value is worth a fit.
 _WORTH = 20.0
-# ... and below which two explanations are equally good: twice the logarithm of a likelihood ratio.
-_ALIKE = 15.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def values_to_free(current: Round, quiet: Quiet) -> dict[str, tuple[str, ...]]:
 
 def other_values(bench: Bench) -> OtherValues | None:
     """The model with those fixed values free that the data want to be others; None where they want none."""
-    alike = _wanted(bench) if _fixed(bench) else {}
+    alike = _wanted(bench)
     if not alike:
         return None
     model = WeakModel(bench.base.model.functions, (*bench.base.model.free, *alike))
@@ -88,23 +87,20 @@ def other_values(bench: Bench) -> OtherValues | None:
     return OtherValues(alike, fit, bench.judge(fit))
 
 
-def strain(fit: WeakFit) -> float:
-    """How far the parameters are from what was stated, as a sum of squares in standard deviations."""
-    vehicle = fit.model.functions.vehicle
-    stated = {n: vehicle.value_of(n) for n in fit.model.free}
-    return float(sum(((fit.values[n] - v.value) / v.sigma) ** 2 for n, v in stated.items() if v.sigma))
-
-
 def _unlikely(fit: WeakFit, score: Score) -> float:
-    """Twice the negative logarithm of the likelihood of what is left, if that is noise, and of the values."""
-    return float(np.sum(score.r**2)) + strain(fit)
+    """Twice the negative logarithm of the likelihood of what is left, if that is noise, and of the values.
+
+    Stated priors have their full weight here.
+    """
+    strain = PRIOR_WIDTH**2 * prior_cost(prior_of(fit.model), fit.p[list(fit.model.places)])
+    return float(np.sum(score.r**2)) + strain
 
 
 def _preferred(found: OtherValues, fit: WeakFit, score: Score, bench: Bench, quiet: Quiet) -> bool:
     """Whether other values are the better explanation than an effect."""
     sound, effect_sound = quiet(found.fit, bench.test), quiet(fit, bench.test)
     if sound and effect_sound:
-        return _unlikely(found.fit, found.score) + _ALIKE < _unlikely(fit, score)
+        return _unlikely(found.fit, found.score) + MORE_THAN_CHANCE < _unlikely(fit, score)
     return sound or (not effect_sound and not as_good(found.score, score, bench.test))
 
 
@@ -129,9 +125,12 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     """Fixed values that bring the error down in the linearised problem, one after the other, each with those
     that would do the same in its place.
     """
+    fixed = _fixed(bench)
+    if not fixed:
+        return {}
     names, count = _held(bench), len(bench.base.model.free)
     gram, slope = _normal(bench, names)
-    open_to_change = [count + names.index(n) for n in _fixed(bench)]
+    open_to_change = [count + names.index(n) for n in fixed]
     chosen: list[int] = []
     own = list(range(count))
     while rest := [k for k in open_to_change if k not in chosen]:
@@ -139,7 +138,7 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
         if max(falls) < _fall(gram, slope, [*own, *chosen]) + _WORTH:
             break
         chosen.append(rest[int(np.argmax(falls))])
-    least = _fall(gram, slope, [*own, *chosen]) - _ALIKE
+    least = _fall(gram, slope, [*own, *chosen]) - MORE_THAN_CHANCE
 
     def does_as_well(k: int, other: int) -> bool:
         columns = [*own, *(c for c in chosen if c != k), other]
@@ -155,10 +154,8 @@ def _normal(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
     held = WeakModel(base.model.functions, names)
     at = whitened(held.linearise(bench.train, base.p), bench.train_whitening)
     both = Linearised(base.at.r, np.hstack([base.at.J, at.J]), at.start)
-    centre, stiffness = prior_of(WeakModel(base.model.functions, (*base.model.free, *names)))
-    now = base.p[[*base.model.places, *held.places]]
-    gram = both.J.T @ both.J + np.diag(stiffness**2)
-    return gram, both.J.T @ both.r + stiffness**2 * (now - centre)
+    prior = prior_of(WeakModel(base.model.functions, (*base.model.free, *names)))
+    return normal_equations(both, base.p[[*base.model.places, *held.places]], prior)
 
 
 def _fall(gram: Array, slope: Array, columns: list[int]) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..weak.residual import whitened
 from ..weak.step import inverse_of
 from .chain import Chain, fitted
-from .evidence import SMALLEST_FALL, as_good, compare_scores
+from .evidence import as_good, compare_scores
 from .finding import Finding
 from .rounds import Round
 from .second_look import Quiet
@@ -35,15 +35,7 @@ def pair_beside(current: Round, quiet: Quiet) -> Chain | None:
     quiet : callable
         Whether a model leaves only noise of the kept-aside data.
     """
-    assert current.winner is not None
-    bench = current.bench
-    vehicle = bench.base.model.functions.vehicle
-    tried = [
-        fitted(vehicle, pair, bench)
-        for pair in promising_pairs(current.findings, bench, _PAIRS)
-        if current.winner not in pair
-    ]
-    good = [c for c in tried if quiet(c.fit, bench.test)]
+    good = [c for c in _tried(current, _PAIRS) if quiet(c.fit, current.bench.test)]
     return min(good, key=lambda c: c.score.error, default=None)
 
 
@@ -64,8 +56,7 @@ def lone_pair(current: Round, quiet: Quiet) -> Chain | None:
     if quiet(bench.base, bench.test):
         return None
     count = len(current.findings) * (len(current.findings) - 1) // 2
-    vehicle = bench.base.model.functions.vehicle
-    tried = [fitted(vehicle, pair, bench) for pair in promising_pairs(current.findings, bench, _LONE_PAIRS)]
+    tried = _tried(current, _LONE_PAIRS)
     good = [c for c in tried if _in_evidence(c, bench, count) and quiet(c.fit, bench.test)]
     best = min(good, key=lambda c: c.score.error, default=None)
     if best is None or any(as_good(best.score, c.score, bench.test) for c in tried if c is not best):
@@ -73,9 +64,17 @@ def lone_pair(current: Round, quiet: Quiet) -> Chain | None:
     return best
 
 
+def _tried(current: Round, most: int) -> list[Chain]:
+    """The most promising pairs of effects, fitted, without those of the best single one if there is one."""
+    bench = current.bench
+    vehicle = bench.base.model.functions.vehicle
+    pairs = promising_pairs(current.findings, bench, most)
+    return [fitted(vehicle, pair, bench) for pair in pairs if current.winner not in pair]
+
+
 def _in_evidence(pair: Chain, bench: Bench, count: int) -> bool:
     gap = compare_scores(bench.base_score, pair.score, bench.test)
-    return count * gap.p_value < bench.false_alarms and gap.mean > SMALLEST_FALL
+    return gap.beyond_chance(bench.false_alarms, among=count)
 
 
 def promising_pairs(findings: Sequence[Finding], bench: Bench, most: int) -> list[tuple[Finding, Finding]]:

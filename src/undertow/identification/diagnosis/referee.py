@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 
 from ..compare.cutting import Windows, cut
 from ..compare.windows import Predictor, predict, prediction_error
-from ..fitted import Fitted
+from ..fitted import MORE_THAN_CHANCE, Fitted
 from ..logs import Run
 from ..output_error.descent import OutputErrorFit, channel_weights
 from ..output_error.fit import fit_output_error
@@ -46,9 +46,6 @@ _FAR_OFF = 100.0
 _SURE = 0.01
 # Windows from which a rank test can be as sure as that; of fewer, but so many, all have to say the same.
 _TESTABLE, _UNANIMOUS = 7, 5
-# Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
-# likelihood ratio on kept-aside data, which white noise brings above this once in 18 000 times at the most.
-_MORE_THAN_CHANCE = 15.0
 # Times the error of the best from which another is worse where more than noise is left. Smaller gaps may be
 # ever so regular: they say how the two bend to what neither explains.
 _NOTABLY = 1.025
@@ -229,7 +226,7 @@ class Referee:
                 for worse, better, level in pairs
             ]
         behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
-        return behind > _MORE_THAN_CHANCE and ahead < _MORE_THAN_CHANCE
+        return behind > MORE_THAN_CHANCE and ahead < MORE_THAN_CHANCE
 
     def _costs(self, weak: WeakFit) -> list[Array]:
         """Sum of squares in units of the noise, in each of the short windows and of the long ones."""

@@ -238,8 +238,8 @@ def _together(vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[
     for place in range(len(chain.findings)):
         equals = sorted([chain, *_rivals(vehicle, chain, place, rounds, bench)], key=lambda c: c.score.error)
         # With enough parameters an effect can be bent into another: it is no rival of the plain one.
-        plainest = min(_size(c, place) for c in equals)
-        chain, *others = [c for c in equals if _size(c, place) <= plainest + _BENDABLE]
+        plainest = min(len(c.findings[place].parameters) for c in equals)
+        chain, *others = [c for c in equals if len(c.findings[place].parameters) <= plainest + _BENDABLE]
         rivals.append(others or _plain_ones(vehicle, chain, rounds, bench))
     return Search(vehicle, rounds, bench, chain, rivals)
 
@@ -254,22 +254,12 @@ def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Benc
         return []
     others = [f for f in rounds[0].findings if f.significant and f is not chain.findings[0]]
     near = [f for f in others if f.trial.score.error < _NEAR * chain.score.error][:_RIVALS]
-    most = _size(chain, 0) - _BENDABLE
-    plain = [fitted(vehicle, [f], bench) for f in near if _parameters(f) < most]
+    most = len(chain.findings[0].parameters) - _BENDABLE
+    plain = [fitted(vehicle, [f], bench) for f in near if len(f.parameters) < most]
     if not plain:
         return []
     best = bench.judge(settled(chain.fit))
     return [c for c in plain if as_good(best, bench.judge(settled(c.fit)), bench.test)]
-
-
-def _size(chain: Chain, place: int) -> int:
-    """Number of parameters that one effect of a chain brings in."""
-    return _parameters(chain.findings[place])
-
-
-def _parameters(finding: Finding) -> int:
-    own = {p.name for p in finding.trial.candidate.parameters}
-    return sum(n in own for n in finding.trial.fit.model.free)
 
 
 def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], bench: Bench) -> list[Chain]:

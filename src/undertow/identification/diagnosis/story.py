@@ -210,7 +210,7 @@ class Story:
     def _ranked(self, finding: Finding) -> Ranked:
         trial = finding.trial
         helps = finding.significant or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
-        names = _new_parameters(finding) if helps else ()
+        names = finding.parameters if helps and trial.kept else ()
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
@@ -291,8 +291,3 @@ def _only(chain: Chain, places: list[int]) -> Chain:
 
 def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
-
-
-def _new_parameters(finding: Finding) -> tuple[str, ...]:
-    trial = finding.trial
-    return tuple(p.name for p in trial.candidate.parameters if trial.kept and p.name in trial.fit.model.free)

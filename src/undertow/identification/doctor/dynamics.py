@@ -17,7 +17,7 @@ from ..weak.data import Segment, WeakData, prepare
 from ..weak.disturbance import mean_square
 from ..weak.fit import WeakFit, fit_weak, free_parameters
 from ..weak.residual import Linearised, whitened
-from ..weak.step import inverse_of, prior_of
+from ..weak.step import inverse_of, normal_equations, prior_of
 from .kinematics import Array, jacobian, liveliest
 from .mistake import Undo, with_channels
 
@@ -182,9 +182,8 @@ def quiet_mean_square(fit: WeakFit) -> Array:
 
 def _free_step(at: Linearised, now: Array, prior: tuple[Array, Array]) -> Array:
     """Least-squares step without bounds, which would cost more than all the rest of a first look."""
-    centre, stiffness = prior
-    slope = at.J.T @ at.r + stiffness**2 * (now - centre)
-    return -inverse_of(at.J.T @ at.J + np.diag(stiffness**2)) @ slope
+    gram, slope = normal_equations(at, now, prior)
+    return -inverse_of(gram) @ slope
 
 
 def _other_unit(before: Array, after: Array) -> Array:

@@ -12,14 +12,13 @@ from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import FORCE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 
+from ..fitted import MORE_THAN_CHANCE
 from ..weak.fit import WeakFit
 from .dynamics import Dynamics, Gain
 
 _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 # Another mass is believed between these factors of the one in the file, and only from a tenth on.
 _LIGHTEST, _HEAVIEST, _LEAST = 0.6, 2.5, 0.1
-# Sum of squares, in units of the noise, up to which another value of an added mass does as well.
-_ALIKE = 15.0
 # Standard errors by themselves, and where added masses that were far off come home with another mass.
 _SURE, _SURE_BESIDE = 3.0, 1.0
 # Standard deviations of its prior: within two, an added mass is where it should be; one must be far beyond.
@@ -76,7 +75,7 @@ def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
     """Whether another value of one fixed added mass explains as much as another mass."""
     values = {n: at.vehicle.values[n] for n in _TRANSLATION if n in at.vehicle.values}
     tried = (at.refitted(free=(n,)) for n, v in values.items() if not v.estimate)
-    return any(fit is not None and fit.cost < with_mass.cost + _ALIKE for fit in tried)
+    return any(fit is not None and fit.cost < with_mass.cost + MORE_THAN_CHANCE for fit in tried)
 
 
 def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:

@@ -205,9 +205,7 @@ def _step(
     prior: tuple[Array, Array],
     cuts: Sequence[Cut],
 ) -> Array:
-    centre, stiffness = prior
-    gram = at.J.T @ at.J + np.diag(stiffness**2)
-    slope = at.J.T @ at.r + stiffness**2 * (now - centre)
+    gram, slope = normal_equations(at, now, prior)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
     factor = np.linalg.cholesky(scaled).T
@@ -220,6 +218,13 @@ def _step(
     if np.all(np.isinf(low)) and np.all(np.isinf(high)):
         return np.linalg.solve(factor, target) * scale
     return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x * scale
+
+
+def normal_equations(at: Linearised, now: Array, prior: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Information and slope of the sum of squares, stated priors included, at these values."""
+    centre, stiffness = prior
+    gram = at.J.T @ at.J + np.diag(stiffness**2)
+    return gram, at.J.T @ at.r + stiffness**2 * (now - centre)
 
 
 def _within(factor: Array, target: Array, low: Array, high: Array, table: Array, least: Array) -> Array:
