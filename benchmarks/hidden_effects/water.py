@@ -74,18 +74,22 @@ def boundary_proximity(world: World, draw: Draw) -> Values:
 
 @hidden("tether_drag", SUBMERGED)
 def tether_drag(world: World, draw: Draw) -> Values:
-    """Force -c l |v_a| v_a at body point r_a, v_a = its velocity in the water, l = distance to (0, 0, 0)."""
+    """Force -(c_0 + c l) |v_a| v_a at point r_a, v_a = its velocity in the water, l = distance to (0, 0, 0).
+
+    Part of the tether is out wherever the vehicle goes: none of it, all of it, or anything between.
+    """
     point, depth, main = world.vehicle.tether, world.vehicle.depth, world.vehicle.main
-    per_metre = draw.size(0.05, 1.5) * world.vehicle.drag_at_pace(main)
-    per_metre /= depth * world.vehicle.pace[main] ** 2
+    at_depth = draw.size(0.05, 1.5) * world.vehicle.drag_at_pace(main) / world.vehicle.pace[main] ** 2
+    out = at_depth * float(np.clip(draw.shape(-0.5, 1.5), 0.0, 1.0))
+    per_metre = (at_depth - out) / depth
 
     def wrench(now: Moment) -> np.ndarray:
         speed = velocity_at(point, now.nu_r)
         length = np.sqrt(np.sum(now.eta[:3] ** 2, axis=0))
-        return force_at(point, -per_metre * length * np.sqrt(np.sum(speed**2, axis=0)) * speed)
+        return force_at(point, -(out + per_metre * length) * np.sqrt(np.sum(speed**2, axis=0)) * speed)
 
     world.wrenches.append(wrench)
-    return {"c": per_metre, **dict(zip(("x_a", "y_a", "z_a"), map(float, point), strict=True))}
+    return {"c": per_metre, "c_0": out, **dict(zip(("x_a", "y_a", "z_a"), map(float, point), strict=True))}
 
 
 @hidden("tether_tension", SUBMERGED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations
 
 import casadi as ca
 import numpy as np
@@ -126,6 +127,26 @@ def test_curve_adds_a_square(command: Array) -> None:
 def test_asymmetry_weakens_reverse_thrust_only(command: Array) -> None:
     expected = np.where(command < 0, 0.6 * command, command)
     np.testing.assert_allclose(delivered("thruster_asymmetry", {"reverse_loss": 0.4}, command), expected)
+
+
+STEPS = [i for i, e in catalogue().items() if issubclass(e, Actuation)]
+
+
+@pytest.mark.parametrize("ids", list(combinations(STEPS, 2)), ids="+".join)
+def test_the_order_in_a_vehicle_file_means_nothing_to_the_thrust(ids: tuple[str, str]) -> None:
+    one, other = (craft(("surge",), {}, *order).composition.chain for order in (ids, ids[::-1]))
+    assert one[0] == other[0]
+
+
+def test_the_drive_limits_the_command_and_the_propeller_turns_it_into_thrust() -> None:
+    """A reverse loss is that of the largest thrust, too: it comes after dead band, limit and curve."""
+    values = {"deadband_width": 0.5, "saturation_limit": 2.0, "curve_linear": 0.0, "curve_square": 0.1}
+    ids = ("thruster_asymmetry", "thruster_curve", "thruster_saturation", "thruster_deadband")
+    vehicle = craft(("surge",), {}, *ids)
+    numbers = values | {"reverse_loss": 0.4, "command_port": -9.0, "command_starboard": 1.5}
+    astern, ahead = stated(vehicle.composition.chain[0], numbers)
+    assert astern == pytest.approx(-0.6 * (2.0 + 0.1 * 2.0**2))
+    assert ahead == pytest.approx(1.0 + 0.1)
 
 
 def test_droop_fades_linearly_from_the_start() -> None:

@@ -346,8 +346,13 @@ def named(point: Array, name: str) -> dict[str, float]:
     return dict(zip((f"x_{name}", f"y_{name}", f"z_{name}"), map(float, point), strict=True))
 
 
+def dragging(per_metre: float, paid_out: float) -> Stated:
+    values = {"c_tether": per_metre, "c_paid_out": paid_out}
+    return Stated("tether_drag", values | named(WINCH, "winch") | named(TAIL, "tail"))
+
+
 def test_tether_drag_is_that_of_the_length_behind_the_vehicle() -> None:
-    tether = Stated("tether_drag", {"c_tether": 0.7} | named(WINCH, "winch") | named(TAIL, "tail"))
+    tether = dragging(0.7, 0.0)
     current = np.array([0.3, -0.1, 0.0, 0, 0, 0])
     speed = (NU - current)[:3] + np.cross(NU[3:], TAIL)
     length = np.linalg.norm(ETA[:3] - WINCH)
@@ -356,6 +361,16 @@ def test_tether_drag_is_that_of_the_length_behind_the_vehicle() -> None:
     assert NU @ tether(ETA, NU) < 0
     farther = ETA + np.array([*(ETA[:3] - WINCH), 0, 0, 0])
     assert tether(farther, NU) == pytest.approx(2 * tether(ETA, NU), rel=1e-9)
+
+
+def test_tether_that_is_paid_out_anyway_drags_alike_everywhere() -> None:
+    out = dragging(0.0, 1.9)
+    speed = NU[:3] + np.cross(NU[3:], TAIL)
+    expected = pushed(-1.9 * np.linalg.norm(speed) * speed, TAIL)
+    for eta in (ETA, ETA + np.array([50.0, -20, 3, 0, 0, 0])):
+        assert out(eta, NU) == pytest.approx(expected, rel=1e-9)
+    both = dragging(0.7, 1.9)
+    assert both(ETA, NU) == pytest.approx(out(ETA, NU) + dragging(0.7, 0.0)(ETA, NU), rel=1e-9)
 
 
 ANCHOR = np.array([1.5, -2.0, 4.0])
@@ -531,7 +546,7 @@ def in_our_words(effect_id: str, true: Mapping[str, float], world: World) -> dic
         return {"B_depth": true["dB_dz"], "B_surface": -true["dB_dz"] * true["z_0"]}
     if effect_id == "tether_drag":
         tail = {f"{axis}_tail": v for axis, v in at.items()}
-        return tail | named(np.zeros(3), "winch") | {"c_tether": true["c"]}
+        return tail | named(np.zeros(3), "winch") | {"c_tether": true["c"], "c_paid_out": true["c_0"]}
     eye = {f"{axis}_eye": v for axis, v in at.items()}
     anchor = named(np.array([0, 0, world.vehicle.depth - 2]) - world.vehicle.tether, "anchor")
     return eye | anchor | {"k_tension": true["k"], "L_slack": true["L_0"]}

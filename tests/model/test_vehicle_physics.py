@@ -468,7 +468,7 @@ def chain_at(vehicle: Vehicle, commands: list[float], values: Mapping[str, float
 def test_dead_band_and_gain_of_each_thruster() -> None:
     vehicle = vehicle_with(BODY, "rigid_body", "thruster_deadband", "thruster_gain", thrusters=2)
     values = {"gain_error_f1": -0.5, "gain_error_f2": 0.0, "deadband_width": 0.1}
-    # The gain (stage 10) comes before the dead band (stage 20): 0.5 * 0.4 - 0.1.
+    # The gain comes before the dead band: 0.5 * 0.4 - 0.1.
     assert chain_at(vehicle, [0.4, 0.4], values) == pytest.approx([0.1, 0.3])
     assert chain_at(vehicle, [0.1, -0.05], values) == pytest.approx([0.0, 0.0])
     assert chain_at(vehicle, [-0.4, -0.4], values) == pytest.approx([-0.1, -0.3])

@@ -196,7 +196,9 @@ class Actuation(Effect):
     Attributes
     ----------
     stage : int
-        Place in the chain: 10 wiring and gain, 20 curves and dead bands, 30 limits, 40 dynamics.
+        Place in the chain, whatever the order in a vehicle file: 10 wiring and gain, 14 and 16 dead band and
+        limit of the drive, 20 and 22 curve and reverse loss of the propeller, 35 supply, 40 dynamics,
+        50 dead time. Two that do not commute need different places.
     """
 
     family = "actuation"

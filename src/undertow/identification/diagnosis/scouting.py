@@ -47,7 +47,8 @@ class Scouted:
     cost : float
         Sum of squares after the step.
     values : dict
-        Free parameters after the step.
+        Free parameters where a fit is to begin: after the step from a start as given, without it where steps
+        were taken beforehand, since what one promises may not come true.
     """
 
     def __init__(
@@ -59,7 +60,8 @@ class Scouted:
         noise = (bench.train_whitening, bench.base.disturbance)
         begin = bench.base.values | dict(start)
         self.start = opened(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
-        self.cost, self.values = promise(self.start)
+        self.cost, after = promise(self.start)
+        self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
     def closer(self) -> Scouted:

@@ -305,13 +305,17 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
 
 def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
     """Shape parameters that do nothing without what is dropped: how wide a friction is that is not there."""
-    shapes = {p.name for p in candidate.parameters if p.starts and p.default is not None}
+    shapes = {p.name for p in candidate.parameters if p.starts}
     if not shapes:
         return set()
-    names = fit.model.functions.parameter_names
-    p = np.where(np.isin(names, list(dropped)), 0.0, fit.p)
-    used = np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, p)], axis=0)
-    return {n for n, at_work in zip(fit.model.free, used, strict=True) if n in shapes and not at_work}
+    without = np.where(np.isin(fit.model.functions.parameter_names, list(dropped)), 0.0, fit.p)
+    gone = _felt(fit, fit.p) & ~_felt(fit, without)
+    return {n for n, lost in zip(fit.model.free, gone, strict=True) if n in shapes and lost}
+
+
+def _felt(fit: WeakFit, p: Array) -> NDArray[np.bool_]:
+    """Whether each free parameter changes anything at these values of all parameters."""
+    return np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, p)], axis=0)
 
 
 def parameters_that_matter(

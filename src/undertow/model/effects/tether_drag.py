@@ -12,8 +12,7 @@ from undertow.model.parameter import Parameter, Place
 from undertow.model.symbols import Signals, column, symbol
 
 _DRAG, _SPEED = column(["drag_x", "drag_y", "drag_z"]), column(["tail_u", "tail_v", "tail_w"])
-_LENGTH = symbol("length")
-_FAR = 1e4
+_LENGTH, _COEFFICIENT = symbol("length"), symbol("tether_coefficient")
 
 
 class TetherDrag(Wrench):
@@ -22,6 +21,7 @@ class TetherDrag(Wrench):
     It is there because the cable of a small ROV drags more than its hull, and grows with the distance from
     the winch, so that no hull coefficient can stand for it. It acts where the tether is attached, against the
     velocity of that place through the water; what counts is the share of its length that follows the vehicle.
+    A length that is paid out wherever the vehicle goes drags alike everywhere, which `c_paid_out` is for.
     """
 
     id = "tether_drag"
@@ -31,6 +31,9 @@ class TetherDrag(Wrench):
     dissipative = True
 
     c_tether = Parameter("N/m/(m/s)^2", "drag per metre of tether and speed squared", (0, math.inf))
+    c_paid_out = Parameter(
+        "N/(m/s)^2", "drag of what is paid out wherever the vehicle is, per speed squared", (0, math.inf)
+    )
     winch = Place("winch", "where the tether comes from", "ned", 1.1e4)
     tail = Place("tail", "attachment on the vehicle", "body", 200)
     length_least = Parameter(
@@ -46,14 +49,9 @@ class TetherDrag(Wrench):
         x, y, z = (sum(ends) / 2 for ends in ranges)
         # Above the vehicle, since in the plane of the motion the height of a winch could not show.
         above = z - math.dist(*zip(*ranges, strict=True)) / 4
-        start = {"x_winch": x, "y_winch": y, "y_tail": 0.0, "z_tail": 0.0}
-        # The moment gives a tether away, and only from an attachment on its own side of the origin. One that
-        # drags alike everywhere, let out once for the whole run, is one from far away.
-        return [
-            start | {"z_winch": height, "x_tail": behind}
-            for height in (above, z - _FAR)
-            for behind in (-1.0, -0.2, 0.2, 1.0)
-        ]
+        start = {"x_winch": x, "y_winch": y, "z_winch": above, "y_tail": 0.0, "z_tail": 0.0}
+        # The moment gives a tether away, and only from an attachment on its own side of the origin.
+        return [start | {"x_tail": behind} for behind in (-1.0, -0.2, 0.2, 1.0)]
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([*_DRAG, *self.tail.cross(_DRAG)])
@@ -63,5 +61,7 @@ class TetherDrag(Wrench):
         velocity = sm.Matrix(s.nu_r[:3]) + sm.Matrix(s.nu_r[3:]).cross(self.tail)
         # Neither root has a derivative at zero, hence the small length and the small speed under them.
         length = sm.sqrt(away.dot(away) + self.length_least**2)
-        drag = -self.c_tether * _LENGTH * sm.sqrt(_SPEED.dot(_SPEED) + self.speed_least**2) * _SPEED
-        return dict(zip([*_SPEED, _LENGTH, *_DRAG], [*velocity, length, *drag], strict=True))
+        coefficient = self.c_paid_out + self.c_tether * _LENGTH
+        drag = -_COEFFICIENT * sm.sqrt(_SPEED.dot(_SPEED) + self.speed_least**2) * _SPEED
+        names = [*_SPEED, _LENGTH, _COEFFICIENT, *_DRAG]
+        return dict(zip(names, [*velocity, length, coefficient, *drag], strict=True))

@@ -20,7 +20,7 @@ class ThrusterAsymmetry(Actuation):
         "four-quadrant propeller characteristics (thrust astern below thrust ahead); Fossen (2021), chapter 9"
     )
     signature = "the vehicle gathers speed more slowly under negative commands than under positive ones"
-    stage = 20
+    stage = 22
 
     reverse_loss = Parameter("1", "share of the thrust that is missing at negative commands", (-1, 1))
 

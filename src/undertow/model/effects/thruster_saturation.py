@@ -20,7 +20,7 @@ class ThrusterSaturation(Actuation):
     id = "thruster_saturation"
     reference = "saturation, output sgn(c) min(|c|, L); Khalil (2002), Nonlinear Systems, section 1.2"
     signature = "large commands give no more than middling ones"
-    stage = 30
+    stage = 16
 
     saturation_limit = Parameter(
         "command",
