@@ -88,9 +88,13 @@ def make_case(
 def hidden_world(
     real: Vehicle, effects: Iterable[str], seed: int, strength: float
 ) -> tuple[World, dict[str, Values]]:
-    """The world with its effects, and the values that were drawn for each of them."""
+    """The world with its effects, and the values that were drawn for each of them.
+
+    They act in the order in which they are declared, whatever the order given: between command and thrust
+    first what the drive does to the command, then what the propeller makes of it.
+    """
     world, values = plain_world(real), {}
-    for name in effects:
+    for name in sorted(effects, key=list(EFFECTS).index):
         drawn = EFFECTS[name].apply(world, Draw(stream(seed, "effect " + name), strength))
         values[name] = {parameter: float(value) for parameter, value in drawn.items()}
     return world, values

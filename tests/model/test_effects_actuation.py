@@ -129,13 +129,39 @@ def test_asymmetry_weakens_reverse_thrust_only(command: Array) -> None:
     np.testing.assert_allclose(delivered("thruster_asymmetry", {"reverse_loss": 0.4}, command), expected)
 
 
-STEPS = [i for i, e in catalogue().items() if issubclass(e, Actuation)]
+def pairs_of(kind: type[Effect]) -> list[tuple[str, str]]:
+    return list(combinations([i for i, e in catalogue().items() if issubclass(e, kind)], 2))
 
 
-@pytest.mark.parametrize("ids", list(combinations(STEPS, 2)), ids="+".join)
+@pytest.mark.parametrize("ids", pairs_of(Actuation), ids="+".join)
 def test_the_order_in_a_vehicle_file_means_nothing_to_the_thrust(ids: tuple[str, str]) -> None:
     one, other = (craft(("surge",), {}, *order).composition.chain for order in (ids, ids[::-1]))
     assert one[0] == other[0]
+
+
+@pytest.mark.parametrize("ids", pairs_of(Measurement), ids="+".join)
+def test_the_order_in_a_vehicle_file_means_nothing_to_the_sensors(ids: tuple[str, str]) -> None:
+    one, other = (craft(DOFS, {}, *order).composition.reported for order in (ids, ids[::-1]))
+    for report, same in zip(one, other, strict=True):
+        assert sm.simplify(report - same) == sm.zeros(*report.shape)
+
+
+def test_an_arm_turns_with_the_true_rate_and_a_bias_is_that_of_the_reading() -> None:
+    vehicle = craft(("surge", "sway", "yaw"), {}, "sensor_bias", "sensor_scale", "velocity_lever_arm")
+    values = {
+        "b_u": 0.1,
+        "b_v": 0.0,
+        "b_r": 0.3,
+        "scale_velocity": 0.5,
+        "scale_rate": 0.0,
+        "x_s": 2.0,
+        "y_s": 1.0,
+    }
+    values |= {"z_s": 0.0, "u": 1.0, "v": 0.0, "r": 0.2}
+    _, velocity = vehicle.composition.reported
+    known = {x: values.get(str(x), 0.0) for x in velocity.free_symbols}
+    u, v, r = (float(velocity[i].subs(known)) for i in range(3))
+    assert (u, v, r) == pytest.approx((1.5 * (1.0 - 0.2 * 1.0) + 0.1, 1.5 * 0.2 * 2.0, 0.5))
 
 
 def test_the_drive_limits_the_command_and_the_propeller_turns_it_into_thrust() -> None:

@@ -14,6 +14,7 @@ from .cache import library_for
 from .compiler import Compiler
 from .driver import loaded, pointer, shared
 from .functions import Functions, solve_symmetric
+from .lanes import in_threads, shares
 from .plain import plain_c
 from .problem import Array, Problem
 from .source import EXPORTED, SEPARATE, integers, with_entry
@@ -29,8 +30,6 @@ typedef double V;
 #define LANES 1
 #endif
 """
-# Runge-Kutta steps in one call; between calls Ctrl-C is heard.
-_STEPS_PER_CALL = 200_000
 
 
 @dataclass(frozen=True)
@@ -109,14 +108,16 @@ class CompiledProducts:
         found = Products(
             np.zeros((b, groups, self._size + 1, self._size + 1)), np.zeros((b, channels)), diverged=False
         )
-        work = int(problem.steps.sum(axis=1).max(initial=1))
-        each = max(1, _STEPS_PER_CALL // max(work, 1))
         arrays = (problem.x[:, 0].copy(), measured, weight, group, found.table, found.squares)
-        for first in range(0, b, each):
-            rows = slice(first, first + each)
-            if self._called(problem, rows, groups, [a[rows] for a in arrays]):
-                return Products(found.table, found.squares, diverged=True)
-        if not np.isfinite(found.table).all():
+        diverged: list[int] = []
+
+        def work(rows: slice) -> None:
+            diverged.append(self._called(problem, rows, groups, [a[rows] for a in arrays]))
+
+        # Every derivative is carried along like a state.
+        steps = float(problem.steps.sum(axis=1).max(initial=1)) * self._size
+        in_threads(work, shares(b, steps, None, _LANES), None)
+        if any(diverged) or not np.isfinite(found.table).all():
             return Products(found.table, found.squares, diverged=True)
         lower = np.tril_indices(self._size + 1, -1)
         found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]

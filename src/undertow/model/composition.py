@@ -100,7 +100,7 @@ class Composition:
         return six.extract(list(self.dofs), list(range(six.cols)))
 
     def of_kind(self, kind: type[Effect]) -> tuple[Effect, ...]:
-        """Effects of one kind, actuation in the order of the chain."""
+        """Effects of one kind, actuation and measurement in the order of their chains."""
         found = [e for e in self.effects if isinstance(e, kind)]
         return tuple(sorted(found, key=lambda e: getattr(e, "stage", 0)))
 

@@ -233,10 +233,14 @@ class Measurement(Effect):
     ----------
     of_velocity_sensor : bool
         Whether only a sensor of velocity can have it: none can where velocities were taken from the pose.
+    stage : int
+        Place in the chain, whatever the order in a vehicle file: 10 what reaches the sensor where it sits,
+        20 how it is turned, 30 its scale, 40 its bias, 50 its delay.
     """
 
     family = "measurement"
     of_velocity_sensor: ClassVar[bool] = False
+    stage: ClassVar[int] = 20
 
     @abc.abstractmethod
     def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:

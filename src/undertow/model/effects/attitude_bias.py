@@ -21,6 +21,7 @@ class AttitudeBias(Measurement):
         "constant misalignment of the attitude reference; Fossen (2021), chapter 14 (compass, inclinometers)"
     )
     signature = "the track over ground is turned against heading and body velocity by a constant angle"
+    stage = 20
 
     b_phi = Parameter("rad", "error of the roll angle", (-1, 1), linear=False, starts=(0.0,))
     b_theta = Parameter("rad", "error of the pitch angle", (-1, 1), linear=False, starts=(0.0,))

@@ -22,6 +22,7 @@ class PositionLeverArm(Measurement):
     signature = (
         "the position moves when the vehicle turns on the spot, although the reported velocity is zero"
     )
+    stage = 10
 
     x_fix = Parameter("m", "place of the antenna, forward", (-200, 200), linear=False, starts=(0.0,))
     y_fix = Parameter("m", "place of the antenna, to starboard", (-50, 50), linear=False, starts=(0.0,))

@@ -19,6 +19,7 @@ class SensorBias(Measurement):
     of_velocity_sensor = True
     reference = "constant bias of rate and velocity sensors; Fossen (2021), chapter 14 (inertial measurement)"
     signature = "a velocity is reported at rest, and positions drift away from it"
+    stage = 40
 
     b_u = Parameter("m/s", "error of the surge velocity", (-5, 5), linear=False, starts=(0.0,))
     b_v = Parameter("m/s", "error of the sway velocity", (-5, 5), linear=False, starts=(0.0,))

@@ -16,6 +16,7 @@ class SensorDelay(Measurement):
     of_velocity_sensor = True
     reference = "transport delay; Ljung (1999), System Identification, section 4.2 (dead time)"
     signature = "measured velocity trails the position's rate by a constant time, whatever the manoeuvre"
+    stage = 50
 
     velocity_delay = Parameter(
         "s", "age of a velocity when it is reported", (0.0, 2.0), linear=False, starts=(0.05, 0.3)

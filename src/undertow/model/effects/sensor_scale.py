@@ -22,6 +22,7 @@ class SensorScale(Measurement):
         "scale factor error; a Doppler log's speed is proportional to the speed of sound assumed in it"
     )
     signature = "distances by summed velocity and by position differ by the same share at all speeds"
+    stage = 30
 
     scale_velocity = Parameter(
         "1", "u, v and w as read over true, minus one", (-0.9, 4), linear=False, starts=(0.0,)

@@ -16,6 +16,7 @@ class VelocityLeverArm(Measurement):
     id = "velocity_lever_arm"
     reference = "rigid-body velocity field, v_S = v + omega x r_S; Fossen (2021), chapter 2"
     signature = "measured velocity disagrees with the position's rate in turns, by yaw rate times a length"
+    stage = 10
 
     x_s = Parameter("m", "sensor position, forward", linear=False, starts=(0.0,))
     y_s = Parameter("m", "sensor position, to starboard", linear=False, starts=(0.0,))

@@ -20,6 +20,7 @@ class VelocityMisalignment(Measurement):
     id = "velocity_misalignment"
     reference = "rotation of a vector between two frames, v_S = R' v; Fossen (2021), chapter 2"
     signature = "a sway velocity in proportion to the surge velocity, which the position does not confirm"
+    stage = 20
 
     turn_z = Parameter(
         "rad", "angle of the sensor about the body z axis", (-3.2, 3.2), linear=False, starts=(0.0,)

@@ -24,6 +24,7 @@ class WaterSpeedLog(Flow, Measurement):
     signature = (
         "positions drift away from the reported velocity in one direction over ground, whatever the heading"
     )
+    stage = 10
 
     V_N_log = Parameter("m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,))
     V_E_log = Parameter("m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,))
