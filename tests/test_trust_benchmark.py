@@ -31,6 +31,7 @@ from benchmarks.trust.tally import Share, scored
 from benchmarks.trust.terms import _filled, make_terms
 from benchmarks.trust.verdicts import Answer, accepted
 from undertow.identification.logs import Run
+from undertow.identification.parallel import jobs
 
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
 
@@ -353,6 +354,31 @@ def test_no_case_is_lost_and_none_is_run_twice(tmp_path: Path) -> None:
     assert len(records(out)) == 6
     assert run([Planned("box", (), 1.0, 1.0, False, "plain", 10)], out, crooked, minutes=0.0) == 0
     assert len(records(out)) == 6
+
+
+def cores(case: Planned) -> dict[str, Any]:
+    return {"id": case.id, "kind": case.kind, "cores": jobs()}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes share memory on Linux only")
+@pytest.mark.parametrize(("beside", "taken"), [(1, 3), (2, 1)])
+def test_a_case_alone_takes_all_cores(
+    beside: int, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UNDERTOW_JOBS", "3")
+    out = tmp_path / "run.jsonl"
+    run([Planned("box", (), 1.0, 1.0, False, "plain", 1)], out, cores, jobs=beside)
+    (found,) = records(out)
+    assert found["cores"] == taken
+
+
+def test_seconds_are_those_on_most_cores() -> None:
+    six = {"motions": ["surge", "sway", "heave", "roll", "pitch", "yaw"]}
+    beside, alone = ({**six, "seconds": s, "cores": c} for s, c in ((50.0, 1), (20.0, 2)))
+    told = [g.row for g in goals(scored([record(LIFT, "adequate", **one) for one in (beside, alone)]))]
+    (row,) = [r for r in told if "six degrees" in r[0]]
+    assert row[0].endswith("cores: 2")
+    assert row[1].startswith("20")
 
 
 def test_nonsense_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -110,9 +110,12 @@ def _costs(cases: Sequence[Scored]) -> list[Goal]:
 
 
 def _time(cases: Sequence[Scored]) -> Goal:
-    seconds = [c.record["seconds"] for c in cases if len(c.record["motions"]) == 6]
+    six = [c.record for c in cases if len(c.record["motions"]) == 6]
+    # The goal is for two cores; cases that ran side by side had one each.
+    cores = max((r.get("cores", 1) for r in six), default=1)
+    seconds = [r["seconds"] for r in six if r.get("cores", 1) == cores]
     middle = float(np.median(seconds)) if seconds else float("nan")
-    name = "median seconds of a diagnosis with six degrees of freedom"
+    name = f"median seconds of a diagnosis with six degrees of freedom, cores: {cores}"
     return Goal(
         name, "≤ 30", _number(middle, len(seconds)), _met(middle <= WHOLE_CATALOGUE_SECONDS, len(seconds))
     )

@@ -10,6 +10,7 @@ from benchmarks.hidden_effects import Case
 from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.logs import Run
+from undertow.identification.parallel import jobs
 from undertow.model.vehicle import Vehicle
 
 from .cases import Planned
@@ -44,7 +45,7 @@ def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> 
     data = _data(made, keep)
     began, worked = time.perf_counter(), time.process_time()
     outcome = diagnose(*data)
-    spent = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked}
+    spent = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "cores": jobs()}
     record = described(case, made, data[0]) | _said(outcome.diagnosis) | spent
     record |= _graded(case, made, record, data, outcome)
     if peers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import subprocess
 import time
 import traceback
@@ -156,18 +157,19 @@ def _results(todo: Sequence[Planned], work: Work, jobs: int, end: float, limit: 
     waiting, running = list(todo), list[_Running]()
     while running or (waiting and time.monotonic() < end):
         while waiting and len(running) < jobs and time.monotonic() < end:
-            running.append(_begun(waiting.pop(0), work))
+            running.append(_begun(waiting.pop(0), work, alone=jobs == 1))
         wait([r.answer for r in running], timeout=1.0)
         for one in [r for r in running if _over(r, limit)]:
             running.remove(one)
             yield _record(one, limit)
 
 
-def _begun(case: Planned, work: Work) -> _Running:
+def _begun(case: Planned, work: Work, *, alone: bool) -> _Running:
     # Forked: the imports are there already, and a case that crashes takes nothing with it.
     context = multiprocessing.get_context("fork")
     answer, speak = context.Pipe(duplex=False)
-    process = context.Process(target=_do, args=(work, case, speak), daemon=True)
+    # Only what is no daemon may have helpers of its own.
+    process = context.Process(target=_do, args=(work, case, speak, alone), daemon=not alone)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: none of ours run
         process.start()
@@ -175,7 +177,10 @@ def _begun(case: Planned, work: Work) -> _Running:
     return _Running(case, process, answer, time.monotonic())
 
 
-def _do(work: Work, case: Planned, speak: Connection) -> None:
+def _do(work: Work, case: Planned, speak: Connection, alone: bool) -> None:
+    """One case: on all cores where it is alone, else on one."""
+    if not alone:
+        os.environ["UNDERTOW_JOBS"] = "1"
     try:
         record = work(case)
     except Exception as error:

@@ -11,7 +11,8 @@ import sympy as sm
 from tests.codegen.support import functions_of, random_parameters, vehicle_with
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.gauss_newton import Products, _parts
+from undertow.codegen.gauss_newton import _LANES, Products, _parts
+from undertow.codegen.lanes import shares
 from undertow.model.effect import Wrench
 from undertow.model.symbols import Signals
 from undertow.model.vehicle import Vehicle
@@ -96,6 +97,24 @@ def test_any_number_of_parameters(free: int, c_compiler: Compiler) -> None:
     given = case("bluerov2", free)
     ours, theirs = given.products(True), given.products(False)
     np.testing.assert_allclose(ours.table, theirs.table, rtol=1e-10, atol=1e-12 * np.abs(theirs.table).max())
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_windows_in_threads_are_summed_as_one_by_one(
+    threads: str, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UNDERTOW_JOBS", threads)
+    few, names, times = case("bluerov2"), ("x0", "t", "u", "measured", "weight", "group"), 200
+    given = replace(few, **{n: np.concatenate([getattr(few, n)] * times) for n in names})
+    given.x0 += np.linspace(0.0, 0.1, 2 * times)[:, None]
+    calls = shares(2 * times, 13.0 * (len(given.places) + 12), None, _LANES)
+    assert len(calls) > 2, "not all in one call"
+    found = given.products(True)
+    for k in (0, 1, calls[1].start, 2 * times - 1):
+        one = {n: getattr(given, n)[k : k + 1] for n in names}
+        alone = replace(given, **one).products(True)
+        np.testing.assert_array_equal(found.table[k], alone.table[0])
+        np.testing.assert_array_equal(found.squares[k], alone.squares[0])
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from tests.codegen.support import BUNDLED, functions_of, random_parameters
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.lanes import in_threads, packed, shares, unpacked
+from undertow.codegen.lanes import in_threads, packed, processors, shares, unpacked
 
 RUNS = 11
 
@@ -135,3 +136,11 @@ def test_code_for_this_machine_has_a_name_of_its_own(c_compiler: Compiler) -> No
     local = c_compiler.for_this_machine()
     assert local.identity != c_compiler.identity
     assert replace(local, more=()).identity != c_compiler.identity
+
+
+def test_the_environment_says_how_many_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    for said, taken in (("1", 1), ("7", 7), ("0", 1)):
+        monkeypatch.setenv("UNDERTOW_JOBS", said)
+        assert processors() == taken
+    monkeypatch.setenv("UNDERTOW_JOBS", "many")
+    assert 1 <= processors() <= (os.cpu_count() or 1)

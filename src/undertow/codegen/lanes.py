@@ -16,6 +16,7 @@ from .problem import Array
 
 T = TypeVar("T")
 LANES_HEADER = (files("undertow.codegen") / "lanes.h").read_text(encoding="utf-8")
+_LIMIT = "UNDERTOW_JOBS"
 # So few runs are as fast one after the other.
 _FEW = 2
 
@@ -47,7 +48,10 @@ def unpacked(array: Array, runs: int) -> Array:
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """How many processors this process may use, or as many as UNDERTOW_JOBS says."""
+    stated = os.environ.get(_LIMIT, "")
+    if stated.isdecimal():
+        return max(1, int(stated))
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on every system

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import os
 import signal
 import sys
 import warnings
@@ -14,9 +13,10 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from undertow.codegen.lanes import processors
+
 T = TypeVar("T")
 _log = logging.getLogger("undertow")
-_LIMIT = "UNDERTOW_JOBS"
 # What the children of this process work on: they inherit it, for models cannot be sent.
 _work: list[Callable[[int], Any]] = []
 
@@ -29,8 +29,7 @@ def jobs() -> int:
     """
     if sys.platform != "linux" or _work or multiprocessing.current_process().daemon:
         return 1
-    stated = os.environ.get(_LIMIT, "")
-    return max(1, int(stated)) if stated.isdecimal() else len(os.sched_getaffinity(0))
+    return processors()
 
 
 def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
@@ -55,7 +54,9 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
                 done += 1
     except BrokenProcessPool:
         # Killed from outside, for want of memory perhaps: one at a time needs less.
-        _log.warning("a helper process was killed; going on with one process (%s=1 starts with one)", _LIMIT)
+        _log.warning(
+            "a helper process was killed; going on with one process (UNDERTOW_JOBS=1 starts with one)"
+        )
         yield from map(work, range(done, count))
 
 
