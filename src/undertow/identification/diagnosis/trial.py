@@ -304,8 +304,11 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
 
 
 def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
-    """Shape parameters that do nothing without what is dropped: how wide a friction is that is not there."""
-    shapes = {p.name for p in candidate.parameters if p.starts}
+    """Shape parameters that do nothing without what is dropped: how wide a friction is that is not there.
+
+    A vehicle file need not state them then, unless the equations ask for a value: no time constant is zero.
+    """
+    shapes = {p.name for p in candidate.parameters if p.starts and p.bounds[0] <= p.unsaid <= p.bounds[1]}
     if not shapes:
         return set()
     without = np.where(np.isin(fit.model.functions.parameter_names, list(dropped)), 0.0, fit.p)

@@ -1,18 +1,22 @@
-"""A tether that is paid out wherever the vehicle goes, and one that grows: both are found."""
+"""What goes with a parameter that is left out: the winch of a tether that is always out, and not a width."""
 
 from __future__ import annotations
 
 from functools import cache
 
 import pytest
+import sympy as sm
 
-from benchmarks.hidden_effects.cases import make_case
+from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.scouting import scout
 from undertow.identification.diagnosis.trial import Trial, open_bench, try_candidate
 from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue
+from undertow.model.effect import Effect, Wrench
+from undertow.model.parameter import Parameter
+from undertow.model.symbols import Signals
 
 # Seeds of the simulator for which all of the tether is out wherever the vehicle goes, none of it, and part.
 ALL, NONE, PART = 36, 1, 0
@@ -21,16 +25,19 @@ ALL, NONE, PART = 36, 1, 0
 @cache
 def _tried(seed: int) -> tuple[Trial, dict[str, float]]:
     case = make_case("rov", ("tether_drag",), seed, duration=60.0)
+    return _of(catalogue()["tether_drag"], case), case.truth["values"]["tether_drag"]
+
+
+def _of(effect: type[Effect], case: Case) -> Trial:
+    """An effect fitted to a case, under the noise model of a first fit of it."""
     vehicle = vehicle_of(case)
     *shown, aside = runs_of(case)
     train = prepare(shown, vehicle)
     test = prepare([aside], vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
-    candidate = Candidate(catalogue()["tether_drag"], vehicle)
+    candidate = Candidate(effect, vehicle)
     begun = try_candidate(candidate, bench, scout(candidate, bench).values)
-    sharp = bench.sharpened(begun.full)
-    trial = try_candidate(candidate, sharp, begun.full.values)
-    return trial, case.truth["values"]["tether_drag"]
+    return try_candidate(candidate, bench.sharpened(begun.full), begun.full.values)
 
 
 @pytest.mark.parametrize("seed", [ALL, NONE, PART], ids=["all", "none", "part"])
@@ -50,3 +57,29 @@ def test_where_the_winch_is_cannot_show_if_the_tether_is_always_out() -> None:
     winch = {"x_winch", "y_winch", "z_winch"}
     assert winch.isdisjoint(always.fit.values)
     assert [grows.fit.values[n] for n in sorted(winch)] == pytest.approx([0, 0, 0], abs=0.1)
+
+
+class TwoFrictions(Wrench):
+    """Two frictions that have nothing to do with each other."""
+
+    id = "two_frictions"
+    family = "damping"
+    reference = "none: for a test"
+
+    F_x = Parameter("N", "friction in surge", (-100, 100))
+    F_y = Parameter("N", "friction in sway", (-100, 100))
+    fade_x = Parameter("m/s", "its width", (0.01, 1), linear=False, starts=(0.1,), neutral=None)
+    fade_y = Parameter("m/s", "its width", (0.01, 1), linear=False, starts=(0.1,), neutral=None)
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        u, v = s.nu[:2]
+        return sm.Matrix(
+            [-self.F_x * sm.tanh(u / self.fade_x), -self.F_y * sm.tanh(v / self.fade_y), 0, 0, 0, 0]
+        )
+
+
+def test_a_width_that_cannot_be_zero_keeps_a_value_without_its_friction() -> None:
+    trial = _of(TwoFrictions, make_case("usv", (), 3, duration=40.0))
+    assert len(trial.kept) == 1, "there is none: the weaker is left out"
+    assert {"fade_x", "fade_y"} <= set(trial.fit.values)
+    assert trial.score.error == pytest.approx(1.0, abs=0.1)
