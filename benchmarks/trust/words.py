@@ -60,35 +60,32 @@ DEFINITIONS = """\
 
     python -m benchmarks.trust run --out one.jsonl --seed 811237 --rounds 3 --jobs 2
     python -m benchmarks.trust run --out one.jsonl --seed 811237 --rounds 5 --jobs 2 --kind complete
+    python -m benchmarks.trust run --out one.jsonl --seed 664421 --rounds 3 --jobs 2
+    python -m benchmarks.trust run --out one.jsonl --seed 664421 --rounds 3 --jobs 1 \\
+        --vehicle rov --vehicle heavy-rov --vehicle torpedo
     python -m benchmarks.trust report one.jsonl --out docs/trust.md --summary docs/results.md
 
-The seed was used once. The first 181 cases were answered by the program of commit d04e24a, the others by
-e4168cd, in which the same rules decide but one (below). The first run was cut off by the clock after 299 of
-its 375 cases; those left are of the second and third round, in which every effect comes again with other
-vehicles and sizes. The second run holds complete models only, since that no more than one in a hundred of
-them raises a false alarm takes the most cases to show.
+Both seeds were used once. The first 343 cases are of the seed 811237: 181 answered by the program of commit
+d04e24a, 162 by e4168cd. All others are of the seed 664421, which was new when the present program (3120042
+and what follows, in which the same rules decide) answered them. The runs were cut off by the clock; the
+plan mixes all kinds of cases evenly, so that its beginning is a fair sample.
 
-Seconds on this page are those of a slow machine with tests and example pages running beside the cases.
-Alone on its two cores, the diagnosis of the table of speeds in [results.md](results.md) (line 13 there)
-takes 53 s with this program, and 55 s with the one that had taken 10 s when that table was made: the
-machine is five times as slow as it was then, and the program is not.
+What was changed between the two seeds, after the failures of the first, which stay in the table:
 
-Between d04e24a and e4168cd: a run kept aside of 25 to 35 s, shorter than any here, may show that a model
-simulates worse where all its windows agree; and what is said beside the verdict was changed (parameters that
-make up for something, effects that act like changed parameters, what the doctor found).
+- The one wrong name (ship:trim_offset) is mended: beside an effect with many parameters much plainer ones
+  are looked at again. It answers "trim_offset or constant_force" now, led by the truth.
+- The two pairs that were found and not named were so for a reason of the model: effects on the way from
+  command to thrust acted in the order in which they had been added. They have one order now, that of the
+  parts (dead band and limit of the drive, then curve and reverse loss of the propeller), here and in the
+  simulator. Both pairs, answered anew, are named, and what remains is noise.
+- A tether that is paid out wherever the vehicle goes has a coefficient of its own (it had to be one whose
+  winch is kilometres away), and the simulator draws tethers of both kinds and between.
+- The search for an effect begins its fit where checked steps led, not where the last one promised.
+- Two effects of which neither shows alone are tried as a pair, and values that a vehicle file holds fixed
+  beside the effects (in these vehicles nothing is fixed but what is weighed).
 
-What was changed in the diagnosis after these cases, and what of them was answered anew by it:
-
-- The one wrong name (ship:trim_offset, in the list of failures) is mended: beside an effect with many
-  parameters much plainer ones are looked at again. The change can only matter where one effect with more
-  than four parameters is named alone, and not by much. Of the medium and weak cases with such answers
-  sixteen were answered anew (tethers, boundaries, cross-flow, memory, slosh, wind): fifteen as before,
-  and that ship's by "trim_offset or constant_force", led by the truth; for the others there was no time.
-- Two effects of which neither shows alone are tried as a pair. That can only matter where nothing at all
-  was found: those ten cases here and five of earlier runs, thirteen of them outsiders, were answered
-  anew; no pair is named for any.
-- Values that the vehicle file holds fixed are tried beside the effects. In these vehicles nothing is held
-  fixed but what is weighed, so nothing changes here.
+Cases that ran side by side had one core each, on a slow machine with other work on it; those that ran alone
+had two, and the goal for six degrees of freedom is held against these.
 
 A dead time of a fraction of a sample and a lag of the same length are not told apart by such data: for 12.5
 ms at 20 Hz on a boat, both simulated exactly, the sums of squares over the run kept aside (12 000 readings)
@@ -111,6 +108,6 @@ unexplained. Before that: base seed 918273, commit b435ccf, 104 cases, one wrong
 dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none wrong; base seed
 52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
 
-Each case took one process with one thread; seconds are those of the diagnosis alone, without the simulation,
-with whatever else the machine did at the time.
+Seconds are those of the diagnosis alone, without the simulation, with whatever else the machine did at the
+time.
 """
