@@ -10,13 +10,14 @@ import sympy as sm
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.scouting import scout
+from undertow.identification.diagnosis.scouting import begun, scout, scouts
 from undertow.identification.diagnosis.trial import Trial, open_bench, try_candidate
-from undertow.identification.weak.data import prepare
+from undertow.identification.weak.data import WeakData, prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Effect, Wrench
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals
+from undertow.model.vehicle import Vehicle
 
 # Seeds of the simulator for which all of the tether is out wherever the vehicle goes, none of it, and part.
 ALL, NONE, PART = 36, 1, 0
@@ -31,13 +32,16 @@ def _tried(seed: int) -> tuple[Trial, dict[str, float]]:
 def _of(effect: type[Effect], case: Case) -> Trial:
     """An effect fitted to a case, under the noise model of a first fit of it."""
     vehicle = vehicle_of(case)
-    *shown, aside = runs_of(case)
-    train = prepare(shown, vehicle)
-    test = prepare([aside], vehicle, sigma=train.sigma)
-    bench = open_bench(vehicle, train, test)
+    bench = open_bench(vehicle, *_parts(case, vehicle))
     candidate = Candidate(effect, vehicle)
     begun = try_candidate(candidate, bench, scout(candidate, bench).values)
     return try_candidate(candidate, bench.sharpened(begun.full), begun.full.values)
+
+
+def _parts(case: Case, vehicle: Vehicle) -> tuple[WeakData, WeakData]:
+    *shown, aside = runs_of(case)
+    train = prepare(shown, vehicle)
+    return train, prepare([aside], vehicle, sigma=train.sigma)
 
 
 @pytest.mark.parametrize("seed", [ALL, NONE, PART], ids=["all", "none", "part"])
@@ -83,3 +87,15 @@ def test_a_width_that_cannot_be_zero_keeps_a_value_without_its_friction() -> Non
     assert len(trial.kept) == 1, "there is none: the weaker is left out"
     assert {"fade_x", "fade_y"} <= set(trial.fit.values)
     assert trial.score.error == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
+    """In nearly level motion a winch as far below explains much: only fits from both sides tell."""
+    case = make_case("micro-auv", ("tether_drag", "constant_force"), 89518168, closed_loop=True)
+    vehicle = vehicle_of(case)
+    bench = open_bench(vehicle, *_parts(case, vehicle))
+    candidate = Candidate(catalogue()["tether_drag"], vehicle)
+    starts = [look.values for look in scouts(candidate, bench)]
+    heights = [bench.fit(candidate.model(), start=start).values["z_winch"] for start in starts]
+    assert max(heights) > 5.0, "one of them ends below"
+    assert begun(candidate, bench, starts)["z_winch"] == pytest.approx(0.0, abs=0.5)

@@ -18,7 +18,7 @@ from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.final import last_fit
 from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.diagnosis.result import Step
-from undertow.identification.diagnosis.scouting import scout
+from undertow.identification.diagnosis.scouting import begun, scout, scouts
 from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.diagnosis.trial import (
     FALSE_ALARM_RATE,
@@ -153,16 +153,17 @@ def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) 
         If the model has all of the effect already, or lacks one that it needs.
     """
     candidate = _candidate(effect, ground.bench.base.model.functions.vehicle)
-    scouted = scout(candidate, ground.bench)
-    if not _visible(candidate, scouted.start):
+    scouted = scouts(candidate, ground.bench)
+    if not _visible(candidate, scouted[0].start):
         raise UndertowError(
             f"effect '{effect.id}' has no influence on '{ground.bench.base.vehicle.name}' in these logs: "
             "its parameters cannot be found"
         )
-    first = _tried(candidate, ground.bench, scouted.values, keep_all)
+    start = begun(candidate, ground.bench, [look.values for look in scouted])
+    first = _tried(candidate, ground.bench, start, keep_all)
     if candidate.removable and not first.kept:
         # No parameter is clearly other than zero. The kept-aside data have the last word, so all go in.
-        keep_all, first = True, _whole(candidate, ground.bench, scouted.values)
+        keep_all, first = True, _whole(candidate, ground.bench, start)
     # What is judged is weighed by the noise model of the better fit, for both models alike.
     sharp = ground.bench.sharpened(first.full)
     last = last_fit(_tried(candidate, sharp, first.fit.values, keep_all).fit, [candidate])

@@ -17,7 +17,7 @@ from .chance import Linear, best_by_chance, inclusion, p_value
 from .evidence import SMALLEST_FALL, as_good, compare_scores, explained
 from .finding import Finding
 from .linear import linear
-from .scouting import Scouted, scout
+from .scouting import Scouted, begun, scouts
 from .sending import Sent, received, sent
 from .trial import Bench, Score, Trial, rejected, told_apart, try_candidate
 
@@ -95,7 +95,7 @@ def _fall(before: Score, after: Score) -> float:
 class _Look(NamedTuple):
     candidate: Candidate
     cost: float
-    values: dict[str, float]
+    starts: list[dict[str, float]]
     linear: Linear
 
 
@@ -116,7 +116,9 @@ def _tried(worth: Sequence[_Look], bench: Bench, report: Report) -> list[tuple[C
     """Fits of the candidates that promise something."""
 
     def one(i: int) -> Sent:
-        return sent(try_candidate(worth[i].candidate, bench, worth[i].values, _FIRST_LOOK), bench)
+        candidate = worth[i].candidate
+        start = begun(candidate, bench, worth[i].starts, _FIRST_LOOK)
+        return sent(try_candidate(candidate, bench, start, _FIRST_LOOK), bench)
 
     found = []
     for i, trial in enumerate(mapped(one, len(worth))):
@@ -125,11 +127,11 @@ def _tried(worth: Sequence[_Look], bench: Bench, report: Report) -> list[tuple[C
     return found
 
 
-def _look(candidate: Candidate, bench: Bench) -> tuple[float, dict[str, float], Linear] | None:
+def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, float]], Linear] | None:
     if candidate.adds_nothing:
         return None
-    look = scout(candidate, bench)
-    return look.cost, look.values, linear(look.start, bench, look.on_test)
+    looks = scouts(candidate, bench)
+    return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench, looks[0].on_test)
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:

@@ -88,7 +88,12 @@ class Scouted:
 
 
 def scout(candidate: Candidate, bench: Bench) -> Scouted:
-    """What a candidate promises from its best start, after some steps where there are several.
+    """What a candidate promises from its best start, after some steps where there are several."""
+    return scouts(candidate, bench)[0]
+
+
+def scouts(candidate: Candidate, bench: Bench) -> list[Scouted]:
+    """What a candidate promises from its best start, and from the next best one where there are several.
 
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
     """
@@ -97,9 +102,31 @@ def scout(candidate: Candidate, bench: Bench) -> Scouted:
         starts = _promising(candidate, bench, starts)
     found = sorted((Scouted(candidate, bench, start) for start in starts), key=lambda s: s.cost)
     if len(found) == 1:
-        return found[0]
+        return found
     # What a step promises may not come true; what some steps have reached has.
-    return min((s.closer() for s in found[:_BEST_STARTS]), key=lambda s: s.start.cost)
+    return sorted((s.closer() for s in found[:_BEST_STARTS]), key=lambda s: s.start.cost)
+
+
+def begun(
+    candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], enough: float = 0.0
+) -> dict[str, float]:
+    """Where the better one of several fits ends: which start leads there, a few steps cannot show.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        What is tried.
+    bench : Bench
+        Data, noise model and the model without it.
+    starts : sequence of dict
+        Values from which to fit; a single one is handed back as it is.
+    enough : float
+        Share of the sum of squares that a step has to promise for another to follow.
+    """
+    if len(starts) == 1:
+        return starts[0]
+    fits = [bench.fit(candidate.model(), start=start, enough=enough) for start in starts]
+    return min(fits, key=lambda fit: fit.cost).values
 
 
 def _own_columns(

@@ -47,11 +47,16 @@ class TetherDrag(Wrench):
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
         ranges = [seen.get(axis, (0.0, 0.0)) for axis in "xyz"]
         x, y, z = (sum(ends) / 2 for ends in ranges)
-        # Above the vehicle, since in the plane of the motion the height of a winch could not show.
-        above = z - math.dist(*zip(*ranges, strict=True)) / 4
-        start = {"x_winch": x, "y_winch": y, "z_winch": above, "y_tail": 0.0, "z_tail": 0.0}
+        # Away from the plane of the motion, in which the height of a winch could not show; and on both sides
+        # of it, for a fit that comes too near ends in a dale on the other side.
+        away = math.dist(*zip(*ranges, strict=True)) / 4
+        start = {"x_winch": x, "y_winch": y, "y_tail": 0.0, "z_tail": 0.0}
         # The moment gives a tether away, and only from an attachment on its own side of the origin.
-        return [start | {"x_tail": behind} for behind in (-1.0, -0.2, 0.2, 1.0)]
+        return [
+            start | {"z_winch": z + height, "x_tail": ahead}
+            for height in (-away, away)
+            for ahead in (-0.5, 0.5)
+        ]
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([*_DRAG, *self.tail.cross(_DRAG)])
