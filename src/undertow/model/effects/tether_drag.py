@@ -34,7 +34,8 @@ class TetherDrag(Wrench):
     c_paid_out = Parameter(
         "N/(m/s)^2", "drag of what is paid out wherever the vehicle is, per speed squared", (0, math.inf)
     )
-    winch = Place("winch", "where the tether comes from", "ned", 1.1e4)
+    # Of one that is farther away all but its direction is in what is paid out anyway.
+    winch = Place("winch", "where the tether comes from", "ned", 1e3)
     tail = Place("tail", "attachment on the vehicle", "body", 200)
     length_least = Parameter(
         "m", "tether that is out at the winch", (1e-9, 1e3), linear=False, default=1e-6, neutral=None
