@@ -34,8 +34,8 @@ def _of(effect: type[Effect], case: Case) -> Trial:
     vehicle = vehicle_of(case)
     bench = open_bench(vehicle, *_parts(case, vehicle))
     candidate = Candidate(effect, vehicle)
-    begun = try_candidate(candidate, bench, scout(candidate, bench).values)
-    return try_candidate(candidate, bench.sharpened(begun.full), begun.full.values)
+    first = try_candidate(candidate, bench, scout(candidate, bench).values)
+    return try_candidate(candidate, bench.sharpened(first.full), first.full.values)
 
 
 def _parts(case: Case, vehicle: Vehicle) -> tuple[WeakData, WeakData]:

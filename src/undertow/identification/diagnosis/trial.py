@@ -312,13 +312,9 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
     if not shapes:
         return set()
     without = np.where(np.isin(fit.model.functions.parameter_names, list(dropped)), 0.0, fit.p)
-    gone = _felt(fit, fit.p) & ~_felt(fit, without)
-    return {n for n, lost in zip(fit.model.free, gone, strict=True) if n in shapes and lost}
-
-
-def _felt(fit: WeakFit, p: Array) -> NDArray[np.bool_]:
-    """Whether each free parameter changes anything at these values of all parameters."""
-    return np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, p)], axis=0)
+    used = np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, without)], axis=0)
+    lost = np.any(fit.at.J, axis=0) & ~used
+    return {n for n, idle in zip(fit.model.free, lost, strict=True) if n in shapes and idle}
 
 
 def parameters_that_matter(
