@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,12 +16,14 @@ from undertow.model.evaluation import function_of
 from undertow.model.kinematics import body_rates
 from undertow.model.symbols import POSE, column, symbol
 
-from .interval import FUNCTIONS, Interval
+from .interval import FUNCTIONS, Interval, enclose
 
 Array = np.ndarray
 _ANGLES = ("phi", "theta", "psi")
 _MOST_BOXES = 40_000
 _GRID = 9
+# Into how many boxes a heading of a whole turn, and roll and pitch, are cut where a bound is not refined.
+_HEADING_CUTS, _TILT_CUTS = 36, 8
 
 
 @dataclass(frozen=True)
@@ -104,25 +106,58 @@ class Attitudes:
         inverse = self._plant.J_inverse
         if self._isotropic:
             inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:])))
-        return function_of([symbol(a) for a in _ANGLES], inverse.tolist(), FUNCTIONS)
+        return enclosing([symbol(a) for a in _ANGLES], inverse)
+
+    @cached_property
+    def _forward(self) -> Callable[..., Any]:
+        return enclosing([symbol(a) for a in _ANGLES], self._plant.J)
 
     def inverse(self, values: dict[str, Interval]) -> Interval:
         """J^-1 for intervals of angles of shape (k,), zero where not given, shape (k, n, n)."""
+        return self._function(*self.every_angle(values))
+
+    def forward(self, values: dict[str, Interval]) -> Interval:
+        """J itself for intervals of angles, shape (k, n, n); the heading is never left out of it."""
+        return self._forward(*self.every_angle(values))
+
+    def every_angle(self, values: dict[str, Interval]) -> list[Interval]:
+        """Roll, pitch and heading, zero where not given."""
         k = len(next(iter(values.values())).lo) if values else 1
         zero = Interval(np.zeros(k), np.zeros(k))
-        rows = self._function(*(values.get(a, zero) for a in _ANGLES))
-        cells = [
-            [c if isinstance(c, Interval) else Interval(*[np.full(k, float(c))] * 2) for c in r] for r in rows
+        return [values.get(a, zero) for a in _ANGLES]
+
+    def boxes(self, reach: dict[str, float]) -> dict[str, Interval]:
+        """Intervals that cover |angle| <= reach for roll and pitch, and every heading, shape (k,)."""
+        found = self.angles(False)
+        ends = [np.pi if a == "psi" else min(reach.get(a, self.tilt), self.tilt) for a in found]
+        cuts = [
+            np.linspace(-e, e, 1 + (_HEADING_CUTS if a == "psi" else _TILT_CUTS))
+            for a, e in zip(found, ends, strict=True)
         ]
-        sides = (
-            np.stack([np.stack([getattr(c, s) for c in r], -1) for r in cells], -2) for s in ("lo", "hi")
-        )
-        return Interval(*sides)
+        low = np.meshgrid(*[c[:-1] for c in cuts]) if cuts else []
+        high = np.meshgrid(*[c[1:] for c in cuts]) if cuts else []
+        return {a: Interval(lo.ravel(), hi.ravel()) for a, lo, hi in zip(found, low, high, strict=True)}
 
     def at(self, values: dict[str, float]) -> Array:
         """J^-1 at one attitude, shape (n, n)."""
         inverse = self.inverse({a: Interval([v], [v]) for a, v in values.items()})
         return inverse.middle[0]
+
+
+def enclosing(names: Sequence[sm.Symbol], matrix: sm.Matrix) -> Callable[..., Interval]:
+    """A matrix of expressions as a function of intervals of shape (k,), its values of shape (k, m, n)."""
+    function = function_of(names, matrix.tolist(), FUNCTIONS)
+
+    def evaluate(*values: Interval) -> Interval:
+        k = np.broadcast_shapes(*(v.lo.shape for v in values)) if values else (1,)
+        cells = [[enclose(c) for c in row] for row in function(*values)]
+        sides = (
+            np.stack([np.stack([np.broadcast_to(getattr(c, s), k) for c in r], -1) for r in cells], -2)
+            for s in ("lo", "hi")
+        )
+        return Interval(*sides)
+
+    return evaluate
 
 
 def least(

@@ -19,14 +19,14 @@ from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import Problem
 from .reaching import reaching
 from .region import region
-from .result import FAILS, HOLDS, UNPROVED, Agreement, Channel, Report, Row
+from .result import FAILS, HOLDS, UNPROVED, Agreement, Channel, Region, Report, Row
 from .routh import channel_polynomial, coupled_roots, roots, routh_array
-from .speed import damping_at_speed
 from .uncertain import ALL, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
+from .whole import left_alone, whole_loop
 
 Array = np.ndarray
 Tell = Callable[[float, str], None]
-_MATRICES = "matrices"
+_MATRICES, _DERIVED = "matrices", "derived"
 
 
 def check(
@@ -60,29 +60,53 @@ def check(
     UndertowError
         If the mass matrix is not positive definite, or damping is not finite at rest.
     """
-    problem = Problem(gains, tilt).of_forms(forms)
+    everything = Problem(gains, tilt)
+    problem = everything.of_forms(forms)
     _require_damping(problem)
     tell(0.1, "conditions")
     agreements = _agreements(problem, iota)
     rows = _rows(problem, uncertainty, iota, agreements, tell)
     tell(0.8, "Lyapunov function")
     equilibria = equilibria_without_thrust(gains.plant, gains.law)
-    span = next((a.iota for a in agreements if a.form == "derived"), None)
-    return Report(
+    alone = left_alone(gains)
+    own = _region(everything.of_forms([_DERIVED]), iota, rows, agreements)
+    report = Report(
         vehicle=gains.plant.vehicle.name,
         gains=gains.name,
         law=gains.law.id,
-        rows=(*rows, *(reaching(problem, uncertainty) if not forms or "derived" in forms else ())),
+        rows=(*rows, *(reaching(problem, uncertainty) if not forms or _DERIVED in forms else ())),
         agreements=tuple(agreements),
         channels=tuple(_channels(problem)),
         coupled=_coupled(problem),
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
-        region=region(problem, span) if gains.law.id == "pid" else None,
-        actuation=_actuation(gains, equilibria),
-        speed=damping_at_speed(problem) if gains.law.id == "pd" else "",
+        region=own,
+        alone=alone,
         left_out=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )
+    tell(0.9, "the whole loop")
+    if not (alone or report.left_out):
+        return report
+    return replace(report, whole=whole_loop(gains, own))
+
+
+def _region(problem: Problem, iota: float | None, rows: list[Row], agreements: list[Agreement]) -> Region:
+    """The region of a law whose derived conditions hold as matrices, over all attitudes and sign sets.
+
+    `rows` and `agreements` are what was worked out; the derived ones are where other forms were asked for.
+    """
+    if problem.gains.unactuated:
+        names = ", ".join(problem.gains.unactuated)
+        return Region("none", f"none is certified: {names} is left alone, so that V may rise")
+    own = [a for a in agreements if a.form == _DERIVED]
+    derived = [r for r in rows if r.form == _DERIVED]
+    if not derived:
+        own = _agreements(problem, iota)
+        derived = _rows(problem, Uncertainty(problem.plant.vehicle), iota, own)
+    if any(r.verdict != HOLDS for r in derived) or any(a.verdict != HOLDS for a in own):
+        return Region("none", "no region: the conditions derived from the model do not hold")
+    span = next((a.iota for a in own), None)
+    return region(problem, span if iota is None or span is None else (iota, iota))
 
 
 def _require_damping(problem: Problem) -> None:
@@ -94,16 +118,13 @@ def _require_damping(problem: Problem) -> None:
         )
 
 
-def _actuation(gains: GainSet, equilibria: str) -> str:
-    if not equilibria:
-        return ""
-    lacking = ", ".join(gains.unactuated)
-    return f"the law asks for a force in {lacking} that no thruster gives; no global claim: {equilibria}"
-
-
 # --- rows -------------------------------------------------------------------------------------
 def _rows(
-    problem: Problem, uncertainty: Uncertainty, iota: float | None, agreements: list[Agreement], tell: Tell
+    problem: Problem,
+    uncertainty: Uncertainty,
+    iota: float | None,
+    agreements: list[Agreement],
+    tell: Tell = lambda done, words: None,
 ) -> list[Row]:
     spans = {a.form: a.iota for a in agreements}
     rows: list[Row] = []

@@ -69,6 +69,15 @@ class Interval:
             result = result * self
         return result
 
+    def __abs__(self) -> Interval:
+        least = np.where((self.lo <= 0) & (self.hi >= 0), 0.0, np.minimum(np.abs(self.lo), np.abs(self.hi)))
+        return Interval(least, self.size)
+
+    @property
+    def size(self) -> Array:
+        """The largest magnitude in each interval."""
+        return np.maximum(np.abs(self.lo), np.abs(self.hi))
+
     def reciprocal(self) -> Interval:
         """One over each; everything where an interval contains zero."""
         safe = (self.lo > 0) | (self.hi < 0)

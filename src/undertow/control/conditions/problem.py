@@ -18,7 +18,8 @@ from .declared import CONDITIONS
 from .feasible import Span, where_positive
 
 Array = np.ndarray
-_SAMPLES = 7
+# Every 30 degrees of heading, every 20 of roll and pitch as they are unless stated.
+_HEADINGS, _TILTS = 13, 7
 
 
 class Problem:
@@ -112,14 +113,20 @@ class Problem:
         return all(len({float(v[i]) for i in places}) == 1 for v in self.values.values())
 
     @cached_property
-    def _samples(self) -> Array:
-        """J^-1 at attitudes spread over the range, shape (k, n, n), to choose iota by."""
+    def sampled(self) -> list[tuple[dict[str, float], Array]]:
+        """Attitudes spread over the range with J^-1, to choose iota by and to estimate the region at."""
         angles = self.attitudes.angles(self.turned)
         if not angles or (self.attitudes.orthogonal and self.turned):
-            return self.attitudes.at({})[None]
-        axes = [np.linspace(low, high, _SAMPLES) for low, high in self.attitudes.box(angles)]
-        grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
-        return np.array([self.attitudes.at(dict(zip(angles, row, strict=True))) for row in grid])
+            return [({}, self.attitudes.at({}))]
+        pairs = zip(angles, self.attitudes.box(angles), strict=True)
+        axes = [np.linspace(low, high, _HEADINGS if a == "psi" else _TILTS) for a, (low, high) in pairs]
+        rows = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
+        points = [dict(zip(angles, map(float, row), strict=True)) for row in rows]
+        return [(point, self.attitudes.at(point)) for point in points]
+
+    @cached_property
+    def _samples(self) -> Array:
+        return np.array([inverse for _, inverse in self.sampled])
 
     @property
     def few_attitudes(self) -> Array:

@@ -1,72 +1,256 @@
-"""Where the local result of PID control holds: the terms of third order in V_dot against the others."""
+"""The certified region: where V falls, attitudes stay in range and commands within their limits."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sm
 from scipy.optimize import brentq
 
 from undertow.control.plant import Plant
+from undertow.errors import UndertowError
 from undertow.model.evaluation import function_of
 from undertow.model.symbols import symbol
 
+from .attitude import least
 from .case import SignSet
+from .commands import (
+    Commands,
+    SlidingCommands,
+    dampings,
+    inertias,
+    pd_commands,
+    per_root_of_level,
+)
 from .fast import FastDamping, fast_damping
 from .feasible import Span, inside
+from .interval import least_eigenvalue
 from .problem import Problem
-from .result import Region
+from .result import SETTINGS, Region
 
 Array = np.ndarray
 _SMALL = 1e-12
 _LOWEST, _HIGHEST = 1e-30, 1e30
+_BEYOND = "beyond, it is not certain that"
+_NO_POLYNOMIAL = "damping is no polynomial in velocities and their magnitudes"
 
 
 def region(problem: Problem, iota: Span | None) -> Region:
-    """The errors for which V_dot is negative, and a level of V that stays within them.
+    """The largest region that is certified for a law whose conditions hold.
+
+    Parameters
+    ----------
+    problem : Problem
+        Gains on their vehicle, every axis pushed.
+    iota : (float, float) or None
+        The values of iota for which the derived conditions of PID control hold together.
+    """
+    try:
+        commands = Commands(problem)
+        refused = _not_held(commands)
+        if refused:
+            return _none(refused)
+        law = problem.gains.law.id
+        return _pd(commands) if law == "pd" else _pid(commands, iota) if law == "pid" else _sliding(commands)
+    except UndertowError as error:
+        return _none(str(error))
+    except np.linalg.LinAlgError:
+        return _none("V is not positive at every attitude with digits to spare")
+
+
+def _none(reason: str) -> Region:
+    return Region("none", f"no region: {reason}")
+
+
+def _not_held(commands: Commands) -> str:
+    """Why the set-point itself cannot be held, or nothing."""
+    steady = commands.steady()
+    share = steady / commands.limits
+    if not len(share) or share.max() <= 1 - SETTINGS.thrust_reserve:
+        return ""
+    worst = int(share.argmax())
+    return (
+        f"holding the set-point asks {steady[worst]:.4g} of {commands.names[worst]}, whose limit is "
+        f"{commands.limits[worst]:.4g}, and {SETTINGS.thrust_reserve:.0%} of it have to be left for control"
+    )
+
+
+# --- PD -------------------------------------------------------------------------------------------
+def _pd(commands: Commands) -> Region:
+    """V = nu' M nu/2 + e' K_P e/2 never rises while angles are in range and damping outweighs its losses."""
+    problem = commands.problem
+    upper = _tilt_level(problem)
+    falling = _largest_level(_PDDamping(problem), upper)
+    if falling == 0.0:
+        return _none("damping at speed is not proved to be positive at any speed")
+    used = _largest_level(lambda level: _used(commands, level), min(upper, falling))
+    if used == 0.0:
+        return _none("commands are not proved to stay within their limits for any error")
+    ends = {"roll and pitch stay in range": upper, "damping stays positive": falling, "thrust suffices": used}
+    return _region_of_level(commands, min(ends.values()), min(ends, key=lambda name: ends[name]))
+
+
+def _pd_reach(problem: Problem, level: float) -> dict[str, float]:
+    return {
+        c: float(np.sqrt(2 * level / k))
+        for c, k in zip(problem.coordinates, problem.values["K_P"], strict=True)
+    }
+
+
+def _pd_speeds(problem: Problem, level: float) -> Array:
+    inverse = np.max([np.diag(np.linalg.inv(m)) for m in inertias(problem.sets)], axis=0)
+    return np.asarray(np.sqrt(2 * level * inverse))
+
+
+def _tilt_level(problem: Problem) -> float:
+    """The level of V that keeps roll and pitch within what conditions hold for."""
+    angles = set(problem.attitudes.angles(False)) - {"psi"}
+    pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
+    return min((0.5 * k * problem.attitudes.tilt**2 for c, k in pairs if c in angles), default=np.inf)
+
+
+def _used(commands: Commands, level: float) -> bool:
+    return bool(np.all(_pd_bounds(commands, level) <= commands.limits))
+
+
+def _pd_bounds(commands: Commands, level: float) -> Array:
+    if not len(commands.limits):
+        return np.zeros(0)
+    return pd_commands(commands, level, _pd_reach(commands.problem, level))
+
+
+class _PDDamping:
+    """Whether K_V + D(nu) is positive at all speeds that a level of V allows, over all attitudes, proved."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        found = [fast_damping(problem.plant, one) for one in problem.sets]
+        self._fast = [d for d in found if d is not None]
+        if len(self._fast) < len(found):
+            raise UndertowError(_NO_POLYNOMIAL)
+        self._rest = dampings(problem.sets)
+        body = problem.signs(problem.sets[0], problem.attitudes.at({}), None)
+        self._scale = np.sqrt(
+            np.diag(body.K_V) + np.maximum(np.min([np.diag(d) for d in self._rest], axis=0), 0)
+        )
+
+    def __call__(self, level: float) -> bool:
+        if not any(d.falls for d in self._fast):
+            return True  # the conditions at rest are those at any speed
+        lost = self._lost(_pd_speeds(self._problem, level))
+        return all(self._proved(rest - lost) for rest in self._rest)
+
+    def _lost(self, speeds: Array) -> Array:
+        """A diagonal matrix that outweighs what damping loses in any sign set."""
+        scale = np.outer(self._scale, self._scale)
+        most = max(float(np.linalg.eigvalsh(d.loss(speeds) / scale)[-1]) for d in self._fast)
+        return np.diag(max(most, 0.0) * self._scale**2)
+
+    def _proved(self, damping: Array) -> bool:
+        problem = self._problem
+        K_V = np.diag(problem.values["K_V"])
+
+        def margins(inverse: Any) -> Array:
+            turn = np.swapaxes(inverse, -1, -2) if isinstance(inverse, np.ndarray) else inverse.T
+            return np.asarray(least_eigenvalue(turn @ damping @ inverse + K_V))
+
+        return least(margins, problem.attitudes, problem.turned).bound > 0
+
+
+def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
+    """The largest level up to `upper` that is allowed, to a hundredth; zero where hardly any is."""
+    if allowed(min(upper, _HIGHEST)):
+        return upper
+    low, high = np.log(_LOWEST), np.log(min(upper, _HIGHEST))
+    if not allowed(_LOWEST):
+        return 0.0
+    while high - low > 0.01:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if allowed(float(np.exp(middle))) else (low, middle)
+    return float(np.exp(low))
+
+
+def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
+    problem = commands.problem
+    if level >= _HIGHEST:
+        return Region("everywhere", "everywhere: V falls at any speed, from any error (half a turn aside)")
+    reach = _pd_reach(problem, level)
+    speeds = dict(
+        zip(problem.plant.vehicle.velocity_names, map(float, _pd_speeds(problem, level)), strict=True)
+    )
+    return _bounded(
+        f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})",
+        level,
+        reach,
+        speeds,
+        commands.result(_pd_bounds(commands, level)),
+    )
+
+
+def _bounded(
+    claim: str, level: float | None, errors: Mapping[str, float], speeds: Mapping[str, float], commands: Any,
+    **more: Any,
+) -> Region:  # fmt: skip
+    """A region, or none where it is smaller than what is worth the name."""
+    least_error = min(errors.values())
+    if least_error < SETTINGS.smallest_error:
+        return _none(
+            f"it would end at an error of {least_error:.2g} (m or rad), below {SETTINGS.smallest_error:g}"
+        )
+    return Region("level", claim, level, dict(errors), dict(speeds), tuple(commands), **more)
+
+
+# --- PID ------------------------------------------------------------------------------------------
+def _pid(commands: Commands, iota: Span | None) -> Region:
+    """Where the terms of third order in V_dot are outweighed by the others, at sampled attitudes.
 
     Two terms of V_dot are of third order: iota nu' H(q~) nu, in body axes and linear in the error, and
     iota q~' J^-T (D(nu) - D(0)) nu. Both are outweighed where iota sum |q~_i| c_i < 1 with c_i the largest
     eigenvalue of what belongs to |q~_i| relative to what the quadratic form leaves for the velocities (its
     Schur complement). The c_i are maxima over sign sets and over sampled attitudes. Where damping grows
     faster than in proportion, or falls with speed, they are those for the speeds that the level allows.
-
-    Parameters
-    ----------
-    problem : Problem
-        PID gains on their vehicle.
-    iota : (float, float) or None
-        The values of iota for which the derived conditions hold together.
     """
+    problem = commands.problem
     if iota is None:
-        return Region(None, None, None, "no region: no iota satisfies the derived conditions together")
-    chosen = inside(iota)
+        return _none("no iota satisfies the derived conditions together")
     damping = [fast_damping(problem.plant, one) for one in problem.sets]
     known = [d for d in damping if d is not None]
     if len(known) < len(damping):
-        text = "no region estimated: damping is no polynomial in velocities and their magnitudes"
-        return Region(chosen, None, None, text)
-    return _told(problem, chosen, _Places(problem, chosen, known))
+        return _none(_NO_POLYNOMIAL)
+    chosen = inside(iota)
+    places = _Places(commands, chosen, known)
+    falling = places.level()
+    level = _largest_level(lambda level: bool(np.all(places.bounds(level) <= commands.limits)), falling)
+    if level == 0.0:
+        return _none("commands are not proved to stay within their limits for any error")
+    return _told(places, level, "thrust suffices" if level < falling else "V falls")
 
 
-def _told(problem: Problem, iota: float, places: _Places) -> Region:
-    level = places.level()
+def _told(places: _Places, level: float, ends: str) -> Region:
+    problem = places.problem
+    if level >= _HIGHEST:
+        return Region("everywhere", "everywhere: inertia and damping are constant", iota=places.iota)
     weights, lost = places.weights(level)
-    if weights.max() < _SMALL and lost == 0.0:
-        text = "everywhere: inertia and damping are constant, so there is no term of third order"
-        return Region(iota, np.inf, np.inf, text)
-    shares = {
-        c: (1.0 - lost) / (iota * w) for c, w in zip(problem.coordinates, weights, strict=True) if w > _SMALL
-    }
+    pairs = zip(problem.coordinates, weights, strict=True)
+    shares = {c: (1.0 - lost) / (places.iota * w) for c, w in pairs if w > _SMALL}
     bounds = " + ".join(f"|q~_{c}|/{limit:.4g} {_unit(c)}" for c, limit in shares.items()) or "0"
-    text = (
-        f"an estimate: V_dot < 0 where {bounds} < 1 at iota = {iota:.4g} 1/s{places.proviso(level)}; motions "
-        f"that begin with V < {level:.4g} stay there{' and within half a turn' if places.turning else ''}"
+    claim = (
+        f"an estimate at sampled attitudes: V_dot < 0 where {bounds} < 1 at iota = {places.iota:.4g} 1/s"
+        f"{places.proviso(level)}; motions that begin with V < {level:.4g} stay there and come to rest "
+        f"({_BEYOND} {ends})"
     )
-    angles = [limit for c, limit in shares.items() if _unit(c) == "rad"]
-    return Region(iota, min(angles, default=np.inf), level, text)
+    return _bounded(
+        claim,
+        level,
+        places.reach(level),
+        places.fastest(level),
+        places.commands.result(places.bounds(level)),
+        iota=places.iota,
+        proved=False,
+    )
 
 
 def _unit(coordinate: str) -> str:
@@ -87,25 +271,29 @@ class _Place(NamedTuple):
     """What V leaves for the error: V >= q~' spring q~/2."""
     mass: Array
     """What V leaves for the velocities: V >= nu' mass nu/2."""
+    form: Array
+    """V = z' form z/2 in z = (q_dot, q~, integral)."""
 
 
 class _Places:
     """All sign sets at sampled attitudes."""
 
-    def __init__(self, problem: Problem, iota: float, damping: list[FastDamping]) -> None:
-        self._iota = iota
-        self.turning = [i for i, c in enumerate(problem.coordinates) if _unit(c) == "rad"]
-        attitudes = _attitudes(problem)
+    def __init__(self, commands: Commands, iota: float, damping: list[FastDamping]) -> None:
+        self.commands, self.problem, self.iota = commands, commands.problem, iota
+        problem = self.problem
         self._places = [
             _place(problem, one, own, third, iota, *attitude)
             for one, own in zip(problem.sets, damping, strict=True)  # C mixes what belongs to several
             for third in (_ThirdOrder(problem.plant, one),)
-            for attitude in attitudes
+            for attitude in problem.sampled
         ]
         # Of positive matrices that are alike over many attitudes a few decide.
         self._reach = np.max([np.abs(np.linalg.inv(p.spring)) for p in self._places], axis=0)
         self._speeds = np.max([np.sqrt(np.diag(np.linalg.inv(p.mass))) for p in self._places], axis=0)
         self._bent = any(d.falls or d.depends_on_speed for d in damping)
+        self._moves = np.max(
+            [per_root_of_level(commands, p.form, np.linalg.inv(p.inverse)) for p in self._places], axis=0
+        )
 
     def weights(self, level: float) -> tuple[Array, float]:
         """c_i for each coordinate while V < level, and the share of the left side that damping takes."""
@@ -113,15 +301,37 @@ class _Places:
         found = [_sizes(p, speeds) for p in self._places]
         return np.max([w for w, _ in found], axis=0), max(lost for _, lost in found)
 
+    def reach(self, level: float) -> dict[str, float]:
+        """Largest error of each coordinate while V < level, m and rad."""
+        errors = np.sqrt(2 * level * np.diag(self._reach))
+        return dict(zip(self.problem.coordinates, map(float, errors), strict=True))
+
+    def fastest(self, level: float) -> dict[str, float]:
+        """Largest velocities while V < level, m/s and rad/s."""
+        speeds = np.sqrt(2 * level) * self._speeds
+        return dict(zip(self.problem.plant.vehicle.velocity_names, map(float, speeds), strict=True))
+
+    def bounds(self, level: float) -> Array:
+        """Bound on the magnitude of each command while V < level, shape (m,)."""
+        if not len(self.commands.limits):
+            return np.zeros(0)
+        rest = self.commands.at_rest(self.problem.attitudes.boxes(self.reach(level)))
+        return np.asarray(rest + np.sqrt(level) * self._moves)
+
     def level(self) -> float:
-        """The largest level of V within which V_dot is negative and angles are within half a turn."""
-        # Errors of angles are within half a turn: beyond it V jumps.
-        highest = min((np.pi**2 / (2 * self._reach[i, i]) for i in self.turning), default=np.inf)
+        """The largest level of V within which V_dot is negative and angles stay in range.
+
+        That is half a turn for the heading, beyond which V jumps, and the range of the conditions for roll
+        and pitch.
+        """
+        angles = {c: np.pi if c == "psi" else self.problem.attitudes.tilt for c in ("phi", "theta", "psi")}
+        pairs = zip(self.problem.coordinates, np.diag(self._reach), strict=True)
+        highest = min((angles[c] ** 2 / (2 * r) for c, r in pairs if c in angles), default=np.inf)
 
         def excess(logarithm: float) -> float:
             weights, lost = self.weights(np.exp(logarithm))
             error = np.sqrt(2 * np.exp(logarithm) * float(weights @ self._reach @ weights))
-            return float(np.log(max(self._iota * error + lost, 1e-300)))
+            return float(np.log(max(self.iota * error + lost, 1e-300)))
 
         ends = np.log(_LOWEST), np.log(min(highest, _HIGHEST))
         if excess(ends[1]) < 0:
@@ -139,29 +349,18 @@ def _sizes(place: _Place, speeds: Array) -> tuple[Array, float]:
     root = np.linalg.inv(np.linalg.cholesky(place.left))
     scale = 1 / np.sqrt(np.diag(place.left))
     # Forms in |nu| are compared with a diagonal matrix below the left side.
-    least = float(np.linalg.eigvalsh(place.left * np.outer(scale, scale))[0])
+    least_left = float(np.linalg.eigvalsh(place.left * np.outer(scale, scale))[0])
 
     def size(form: Array) -> float:
         scaled = form * np.outer(scale, scale)
-        return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[-1]) / least
+        return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[-1]) / least_left
 
     T = place.damping.shares(speeds)
     weights = [
         np.abs(np.linalg.eigvalsh(root @ H @ root.T)).max() + size(np.einsum("l,lkj->kj", np.abs(b), T))
         for H, b in zip(place.H, place.inverse.T, strict=True)
     ]
-    return np.array(weights), size(np.einsum("k,ikj->ij", speeds, T)) if place.damping.falls else 0.0
-
-
-def _attitudes(problem: Problem) -> list[tuple[dict[str, float], Array]]:
-    angles = problem.attitudes.angles(False)
-    if not angles:
-        return [({}, problem.attitudes.at({}))]
-    count = 9 if len(angles) == 1 else 5
-    axes = [np.linspace(low, high, count) for low, high in problem.attitudes.box(angles)]
-    rows = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
-    points = [dict(zip(angles, map(float, row), strict=True)) for row in rows]
-    return [(point, problem.attitudes.at(point)) for point in points]
+    return np.array(weights), size(place.damping.loss(speeds)) if place.damping.falls else 0.0
 
 
 def _place(
@@ -180,9 +379,10 @@ def _place(
     left = rest - cross.T @ np.linalg.solve(iota * s.K_P - s.K_I, cross)
     stiff = s.K_P - s.K_I / iota
     mass = s.M - iota**2 * s.M @ np.linalg.solve(stiff, s.M)
-    J = np.linalg.inv(inverse)
+    J, none = np.linalg.inv(inverse), np.zeros_like(s.M)
     spring = stiff - iota**2 * s.M
-    return _Place(J.T @ left @ J, third(values), inverse, damping, spring, J.T @ mass @ J)
+    form = np.block([[s.M, -iota * s.M, none], [-iota * s.M, s.K_P, s.K_I], [none, s.K_I, iota * s.K_I]])
+    return _Place(J.T @ left @ J, third(values), inverse, damping, spring, J.T @ mass @ J, form)
 
 
 class _ThirdOrder:
@@ -204,3 +404,45 @@ def _hessian(form: sm.Expr, nu: sm.Matrix) -> sm.Matrix:
     """Half the second derivative in the velocities, of which the form is quadratic."""
     gradient = sm.Matrix([form]).jacobian(nu)
     return reduce(lambda m, f: f(m), (lambda m: m.jacobian(nu), lambda m: m / 2), gradient.T)
+
+
+# --- sliding modes --------------------------------------------------------------------------------
+def _sliding(commands: Commands) -> Region:
+    """The largest box of errors and surfaces, which is invariant, whose commands the thrusters can give."""
+    problem = commands.problem
+    tilted = set(problem.attitudes.angles(False)) - {"psi"}
+    caps = np.array(
+        [
+            problem.attitudes.tilt if c in tilted else np.pi if c == "psi" else np.inf
+            for c in problem.coordinates
+        ]
+    )
+    if not len(commands.limits) and not tilted:
+        return Region("everywhere", "everywhere: S falls at any speed, from any error (half a turn aside)")
+    bounds = SlidingCommands(commands)
+
+    def errors(scale: float) -> Array:
+        return np.minimum(scale, caps)
+
+    def allowed(scale: float) -> bool:
+        return bool(np.all(bounds.bounds(errors(scale)) <= commands.limits))
+
+    scale = (
+        _largest_level(allowed, SETTINGS.largest_error) if len(commands.limits) else SETTINGS.largest_error
+    )
+    if scale == 0.0:
+        return _none("commands are not proved to stay within their limits for any error")
+    box = errors(scale)
+    largest = bounds.bounds(box) if len(commands.limits) else np.zeros(0)
+    claim = (
+        "motions that begin with |q~_i| within these errors and |S_i| < Lambda_i times them stay there and "
+        f"come to rest ({_BEYOND} {'thrust suffices' if len(largest) else 'roll and pitch stay in range'})"
+    )
+    speeds = dict(zip(problem.plant.vehicle.velocity_names, map(float, bounds.speeds(box)), strict=True))
+    return _bounded(
+        claim,
+        None,
+        dict(zip(problem.coordinates, map(float, box), strict=True)),
+        speeds,
+        commands.result(largest),
+    )

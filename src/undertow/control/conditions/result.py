@@ -8,7 +8,55 @@ from .feasible import Span
 from .uncertain import Range
 
 HOLDS, FAILS, UNPROVED = "holds", "fails", "not proved"
-_ZERO = 1e-6
+
+
+@dataclass(frozen=True)
+class CertificateSettings:
+    """The numbers that decide what counts as certified.
+
+    Attributes
+    ----------
+    thrust_reserve : float
+        Part of each thruster's limit that holding the set-point has to leave for control. A tenth is what
+        voltage and propeller tolerances of small thrusters take between dives.
+    smallest_error : float
+        A region that ends at a smaller error of some coordinate is none, m and rad: sensors aboard do not
+        resolve it.
+    largest_error : float
+        Errors beyond it are not looked at where thrusters have limits, m.
+    largest_offset : float
+        Error of the reported pose, m and rad, with which a loop may come to rest and still holds its
+        set-point: the accuracy of acoustic positioning and magnetic compasses.
+    slowest : float
+        A motion that decays more slowly is one that does not decay, 1/s: its time constant is over a week.
+    headings : int
+        At how many headings the whole loop is linearised where its motion depends on the heading.
+    starts : int
+        How many starts are simulated where effects or axes are outside the certificate.
+    lasts : float
+        Length of these simulations in slowest time constants.
+    durations : (float, float)
+        Its limits, s: what takes longer than a quarter of an hour is judged by that.
+    dt : float
+        Sampling interval there, s; a tenth of it where the law needs that.
+    comes_back : float
+        Part of the error of the start that may be left at the end.
+    """
+
+    thrust_reserve: float = 0.1
+    smallest_error: float = 1e-2
+    largest_error: float = 1e4
+    largest_offset: float = 0.1
+    slowest: float = 1e-6
+    headings: int = 12
+    starts: int = 8
+    lasts: float = 20.0
+    durations: tuple[float, float] = (30.0, 900.0)
+    dt: float = 0.01
+    comes_back: float = 0.25
+
+
+SETTINGS = CertificateSettings()
 
 
 @dataclass(frozen=True)
@@ -130,44 +178,109 @@ class Lyapunov:
 
 
 @dataclass(frozen=True)
-class Region:
-    """Where the local result of PID control holds.
+class Command:
+    """What one limited thruster is asked for.
 
     Attributes
     ----------
-    iota : float or None
-        The iota that it is stated for.
-    angle : float or None
-        Largest error of the angles that the inertia depends on, rad; infinite where it depends on none.
-    level : float or None
-        The set {V < level} stays within that error.
-    text : str
-        The statement in words.
+    name : str
+        The thruster.
+    steady : float
+        Magnitude of the command that holds the vehicle at the set-point, in units of the command.
+    largest : float
+        Bound on its magnitude in the certified region.
+    limit : float
+        What it can give.
     """
 
-    iota: float | None
-    angle: float | None
-    level: float | None
+    name: str
+    steady: float
+    largest: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """From where a loop is certified to come to its set-point.
+
+    Attributes
+    ----------
+    kind : str
+        "everywhere"; "level", a bounded region that no motion leaves; or "none".
+    text : str
+        The statement in words.
+    level : float or None
+        V is below it in the region, J; None where the region is a box of errors and surfaces.
+    errors, speeds : dict of float
+        Largest error of each coordinate (m, rad) and largest body velocities (m/s, rad/s) in the region.
+    commands : tuple of Command
+        What each limited thruster is asked for.
+    iota : float or None
+        The iota that it is stated for; PID only.
+    proved : bool
+        False for an estimate at sampled attitudes.
+    """
+
+    kind: str
+    text: str
+    level: float | None = None
+    errors: dict[str, float] = field(default_factory=dict)
+    speeds: dict[str, float] = field(default_factory=dict)
+    commands: tuple[Command, ...] = ()
+    iota: float | None = None
+    proved: bool = True
+
+
+@dataclass(frozen=True)
+class LeftAlone:
+    """What becomes of the axes that no thruster pushes, while the others are at their set-points.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Degrees of freedom.
+    poles : list of complex
+        Of their own motion at rest (zero dynamics), 1/s; a zero one is a place that nothing holds.
+    stable : bool
+        Whether they come to rest.
+    text : str
+        Where they go, in words.
+    """
+
+    axes: tuple[str, ...]
+    poles: list[complex]
+    stable: bool
     text: str
 
 
 @dataclass(frozen=True)
 class WholeLoop:
-    """The loop with all effects, linearised at rest.
+    """The loop with all effects, sensors and limits, linearised at its rest and tried by simulation.
 
     Attributes
     ----------
-    stable : bool or None
-        Whether no pole grows; None where it could not be judged.
+    verdict : str
+        "stable", "unstable", "off the set-point" or "not judged".
     pole : complex or None
         The pole that grows fastest or decays slowest, 1/s.
     text : str
         Where that is, or why it was not judged.
+    offset : dict of float
+        How far from the set-point the reported pose comes to rest, m and rad.
+    simulated : str
+        What simulations from starts in the region came to.
     """
 
-    stable: bool | None
+    verdict: str
     pole: complex | None
     text: str
+    offset: dict[str, float] = field(default_factory=dict)
+    simulated: str = ""
+
+    @property
+    def stable(self) -> bool:
+        """Whether it was judged and found stable."""
+        return self.verdict == "stable"
 
 
 @dataclass(frozen=True)
@@ -188,12 +301,10 @@ class Report:
         Roots of all axes together by set of parameters, where axes are coupled or the heading counts.
     lyapunov : Lyapunov
         Candidate and derivative.
-    region : Region or None
-        PID only.
-    actuation : str
-        Empty, or what follows from forces that no thruster gives.
-    speed : str
-        Damping at speed against that at rest; PD only, whose claim is for all motions.
+    region : Region
+        From where the loop is certified to come to its set-point.
+    alone : LeftAlone or None
+        What becomes of the axes that no thruster pushes.
     left_out : dict of str
         Effects that no condition knows, with the reason.
     uncertainty : str
@@ -210,9 +321,8 @@ class Report:
     channels: tuple[Channel, ...]
     coupled: dict[str, list[complex]]
     lyapunov: Lyapunov
-    region: Region | None
-    actuation: str
-    speed: str = ""
+    region: Region
+    alone: LeftAlone | None = None
     left_out: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
     whole: WholeLoop | None = None
@@ -222,12 +332,16 @@ class Report:
         """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
         rows = all(r.verdict == HOLDS for r in self.rows)
         together = all(a.verdict == HOLDS for a in self.agreements)
-        border = _ZERO if self.actuation else 0.0  # what nothing pushes stays where it is
+        border = SETTINGS.slowest if self.alone else 0.0  # what nothing pushes stays where it is
         coupled = all(r.real < border for roots in self.coupled.values() for r in roots)
         return rows and together and coupled and all(c.stable for c in self.channels)
 
     @property
     def ok(self) -> bool:
-        """Whether conditions hold, every force asked for can be given, and the whole loop is not unstable."""
-        grows = self.whole is not None and self.whole.stable is False
-        return self.conditions_hold and not self.actuation and not grows
+        """Whether the loop is certified.
+
+        Conditions hold; motions from a region come to rest within the limits of the thrusters or, where axes
+        are left alone, those come to rest; and the loop with all effects is stable where there are others.
+        """
+        certified = self.alone.stable if self.alone else self.region.kind != "none"
+        return self.conditions_hold and certified and (self.whole is None or self.whole.stable)

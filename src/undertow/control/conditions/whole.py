@@ -1,66 +1,300 @@
-"""The whole loop, with what no condition knows, linearised at rest."""
+"""The whole loop, with what no condition knows: linearised at its rest, and tried by simulation."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from undertow.control.allocation import allocation_of
 from undertow.control.gains import GainSet
+from undertow.control.laws import LAWS
+from undertow.control.laws.sliding_mode import LAMBDA
 from undertow.errors import UndertowError
+from undertow.model.evaluation import function_of
+from undertow.model.vehicle import Vehicle
 
+from .case import sign_sets
 from .problem import Problem
-from .result import Report, WholeLoop
+from .result import SETTINGS, LeftAlone, Region, WholeLoop
 
+if TYPE_CHECKING:
+    from undertow.control.linear.loop import LinearLoop
+
+Array = np.ndarray
+_ANGLES = ("phi", "theta", "psi")
 _PADE = 4
-_ZERO = 1e-6
+_JUMPING = ("sliding-mode", "super-twisting")
+# The layer that stands for a jump is left this much faster than the surface leads to the set-point.
+_STEEP = 20.0
 
 
-def with_whole_loop(report: Report, gains: GainSet) -> Report:
-    """A report with the verdict on the whole loop, where effects are left out of the conditions."""
-    return replace(report, whole=whole_loop(gains)) if report.left_out else report
+def whole_loop(gains: GainSet, region: Region) -> WholeLoop:
+    """The loop of a law with everything in its vehicle: effects, sensors, limits, axes that nothing pushes.
 
-
-def whole_loop(gains: GainSet) -> WholeLoop:
-    """The linear loop of a law and everything in its vehicle at rest, dead time as a Padé approximation.
-
-    Where the gains of x and y differ it is looked at for a vehicle that heads north and for one that heads
-    east; all directions of motion that have parameters of their own count. Poles at zero, which belong to
-    what nothing pushes, do not count as unstable.
+    It is linearised at rest at several headings and in all directions of motion that have parameters of their
+    own, dead time as a Padé approximation; the law is told what the sensors report. Then it is simulated from
+    starts within the region, or near the set-point where there is none.
 
     Returns
     -------
     WholeLoop
-        Its fastest growing poles; without a verdict where the loop has no linear form at rest.
+        Its fastest growing pole, or why it was not judged.
     """
+    try:
+        loops = [*_loops(gains)]
+        found = [_judged(case, loop) for case, loop in loops]
+        worst = max(found, key=lambda w: (w.verdict == "unstable", not w.stable, _growth(w)))
+        return _tried(gains, region, worst, loops[0][1].rest) if worst.stable else worst
+    except UndertowError as error:
+        return WholeLoop("not judged", None, f"not judged: {error}")
+    except np.linalg.LinAlgError as error:
+        return WholeLoop("not judged", None, f"not judged: linear algebra fails on these numbers ({error})")
+
+
+def _growth(found: WholeLoop) -> float:
+    return -math.inf if found.pole is None else found.pole.real
+
+
+# --- linearised -----------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Case:
+    """A rest that the loop is linearised at: what is held, and the direction of motion by velocity."""
+
+    held: Mapping[str, float]
+    direction: Mapping[str, int]
+    idle: int
+    """How many axes nothing pushes."""
+
+    @property
+    def where(self) -> str:
+        heading = f"heading {math.degrees(self.held['psi']):.0f} deg" if "psi" in self.held else ""
+        way = {1: "forward", -1: "backward"}.get(next(iter(self.direction.values()), 0), "")
+        return ", ".join(filter(None, (heading, way)))
+
+
+def _loops(gains: GainSet) -> Iterator[tuple[_Case, LinearLoop]]:
     from undertow.control.linear.loop import close_loop
     from undertow.control.linear.trim import find_trim
 
-    vehicle, found = gains.plant.vehicle, []
-    try:
-        for held, direction in _cases(gains):
-            trim = find_trim(vehicle, held, direction=direction)
-            poles = close_loop(vehicle, gains, trim, pade=_PADE).closed.poles()
-            found.append((max(map(complex, poles), key=lambda p: (p.real, p.imag)), held, direction))
-    except UndertowError as error:
-        return WholeLoop(None, None, f"not judged: {error}")
-    worst, held, direction = max(found, key=lambda case: case[0].real)
-    return WholeLoop(worst.real <= _ZERO, worst, _where(held, direction))
+    smooth, vehicle = _without_jump(gains), _with_limits(gains)
+    for case in _cases(gains):
+        trim = find_trim(vehicle, case.held, direction=case.direction)
+        yield case, close_loop(vehicle, smooth, trim, pade=_PADE, nominal=gains.plant.vehicle)
 
 
-def _cases(gains: GainSet) -> Iterator[tuple[Mapping[str, float], Mapping[str, int]]]:
+def _with_limits(gains: GainSet) -> Vehicle:
+    """The vehicle whose thrusters have the limits that the gain file states."""
+    vehicle, limits = gains.plant.vehicle, allocation_of(gains).limits
+    found = dict(zip(vehicle.command_names, map(float, limits), strict=True))
+    thrusters = [
+        replace(t, limit=found[t.name]) if math.isfinite(found[t.name]) else t for t in vehicle.thrusters
+    ]
+    return replace(vehicle, thrusters=tuple(thrusters))
+
+
+def _without_jump(gains: GainSet) -> GainSet:
+    """A law that jumps with a thin layer in its place: on its surface both lead to the same motion.
+
+    Raises
+    ------
+    UndertowError
+        If there are effects beside, with which a jump ends in a limit cycle that no linear loop shows.
+    """
+    if gains.law.id not in _JUMPING:
+        return gains
+    if gains.plant.left_out:
+        raise UndertowError(
+            f"law '{gains.law.id}' jumps at its set-point: with {', '.join(gains.plant.left_out)} it has no "
+            "linear form there; take 'sliding-mode-boundary-layer'"
+        )
+    values, drive = dict(gains.values), {"sliding-mode": "K_Z", "super-twisting": "K_1"}[gains.law.id]
+    for c in gains.signals.coordinates:
+        driven = bool(values[f"{drive}_{c}"])
+        values[f"width_{c}"] = 1.0 / (_STEEP * values[str(LAMBDA.symbol(c))]) if driven else 1.0
+        values[f"K_Z_{c}"] = float(driven)
+    return replace(gains, law=LAWS["sliding-mode-boundary-layer"](), values=values)
+
+
+def _cases(gains: GainSet) -> Iterator[_Case]:
     from undertow.control.linear.numeric import reversing
 
     vehicle = gains.plant.vehicle
-    rest = dict.fromkeys(vehicle.velocity_names, 0.0)
-    headings = (0.0, math.pi / 2) if Problem(gains).heading_counts else (0.0,)
-    for heading in headings if "psi" in vehicle.pose_names else (None,):
+    rest: dict[str, float] = dict.fromkeys(vehicle.velocity_names, 0.0)
+    pairs = zip(vehicle.pose_names, vehicle.degrees_of_freedom, strict=True)
+    rest |= {c: 0.0 for c, dof in pairs if c in ("phi", "theta") and dof not in gains.unactuated}
+    turns = "psi" in vehicle.pose_names
+    differs = gains.plant.left_out or gains.unactuated or Problem(gains).heading_counts
+    count = SETTINGS.headings if turns and differs else 1
+    for heading in np.linspace(-math.pi, math.pi, count, endpoint=False) + math.pi:
         for way in (1, -1) if reversing(vehicle) else (1,):
-            held = rest if heading is None else {**rest, "psi": heading}
-            yield held, dict.fromkeys(reversing(vehicle), way)
+            held = {**rest, "psi": float(heading)} if turns else rest
+            yield _Case(held, dict.fromkeys(reversing(vehicle), way), len(gains.unactuated))
 
 
-def _where(held: Mapping[str, float], direction: Mapping[str, int]) -> str:
-    heading = f"heading {math.degrees(held['psi']):.0f} deg" if "psi" in held else ""
-    way = {1: "forward", -1: "backward"}.get(next(iter(direction.values()), 0), "")
-    return ", ".join(filter(None, (heading, way)))
+def _judged(case: _Case, loop: LinearLoop) -> WholeLoop:
+    matrix = _felt(loop)
+    poles = np.linalg.eigvals(matrix)
+    worst = complex(max(poles, key=lambda p: (p.real, p.imag)))
+    if worst.real > SETTINGS.slowest:
+        return WholeLoop("unstable", worst, case.where)
+    standing = int(np.sum(poles.real >= -SETTINGS.slowest))
+    if standing > case.idle:
+        text = f"not judged: a motion neither decays nor grows ({case.where or 'at rest'}); a dead band, say"
+        return WholeLoop("not judged", worst, text)
+    if standing > len(matrix) - _rank(matrix):
+        text = f"what nothing pushes runs away, or an integral of its error does ({case.where or 'at rest'})"
+        return WholeLoop("unstable", worst, text)
+    moving = [complex(p) for p in poles if p.real < -SETTINGS.slowest]
+    slowest = max(moving, key=lambda p: (p.real, p.imag), default=worst)
+    return _offset(WholeLoop("stable", slowest, case.where), loop)
+
+
+def _felt(loop: LinearLoop) -> Array:
+    """The closed loop without integrals that nothing depends on."""
+    system, own = loop.closed, set(loop.law.state_labels)
+    kept = list(range(system.nstates))
+    for i, name in enumerate(system.state_labels):
+        if name in own and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
+            kept.remove(i)
+    return np.asarray(system.A[np.ix_(kept, kept)])
+
+
+def _rank(matrix: Array) -> int:
+    """Rank after balancing, so that states of small and large numbers count alike."""
+    from scipy.linalg import matrix_balance
+
+    balanced, _ = matrix_balance(matrix)
+    singular = np.linalg.svd(balanced, compute_uv=False)
+    return int(np.sum(singular > 1e-9 * singular[0]))
+
+
+def _offset(found: WholeLoop, loop: LinearLoop) -> WholeLoop:
+    """How far from its set-point the loop comes to rest: a law without integrals leaves an error."""
+    offset = loop.offset
+    far = {c: v for c, v in offset.items() if abs(v) > SETTINGS.largest_offset}
+    if not far:
+        return replace(found, offset=offset)
+    told = ", ".join(
+        f"{abs(v):.3g} {'rad' if c in ('phi', 'theta', 'psi') else 'm'} in {c}" for c, v in far.items()
+    )
+    text = f"it comes to rest {told} off its set-point ({found.text or 'at rest'})"
+    return WholeLoop("off the set-point", found.pole, text, offset)
+
+
+# --- what nothing pushes --------------------------------------------------------------------------
+def left_alone(gains: GainSet) -> LeftAlone | None:
+    """The zero dynamics of the axes that no thruster pushes, the others at their set-points; None without."""
+    if not gains.unactuated:
+        return None
+    plant = gains.plant
+    own = [plant.vehicle.degrees_of_freedom.index(d) for d in gains.unactuated]
+    pushed, stiff = _static(gains, own)
+    poles: list[complex] = []
+    for one in sign_sets(plant):
+        M, D = (m[np.ix_(own, own)] for m in (one.inertia, one.damping))
+        falling = -np.linalg.solve(M, np.hstack([stiff, D]))
+        rates = np.vstack([np.eye(len(own), 2 * len(own), len(own)), falling])
+        poles += map(complex, np.linalg.eigvals(rates))
+    return _alone(gains.unactuated, sorted(set(poles), key=lambda p: (-p.real, p.imag)), pushed, stiff)
+
+
+def _static(gains: GainSet, own: list[int]) -> tuple[Array, Array]:
+    """Force at the set-point on an even keel, and its slope in the displacements, on the left-hand side."""
+    plant = gains.plant
+    level = dict.fromkeys(plant.eta, 0)
+    force = plant.g.xreplace(plant.numbers)
+    slope = force.jacobian(plant.eta).xreplace(level)
+    found = (np.array(m.evalf().tolist(), dtype=float) for m in (force.xreplace(level), slope))
+    at_rest, stiffness = found
+    return at_rest[own, 0], stiffness[np.ix_(own, own)]
+
+
+def _alone(axes: tuple[str, ...], poles: list[complex], pushed: Array, stiff: Array) -> LeftAlone:
+    names = ", ".join(axes)
+    grows = poles[0].real > SETTINGS.slowest
+    free = [
+        a for a, row, force in zip(axes, stiff, pushed, strict=True) if not np.any(row) and abs(force) > 1e-9
+    ]
+    if grows:
+        text = f"{names}: unstable, left alone it leaves its place with {poles[0].real:.4g} 1/s"
+        return LeftAlone(axes, poles, False, text)
+    if free:
+        force = max(float(abs(f)) for a, f in zip(axes, pushed, strict=True) if a in free)
+        text = (
+            f"{', '.join(free)}: a force of {force:.4g} (N, N m) acts at the set-point and nothing holds it"
+        )
+        return LeftAlone(axes, poles, False, text)
+    decaying = [p for p in poles if p.real < -SETTINGS.slowest]
+    still = [a for a, row in zip(axes, stiff, strict=True) if not np.any(row)]
+    if len(poles) - len(decaying) > 2 * len(still) or not decaying:
+        text = f"{names}: left alone, its motion neither decays nor grows"
+        return LeftAlone(axes, poles, False, text)
+    slowest = max(decaying, key=lambda p: p.real).real
+    words = [f"{names}: left alone, its speed dies out with {-slowest:.4g} 1/s"]
+    if still:
+        words.append(
+            f"it comes to rest where that leaves it: an error along {', '.join(still)} is never corrected"
+        )
+    return LeftAlone(axes, poles, True, "; ".join(words))
+
+
+# --- tried by simulation --------------------------------------------------------------------------
+def _tried(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, float]) -> WholeLoop:
+    """The verdict after simulations of the whole loop; a start that it does not come back from refutes it."""
+    from undertow.control.closed_loop.many import Runs
+    from undertow.control.closed_loop.scenario import Scenario
+    from undertow.control.closed_loop.simulate import ClosedLoop
+
+    starts = _starts(gains, region)
+    slowest = -found.pole.real if found.pole is not None else 1.0
+    duration = float(np.clip(SETTINGS.lasts / max(slowest, SETTINGS.slowest), *SETTINGS.durations))
+    loop = ClosedLoop(gains)
+
+    def run(dt: float) -> Runs:
+        scenario = Scenario(tuple(0.0 for _ in gains.signals.coordinates), duration, dt)
+        return loop.run_many(scenario, starts={c: v + rest[c] for c, v in starts.items()})
+
+    try:
+        runs = run(SETTINGS.dt)
+    except UndertowError:
+        runs = run(SETTINGS.dt / 10)
+    left = _left(gains, runs.states[:, -1], rest, starts)
+    bad = int(np.argmax(left))
+    words = f"{len(left)} starts, {duration:.0f} s each"
+    if not left[bad] <= SETTINGS.comes_back:
+        start = ", ".join(f"{n} = {float(v[bad] + rest[n]):.3g}" for n, v in starts.items())
+        text = f"simulated for {duration:.0f} s from {start} it does not come back"
+        return replace(found, verdict="unstable", pole=None, text=text, simulated=words)
+    return replace(found, simulated=f"{words}: all come back")
+
+
+def _starts(gains: GainSet, region: Region) -> dict[str, Array]:
+    """Corners of the errors that the region allows, at most a metre and half a radian, signs mixed."""
+    rng = np.random.default_rng(SETTINGS.starts)
+    most = {c: (0.5 if c in _ANGLES else 1.0) for c in gains.signals.coordinates}
+    share = 1 / math.sqrt(len(most))  # a corner of a box within an ellipsoid of V
+    return {
+        c: rng.choice((-1.0, 1.0), SETTINGS.starts) * min(m, share * region.errors.get(c, math.inf))
+        for c, m in most.items()
+    }
+
+
+def _left(gains: GainSet, states: Array, rest: Mapping[str, float], starts: Mapping[str, Array]) -> Array:
+    """Largest error at the end, from where the loop rests, of pushed axes, in units of the start's."""
+    plant, names = gains.plant, gains.signals.coordinates
+    inverse = function_of(list(plant.eta), plant.J_inverse.tolist())
+    pushed = [i for i, d in enumerate(plant.vehicle.degrees_of_freedom) if d not in gains.unactuated]
+    turns = np.array([c in _ANGLES for c in names])
+    begun = np.abs([starts[c][0] for c in names])
+    scale = np.array([max(begun[turns == turn]) for turn in turns])
+    error = states[:, : len(names)] - np.array([rest[c] for c in names])
+    error = np.where(turns, (error + np.pi) % (2 * np.pi) - np.pi, error)
+    found = []
+    for pose, left in zip(states, error, strict=True):
+        body = np.array(inverse(*pose[: len(names)]), dtype=float) @ left
+        found.append(np.max(np.abs(body / scale)[pushed]))
+    return np.nan_to_num(found, nan=np.inf)

@@ -275,6 +275,7 @@ class _Maker:
             self._trim,
             states=dict(zip(states, found[0], strict=True)),
             commands=dict(zip(commands, found[1], strict=True)),
+            reports=self._numeric.reports(*found, p),
         )
         plant = linear_at(self._numeric, trim, p)
         loop = None if self._law is None else LinearLoop(plant, self._law, trim)

@@ -109,7 +109,7 @@ class LawSystem:
         """
         self._check(trim)
         n = len(self.references)
-        y = trim.x[: 2 * n]
+        y = trim.y
         ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.acting)
         target = self._controller.allocation.acting @ trim.u
         for _ in range(_ROUNDS):

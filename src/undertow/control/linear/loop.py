@@ -73,6 +73,24 @@ class LinearLoop:
         self.plant, self._system, self.trim = plant, system, trim
         self.law = system.linear(trim)
 
+    @cached_property
+    def _kept(self) -> tuple[np.ndarray, np.ndarray]:
+        """The set-point that the law keeps this trim for, and the pose that it is told."""
+        ref, y, _ = self._system.keeping(self.trim)
+        return ref, y[: len(ref)]
+
+    @property
+    def offset(self) -> dict[str, float]:
+        """Set-point less reported pose at the trim, m and rad: what a law without integrals leaves."""
+        ref, told = self._kept
+        return dict(zip(self._system.measured, map(float, ref - told), strict=False))
+
+    @property
+    def rest(self) -> dict[str, float]:
+        """True pose at the trim less the set-point, m and rad."""
+        ref, _ = self._kept
+        return dict(zip(self._system.measured, map(float, self.trim.x[: len(ref)] - ref), strict=False))
+
     @property
     def references(self) -> list[str]:
         """Names of the set-points of the coordinates that commands push."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen import Compiled, Functions
 from undertow.codegen.buffers import Evaluator
-from undertow.codegen.manifest import dead_time, describe
+from undertow.codegen.manifest import dead_time, describe, output_delay
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
@@ -65,6 +65,11 @@ class Numeric:
         """Delay between command and thrust, s."""
         return dead_time(self.functions)
 
+    @property
+    def report_delays(self) -> dict[str, float]:
+        """Age of the reports that come late, s, by name."""
+        return output_delay(self.functions)
+
     @cached_property
     def varies(self) -> bool:
         """Whether the forces change with time by themselves."""
@@ -97,6 +102,10 @@ class Numeric:
     def report(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
         """Reported pose and velocity, shape (2n,)."""
         return self._report(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+
+    def reports(self, x: Array, u: Array, p: Array | None = None) -> dict[str, float]:
+        """Reported pose and velocity by name."""
+        return dict(zip(self.outputs, map(float, self.report(0.0, x, u, p)), strict=True))
 
     def slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array, Array, Array]:
         """Time derivative of the state, and its slopes A, B, P in state, command and parameters."""

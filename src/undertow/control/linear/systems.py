@@ -31,7 +31,7 @@ def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int =
     trim : Trim or mapping
         The steady motion, or what it holds (see `find_trim`).
     pade : int
-        Order of the approximation of a dead time between command and thrust; 0 leaves the dead time out.
+        Order of the approximation of dead times between command and thrust and of reports; 0 leaves them out.
 
     Raises
     ------
@@ -45,17 +45,18 @@ def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int =
             f"the trim is of another vehicle than '{vehicle.name}': find it again for this one"
         )
     system = linear_at(numeric, found)
-    if not numeric.dead_time:
+    late = {n: s for n, s in numeric.report_delays.items() if n in system.output_labels}
+    if not numeric.dead_time and not late:
         return system
     if not pade:
         _log.warning(
-            "commands of '%s' act %g s late; the linear system is without it, --pade 3 (pade=3) has it "
-            "approximately",
+            "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
+            ", ".join(_lateness(numeric.dead_time, late)),
             vehicle.name,
-            numeric.dead_time,
         )
         return system
-    return _late(system, numeric.dead_time, pade)
+    commanded = _late(system, numeric.dead_time, pade) if numeric.dead_time else system
+    return _late_reports(commanded, late, pade) if late else commanded
 
 
 def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateSpace:
@@ -124,6 +125,21 @@ def _late(system: ct.StateSpace, seconds: float, order: int) -> ct.StateSpace:
     late = ct.append(*[delay] * len(names))
     states = [f"late_{name}_{k}" for name in names for k in range(order)]
     return named(system * late, (*states, *system.state_labels), names, system.output_labels, system.name)
+
+
+def _lateness(commands: float, reports: Mapping[str, float]) -> list[str]:
+    """Dead times in words."""
+    acting = [f"commands act {commands:g} s late"] if commands else []
+    return acting + [f"{name} is reported {late:g} s late" for name, late in reports.items()]
+
+
+def _late_reports(system: ct.StateSpace, late: Mapping[str, float], order: int) -> ct.StateSpace:
+    """The system before a Padé approximation of the age of each report."""
+    names = system.output_labels
+    through = [ct.ss(ct.tf(*ct.pade(late[n], order))) if n in late else ct.ss([], [], [], 1.0) for n in names]
+    states = [f"late_{name}_{k}" for name in names if name in late for k in range(order)]
+    whole = ct.append(*through) * system
+    return named(whole, (*system.state_labels, *states), system.input_labels, names, system.name)
 
 
 def named(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,6 +37,8 @@ class Trim:
         What was held.
     turning : bool
         Whether the heading changes, so that slopes in x and y depend on time.
+    reports : mapping
+        What the sensors report of pose and velocity, by name, SI: what a controller is told.
     """
 
     states: Mapping[str, float]
@@ -45,6 +47,12 @@ class Trim:
     wanted: Request
     remarks: tuple[str, ...] = ()
     turning: bool = False
+    reports: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def y(self) -> Array:
+        """Reported pose and velocity, shape (2n,)."""
+        return np.array(list(self.reports.values()))
 
     @property
     def x(self) -> Array:
@@ -120,7 +128,7 @@ def _search(vehicle: Vehicle, wanted: Request, direction: dict[str, int]) -> Tri
         return _search(vehicle, wanted, direction | dict.fromkeys(resting, 1))
     states, commands = dict(zip(numeric.states, x, strict=True)), dict(zip(numeric.commands, u, strict=True))
     turning = any(abs(r) > _AT_REST for r in _turning_rates(numeric, x, u))
-    return Trim(states, commands, direction, wanted, turning=turning)
+    return Trim(states, commands, direction, wanted, turning=turning, reports=numeric.reports(x, u))
 
 
 def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:

@@ -1,0 +1,218 @@
+"""What a law asks of the thrusters while its Lyapunov function is below a level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+import sympy as sm
+
+from undertow.control.allocation import allocation_of
+from undertow.errors import UndertowError
+from undertow.model.symbols import symbol
+
+from .attitude import enclosing
+from .case import SignSet
+from .interval import Interval, enclose
+from .problem import Problem
+from .result import Command
+
+Array = np.ndarray
+_ANGLES = [symbol(a) for a in ("phi", "theta", "psi")]
+
+
+class Commands:
+    """The commands of a law whose thrusters have limits, over a set of states.
+
+    Commands are B's weighted inverse times the force that the law asks for. As long as all of them are within
+    their limits the force is given exactly, and neither the redistribution at limits nor anti-windup acts.
+
+    Parameters
+    ----------
+    problem : Problem
+        The law with its gains on its vehicle.
+
+    Raises
+    ------
+    UndertowError
+        If the thrusters cannot give the forces that the law asks for.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        allocation = allocation_of(problem.gains)
+        share = np.zeros((len(allocation.limits), problem.size))
+        share[:, list(allocation.rows)] = allocation.pseudo_inverse
+        limited = np.isfinite(allocation.limits)
+        self.share, self.limits = share[limited], allocation.limits[limited]
+        names = problem.plant.vehicle.command_names
+        self.names = [n for n, there in zip(names, limited, strict=True) if there]
+
+    def steady(self) -> Array:
+        """Magnitude of each command at a set-point on an even keel, any heading, shape (m,).
+
+        Raises
+        ------
+        UndertowError
+            If the force at rest depends on more than the attitude.
+        """
+        level = {str(a): enclose(np.zeros(1)) for a in _ANGLES}
+        return self.at_rest(self.problem.attitudes.boxes({"phi": 0.0, "theta": 0.0}) or level)
+
+    def at_rest(self, boxes: dict[str, Interval]) -> Array:
+        """Bound on the part of each command that compensates weight and buoyancy, shape (m,)."""
+        if not len(self.limits):
+            return np.zeros(0)
+        held = self._held(*self.problem.attitudes.every_angle(boxes))
+        return np.asarray(held.size[..., 0].max(axis=0))
+
+    @cached_property
+    def _held(self) -> Callable[..., Interval]:
+        plant = self.problem.plant
+        force = plant.g.xreplace(plant.numbers)
+        others = force.free_symbols - set(_ANGLES)
+        if others:
+            raise UndertowError(
+                f"the force at rest depends on {', '.join(sorted(map(str, others)))}: whether the thrusters "
+                "can hold it everywhere is not certified"
+            )
+        return enclosing(_ANGLES, sm.Matrix(self.share) * force)
+
+    def result(self, largest: Array) -> tuple[Command, ...]:
+        """The commands with a bound on each."""
+        rows = zip(self.names, self.steady(), largest, self.limits, strict=True)
+        return tuple(Command(n, float(s), float(b), float(m)) for n, s, b, m in rows)
+
+
+def pd_commands(commands: Commands, level: float, reach: dict[str, float]) -> Array:
+    """Bound on the magnitude of each command of PD control while V < level, shape (m,).
+
+    With w = J b for the row b of a command, b' J' (K_P e - K_V q_dot) is linear in e and nu, and V =
+    nu' M nu/2 + e' K_P e/2 < level bounds it by sqrt(2 level (w' K_P w + w' K_V J M^-1 J' K_V w)): proved by
+    interval arithmetic over boxes of attitudes.
+
+    Parameters
+    ----------
+    commands : Commands
+        The thrusters.
+    level : float
+        Level of V, J.
+    reach : dict of float
+        Largest roll and pitch while V < level, rad.
+    """
+    problem = commands.problem
+    boxes = problem.attitudes.boxes(reach)
+    J = problem.attitudes.forward(boxes)
+    rest = commands.at_rest(boxes)
+    squares = [_square(problem, J, row) for row in commands.share]
+    return rest + np.sqrt(2 * level * np.array(squares))
+
+
+def _square(problem: Problem, J: Interval, row: Array) -> float:
+    w = J @ row[:, None]
+    spring = ((w.size[..., 0] ** 2) @ problem.values["K_P"]).max()
+    braked = J.T @ (problem.values["K_V"][:, None] * w)
+    roots = [np.linalg.inv(np.linalg.cholesky(m)) for m in inertias(problem.sets)]
+    return float(spring + max(((root @ braked).size[..., 0] ** 2).sum(axis=-1).max() for root in roots))
+
+
+def inertias(sets: Sequence[SignSet]) -> list[Array]:
+    """Inertia matrices below that of every sign set; one where all are diagonal."""
+    return _extreme([one.inertia for one in sets])
+
+
+def dampings(sets: Sequence[SignSet]) -> list[Array]:
+    """The same of damping at rest, symmetric parts."""
+    return _extreme([0.5 * (one.damping + one.damping.T) for one in sets])
+
+
+def _extreme(matrices: list[Array]) -> list[Array]:
+    if all(np.array_equal(m, np.diag(np.diag(m))) for m in matrices):
+        return [np.diag(np.min([np.diag(m) for m in matrices], axis=0))]
+    return matrices
+
+
+class SlidingCommands:
+    """Bounds on the commands of a sliding-mode law on a box of errors and surfaces.
+
+    With S = -q_dot + Lambda e the box |S_i| <= Lambda_i e_i, |error_i| <= e_i is invariant: S falls in
+    magnitude, and the error follows error_dot = -Lambda error + S. In it |q_dot_i| <= 2 Lambda_i e_i.
+
+    Parameters
+    ----------
+    commands : Commands
+        The thrusters.
+    """
+
+    def __init__(self, commands: Commands) -> None:
+        self._commands, self._problem = commands, commands.problem
+        plant, problem = self._problem.plant, self._problem
+        nu = list(plant.nu)
+        self._turning = enclosing([*_ANGLES, *nu], (plant.J_dot * plant.nu).xreplace(plant.numbers))
+        moving = (plant.C + plant.D) * plant.nu
+        self._moving = [
+            enclosing([*_ANGLES, *nu], plant.one_way(moving, one.way).xreplace(plant.numbers))
+            for one in problem.sets
+        ]
+
+    def speeds(self, errors: Array) -> Array:
+        """Bound on the body velocities in the box of these errors, shape (n,)."""
+        boxes = self._boxes(errors)
+        rate = 2 * self._problem.values["Lambda"] * errors
+        nu = self._inverse(boxes) @ Interval(-rate[:, None], rate[:, None])
+        return np.asarray(nu.size.max(axis=0)[:, 0])
+
+    def _inverse(self, boxes: dict[str, Interval]) -> Interval:
+        """J^-1 with the rotation of the translations, which changes commands though no eigenvalue."""
+        return enclosing(_ANGLES, self._problem.plant.J_inverse)(*self._problem.attitudes.every_angle(boxes))
+
+    def _boxes(self, errors: Array) -> dict[str, Interval]:
+        reach = dict(zip(self._problem.coordinates, map(float, errors), strict=True))
+        return self._problem.attitudes.boxes({a: reach[a] for a in ("phi", "theta") if a in reach})
+
+    def bounds(self, errors: Array) -> Array:
+        """Bound on the magnitude of each command in the box, shape (m,)."""
+        problem, boxes = self._problem, self._boxes(errors)
+        angles = problem.attitudes.every_angle(boxes)
+        inverse = self._inverse(boxes)
+        fastest = 2 * (problem.values["Lambda"] * errors)[:, None]
+        rate = Interval(-fastest, fastest)
+        nu = inverse @ rate
+        speeds = [Interval(nu.lo[..., i, 0], nu.hi[..., i, 0]) for i in range(problem.size)]
+        jump = self._reach(errors)[:, None]
+        braked = problem.values["Lambda"][:, None] * rate
+        wanted = Interval(-jump, jump) - self._turning(*angles, *speeds) - braked
+        rest = self._commands.at_rest(boxes)
+        found = []
+        for one, moving in zip(problem.sets, self._moving, strict=True):
+            force = one.inertia @ (inverse @ wanted) + moving(*angles, *speeds)
+            found.append((self._commands.share @ force).size[..., 0].max(axis=0))
+        return rest + np.max(found, axis=0)
+
+    def _reach(self, errors: Array) -> Array:
+        """Bound on what drives S to zero, shape (n,), m/s^2 and rad/s^2."""
+        values = self._problem.values
+        if "K_Z" in values:
+            return values["K_Z"]
+        surface = values["Lambda"] * errors
+        # |twist| from V = K_2 |S| + twist^2/2 of a start with twist zero.
+        return values["K_1"] * np.sqrt(surface) + np.sqrt(2 * values["K_2"] * surface)
+
+
+def per_root_of_level(commands: Commands, form: Array, J: Array) -> Array:
+    """How far each command of PID control can move at one attitude, divided by the root of the level of V.
+
+    Parameters
+    ----------
+    commands : Commands
+        The thrusters.
+    form : array, shape (3n, 3n)
+        Matrix of V = z' form z/2 in z = (q_dot, error, integral).
+    J : array, shape (n, n)
+        Kinematics at the attitude.
+    """
+    gains = commands.problem.values
+    w = J @ commands.share.T
+    rows = np.concatenate([-gains["K_V"][:, None] * w, gains["K_P"][:, None] * w, gains["K_I"][:, None] * w])
+    return np.asarray(np.sqrt(2 * np.einsum("im,im->m", rows, np.linalg.solve(form, rows))))
