@@ -100,8 +100,8 @@ def show(judged: Judged) -> None:
         _show_matrices([r for r in own if r.scope == "matrices"])
         _show_channels([r for r in own if r.scope != "matrices"])
         for agreement in (a for a in report.agreements if a.form == form):
-            told = f"iota in {_span(agreement.iota)}" if agreement.iota else "there is none"
-            say(f"  one iota for all of them, in every set of parameters: {told}")
+            told = f"{_bounds(agreement.iota)} 1/s" if agreement.iota else "there is none"
+            say(f"  one ι for all of them, in every set of parameters: {told}")
         _explain(own)
     _show_routh(report)
     _show_lyapunov(report)
@@ -132,21 +132,32 @@ def say(line: str, style: str = "") -> None:
 
 
 def _show_matrices(rows: list[Row]) -> None:
+    """Each condition with its numbers, `λmin(K_V) > λmax(M_q): 0.005 > 10.088 fails`, and why it is so."""
     if not rows:
         return
     places = list(dict.fromkeys(r.where for r in rows))
-    cells = [
-        (
-            *(r.statement, r.signs, _number(r.left), _number(r.right), _number(r.margin)),
-            text(_verdict(r), _GREEN if r.verdict == "holds" else _RED),
-            f"[{places.index(r.where) + 1}]",
-        )
-        for r in rows
-    ]
-    heads = ("as matrices", "parameters", "left", "right", "margin", "verdict", "where")
-    console().print(table(heads, cells))
+    console().print(text("  as matrices", "dim"))
+    for r in rows:
+        signs = f"{r.signs}; " if r.signs else ""
+        line = f"  {r.statement}: {_with_numbers(r)} ({signs}see {places.index(r.where) + 1})"
+        console().print(text(line, _GREEN if r.verdict == "holds" else _RED))
     for number, place in enumerate(places, 1):
-        say(f"  [{number}] {place}")
+        say(f"  {number}: {place}")
+
+
+def _with_numbers(row: Row) -> str:
+    if row.verdict == "no iota":
+        return _verdict(row)
+    at = f" at ι = {row.at_iota:.4g}" if row.at_iota is not None else ""
+    if "λmax" in row.statement:
+        return f"{_apart(row.left, row.right)}{at} {_verdict(row)}"
+    return f"λmin {_number(row.margin)} > 0{at} {_verdict(row)}"
+
+
+def _apart(left: float, right: float) -> str:
+    """Both sides with as many digits as tell them apart, five at least."""
+    digits = next((n for n in range(5, 17) if f"{left:.{n}g}" != f"{right:.{n}g}"), 17)
+    return f"{left:.{digits}g} > {right:.{digits}g}"
 
 
 def _show_channels(rows: list[Row]) -> None:
@@ -167,23 +178,17 @@ def _show_channels(rows: list[Row]) -> None:
 
 
 def _verdict(row: Row) -> str:
-    if not row.uses_iota:
-        reached = row.where if row.scope != "matrices" else ""
-        return f"{row.verdict}; {reached}" if reached else row.verdict
-    return f"{row.verdict}; {_bounds(row)}" if row.iota else "no iota"
+    if row.uses_iota:
+        return f"{row.verdict}; {_bounds(row.iota)}" if row.iota else "no ι"
+    reached = row.where if row.scope != "matrices" else ""
+    return f"{row.verdict}; {reached}" if reached else row.verdict
 
 
-def _bounds(row: Row) -> str:
-    assert row.iota is not None
-    low, high = row.iota
+def _bounds(span: tuple[float, float]) -> str:
+    low, high = span
     if low == 0.0:
-        return "any iota" if math.isinf(high) else f"iota < {high:.6g}"
-    return f"iota > {low:.6g}" if math.isinf(high) else f"iota {low:.6g} to {high:.6g}"
-
-
-def _span(span: tuple[float, float] | None) -> str:
-    low, high = span or (math.nan, math.nan)
-    return f"({low:.6g}, {high:.6g}) 1/s"
+        return "any ι" if math.isinf(high) else f"ι < {high:.6g}"
+    return f"ι > {low:.6g}" if math.isinf(high) else f"ι {low:.6g} to {high:.6g}"
 
 
 def _number(value: float) -> str:
@@ -191,8 +196,9 @@ def _number(value: float) -> str:
 
 
 def _explain(rows: list[Row]) -> None:
-    for about in {r.statement: f"  {r.statement}: {r.about} ({r.source})" for r in rows}.values():
-        say(about, "dim")
+    first = {r.condition: r for r in reversed(rows)}
+    for r in reversed(first.values()):
+        say(f"  {r.statement}: {r.about} ({r.source})", "dim")
 
 
 def _show_routh(report: Report) -> None:
@@ -265,10 +271,12 @@ def _show_uncertain(report: Report) -> None:
         say("  no condition contains a parameter with a standard deviation")
         return
     sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
-    failing = sum(r.box.verdict.startswith("fails at") for r in settled)  # type: ignore[union-attr]
+    failing = sum(r.verdict == "fails" for r in settled)
+    without = sum(r.verdict == "no iota" for r in settled)
     say(
         f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
-        f"the values of the file, {len(settled) - sure - failing} in between:"
+        f"the values of the file, {without} have no ι there, {len(settled) - sure - failing - without} in "
+        "between:"
     )
     if told:
         console().print(
@@ -280,10 +288,8 @@ def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
     for row in rows:
         if row.box is None or row.ellipsoid is None:
             continue
-        if (
-            row.box.verdict.startswith("fails at")
-            or row.box.verdict == row.ellipsoid.verdict == "holds for all"
-        ):
+        known = row.verdict in ("fails", "no iota")
+        if known or row.box.verdict == row.ellipsoid.verdict == "holds for all":
             continue
         example = row.box.counterexample or row.ellipsoid.counterexample
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in example.items())
@@ -294,7 +300,7 @@ def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
 
 
 def _iota(row: Row, verdict: str) -> str:
-    return f"{verdict} at iota = {row.at_iota:.4g}" if row.at_iota is not None else verdict
+    return f"{verdict} at ι = {row.at_iota:.4g}" if row.at_iota is not None else verdict
 
 
 # --- repairs --------------------------------------------------------------------------------------
@@ -319,7 +325,7 @@ def _show_repairs(judged: Judged) -> None:
     else:
         say("  nothing has to change for these conditions")
     if judged.repair.iota is not None:
-        say(f"  with iota = {judged.repair.iota:.6g} 1/s")
+        say(f"  with ι = {judged.repair.iota:.6g} 1/s")
     say(f"  {judged.repair.method}", "dim")
 
 
