@@ -65,8 +65,8 @@ def test_the_published_pid_gains(sled: Path, capsys: Capture) -> None:
         "the loop in x (forward) is linearly unstable: +0.003198 +- 0.038054i",
         "the loop in x (backward) is linearly unstable: +0.005482 +- 0.038392i",
         "all headings: J J' = I, so M_q = J M J' has the eigenvalues of M",
-        "iota > 0.0857143",
-        "iota 0.00537171 to 0.0695662",
+        "ι > 0.0857143",
+        "ι 0.00537171 to 0.0695662",
         "equal to V_dot worked out from the model",
         "no region: no iota satisfies the derived conditions together",
         "K_V alone never suffices",
@@ -316,3 +316,59 @@ def test_audit_of_vehicles(sled: Path, capsys: Capture) -> None:
     assert main(["audit", "cybership2"]) == 1
     assert "feeds energy into a motion" in capsys.readouterr().out
     assert "bundled are" in refusal(["audit", "nothing.toml"], capsys, sled)
+
+
+# --- notation ---------------------------------------------------------------------------------------
+def test_matrix_conditions_are_in_the_notation_of_the_paper(sled: Path, capsys: Capture) -> None:
+    """λmin K_V > λmax M_q with both numbers, Table 4 and 5: 0.005 against 10.088308 and 11.408386."""
+    main(["gains", "mini-auv", "paper-pid"])
+    out = capsys.readouterr().out
+    for line in (
+        "λmin(K_V) > λmax(M_q): 0.005 > 10.088 fails",
+        "λmin(K_V) > λmax(M_q): 0.005 > 11.408 fails",
+        "λmin(K_P) > λmax(K_V + 2 K_I/ι): no ι",
+        "K_P - K_I/ι - ι² M_q ≻ 0: no ι",
+        "Q(ι) ≻ 0: no ι",
+        "K_I ≻ 0: λmin 5e-05 > 0 holds",
+        "one ι for all of them, in every set of parameters: there is none",
+    ):
+        assert line in out
+    assert "iota" not in out.partition("Linearised channels")[0]
+    main(["gains", "mini-auv", "paper-pd"])
+    assert "K_V + D_q ≻ 0: λmin 0.513791 > 0 holds" in capsys.readouterr().out
+    main(["gains", "mini-auv", "paper-smc"])
+    assert "Λ ≻ 0: λmin" in capsys.readouterr().out
+
+
+def test_no_iota_is_a_verdict_of_its_own(sled: Path, capsys: Capture) -> None:
+    code, found = content(capsys, "mini-auv", "paper-pid")
+    assert code == 1
+    none = [r for r in found["rows"] if r["uses_iota"] and r["iota"] is None]
+    assert {r["verdict"] for r in none} == {"no iota"}
+    assert {(r["form"], r["condition"]) for r in none} >= {("printed", "K_P"), ("derived", "V_dot")}
+    assert {r["box"]["verdict"] for r in none if r["box"]} == {"no iota at the values of the file"}
+    assert all(r["iota"] or not r["uses_iota"] for r in found["rows"] if r["verdict"] == "fails")
+    assert {a["verdict"] for a in found["agreements"]} == {"no iota"}
+    main(["gains", "mini-auv", "paper-pid"])
+    told = re.search(r"(\d+) fail at the values of the file, (\d+) have no ι there", capsys.readouterr().out)
+    uncertain = [r["verdict"] for r in found["rows"] if r["box"]]
+    assert told is not None
+    assert [int(n) for n in told.groups()] == [uncertain.count("fails"), uncertain.count("no iota")]
+
+
+def test_sides_that_differ_little_are_told_apart(sled: Path, capsys: Capture) -> None:
+    """K_V = 9.13084 against an inertia of 9.130825 kg: five digits would print 9.1308 > 9.1308."""
+    (sled / "close.toml").write_text(GAINS.replace("K_V = 4", "K_V = 9.13084"))
+    main(["gains", "sled.toml", "close.toml", "--form", "printed"])
+    assert "λmin(K_V) > λmax(M_q): 9.13084 > 9.13082 holds" in capsys.readouterr().out
+
+
+def test_a_terminal_without_greek_letters_has_their_names(
+    sled: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("undertow.cli._show._encoding", lambda: "ascii")
+    assert main(["gains", "mini-auv", "paper-pid"]) == 1
+    out = capsys.readouterr().out
+    assert out.isascii()
+    assert "lambda_min(K_V) > lambda_max(M_q): 0.005 > 10.088 fails" in out
+    assert "lambda_min(K_P) > lambda_max(K_V + 2 K_I/iota): no iota" in out

@@ -54,10 +54,9 @@ _VERDICTS = {True: "all hold", False: "not all hold"}
 def _told(done: Design) -> Iterator[str]:
     """What the conditions say, with everything for which undertow gains would say no."""
     report = checked(done.gains)
-    but = ", but a force is missing that the law asks for" if report.actuation else ""
-    yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}{but}"
-    if report.actuation:
-        yield report.actuation
+    yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}"
+    if report.alone:
+        yield f"left alone: {report.alone.text}"
     if done.certified and not report.conditions_hold:
         yield "the conditions in their printed form do not all hold: undertow gains shows which"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
@@ -46,7 +46,6 @@ def judge(
     from undertow.control.conditions.problem import Problem
     from undertow.control.conditions.repair import repair, singles
     from undertow.control.conditions.uncertain import Uncertainty
-    from undertow.control.conditions.whole import with_whole_loop
     from undertow.control.gains import load_gains
     from undertow.model.history import last_covariance
     from undertow.model.loading import load_vehicle, resolve_vehicle
@@ -62,7 +61,7 @@ def judge(
     uncertainty = Uncertainty(loaded, confidence, last_covariance(history, loaded))
     found = check(chosen, uncertainty, forms=forms, iota=iota, tilt=math.radians(tilt), tell=tell)
     problem = Problem(chosen, math.radians(tilt))
-    return Judged(with_whole_loop(found, chosen), singles(problem), repair(problem, kind) if kind else None)
+    return Judged(found, singles(problem), repair(problem, kind) if kind else None)
 
 
 # --- JSON -----------------------------------------------------------------------------------------
@@ -100,11 +99,12 @@ def show(judged: Judged) -> None:
         _show_matrices([r for r in own if r.scope == "matrices"])
         _show_channels([r for r in own if r.scope != "matrices"])
         for agreement in (a for a in report.agreements if a.form == form):
-            told = f"iota in {_span(agreement.iota)}" if agreement.iota else "there is none"
-            say(f"  one iota for all of them, in every set of parameters: {told}")
+            told = f"{_bounds(agreement.iota)} 1/s" if agreement.iota else "there is none"
+            say(f"  one ι for all of them, in every set of parameters: {told}")
         _explain(own)
     _show_routh(report)
     _show_lyapunov(report)
+    _show_region(report)
     _show_uncertain(report)
     _show_repairs(judged)
     _show_rest(report)
@@ -119,10 +119,13 @@ def _headline(report: Report) -> str:
     if report.left_out:
         one = len(report.left_out) == 1
         but.append(f"{', '.join(report.left_out)} {'is' if one else 'are'} not in them")
-    if report.whole is not None and report.whole.stable is False:
-        but.append("with that the loop is unstable")
-    if report.actuation:
-        but.append("a force is missing that the law asks for")
+    if report.alone:
+        fate = "comes to rest" if report.alone.stable else "does not come to rest"
+        but.append(f"{', '.join(report.alone.axes)} is left alone and {fate}")
+    elif report.region.kind == "none":
+        but.append("no region is certified")
+    if report.whole is not None and not report.whole.stable:
+        but.append(f"the whole loop is {report.whole.verdict}")
     return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
 
 
@@ -132,21 +135,32 @@ def say(line: str, style: str = "") -> None:
 
 
 def _show_matrices(rows: list[Row]) -> None:
+    """Each condition with its numbers, `λmin(K_V) > λmax(M_q): 0.005 > 10.088 fails`, and why it is so."""
     if not rows:
         return
     places = list(dict.fromkeys(r.where for r in rows))
-    cells = [
-        (
-            *(r.statement, r.signs, _number(r.left), _number(r.right), _number(r.margin)),
-            text(_verdict(r), _GREEN if r.verdict == "holds" else _RED),
-            f"[{places.index(r.where) + 1}]",
-        )
-        for r in rows
-    ]
-    heads = ("as matrices", "parameters", "left", "right", "margin", "verdict", "where")
-    console().print(table(heads, cells))
+    console().print(text("  as matrices", "dim"))
+    for r in rows:
+        signs = f"{r.signs}; " if r.signs else ""
+        line = f"  {r.statement}: {_with_numbers(r)} ({signs}see {places.index(r.where) + 1})"
+        console().print(text(line, _GREEN if r.verdict == "holds" else _RED))
     for number, place in enumerate(places, 1):
-        say(f"  [{number}] {place}")
+        say(f"  {number}: {place}")
+
+
+def _with_numbers(row: Row) -> str:
+    if row.verdict == "no iota":
+        return _verdict(row)
+    at = f" at ι = {row.at_iota:.4g}" if row.at_iota is not None else ""
+    if "λmax" in row.statement:
+        return f"{_apart(row.left, row.right)}{at} {_verdict(row)}"
+    return f"λmin {_number(row.margin)} > 0{at} {_verdict(row)}"
+
+
+def _apart(left: float, right: float) -> str:
+    """Both sides with as many digits as tell them apart, five at least."""
+    digits = next((n for n in range(5, 17) if f"{left:.{n}g}" != f"{right:.{n}g}"), 17)
+    return f"{left:.{digits}g} > {right:.{digits}g}"
 
 
 def _show_channels(rows: list[Row]) -> None:
@@ -167,23 +181,17 @@ def _show_channels(rows: list[Row]) -> None:
 
 
 def _verdict(row: Row) -> str:
-    if not row.uses_iota:
-        reached = row.where if row.scope != "matrices" else ""
-        return f"{row.verdict}; {reached}" if reached else row.verdict
-    return f"{row.verdict}; {_bounds(row)}" if row.iota else "no iota"
+    if row.uses_iota:
+        return f"{row.verdict}; {_bounds(row.iota)}" if row.iota else "no ι"
+    reached = row.where if row.scope != "matrices" else ""
+    return f"{row.verdict}; {reached}" if reached else row.verdict
 
 
-def _bounds(row: Row) -> str:
-    assert row.iota is not None
-    low, high = row.iota
+def _bounds(span: tuple[float, float]) -> str:
+    low, high = span
     if low == 0.0:
-        return "any iota" if math.isinf(high) else f"iota < {high:.6g}"
-    return f"iota > {low:.6g}" if math.isinf(high) else f"iota {low:.6g} to {high:.6g}"
-
-
-def _span(span: tuple[float, float] | None) -> str:
-    low, high = span or (math.nan, math.nan)
-    return f"({low:.6g}, {high:.6g}) 1/s"
+        return "any ι" if math.isinf(high) else f"ι < {high:.6g}"
+    return f"ι > {low:.6g}" if math.isinf(high) else f"ι {low:.6g} to {high:.6g}"
 
 
 def _number(value: float) -> str:
@@ -191,8 +199,9 @@ def _number(value: float) -> str:
 
 
 def _explain(rows: list[Row]) -> None:
-    for about in {r.statement: f"  {r.statement}: {r.about} ({r.source})" for r in rows}.values():
-        say(about, "dim")
+    first = {r.condition: r for r in reversed(rows)}
+    for r in reversed(first.values()):
+        say(f"  {r.statement}: {r.about} ({r.source})", "dim")
 
 
 def _show_routh(report: Report) -> None:
@@ -250,11 +259,33 @@ def _show_lyapunov(report: Report) -> None:
         ("V_dot = 0", told.zero_set),
         ("largest invariant subset", told.invariant),
     ]
-    if report.speed:
-        rows.append(("damping at speed", report.speed))
-    if report.region is not None:
-        rows.append(("region", report.region.text))
     console().print(table(("", ""), rows))
+
+
+def _show_region(report: Report) -> None:
+    found = report.region
+    section("Certified region")
+    say(f"  {found.text}", _RED if found.kind == "none" and not report.alone else "")
+    if found.errors:
+        say(f"  largest errors: {_with_units(found.errors)}")
+        say(f"  largest speeds: {_with_units(found.speeds)}")
+    for c in found.commands:
+        say(f"  {c.name}: {c.steady:.4g} at the set-point, at most {c.largest:.4g} of {c.limit:.4g} in it")
+    if found.commands:
+        say("  within it no command meets its limit, so that anti-windup never acts", "dim")
+    if report.left_out and found.kind != "none":
+        say(f"  without {', '.join(report.left_out)}: for the loop with these see below", "dim")
+
+
+def _with_units(values: Mapping[str, float]) -> str:
+    """Numbers with units; angles in degrees as well."""
+    return ", ".join(f"{name} {_with_unit(name, value)}" for name, value in values.items())
+
+
+def _with_unit(name: str, value: float) -> str:
+    if name in ("phi", "theta", "psi"):
+        return f"{math.degrees(value):.4g} deg" if value < math.pi else "any"
+    return f"{value:.4g} {dict(p='rad/s', q='rad/s', r='rad/s', u='m/s', v='m/s', w='m/s').get(name, 'm')}"
 
 
 def _show_uncertain(report: Report) -> None:
@@ -265,10 +296,12 @@ def _show_uncertain(report: Report) -> None:
         say("  no condition contains a parameter with a standard deviation")
         return
     sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
-    failing = sum(r.box.verdict.startswith("fails at") for r in settled)  # type: ignore[union-attr]
+    failing = sum(r.verdict == "fails" for r in settled)
+    without = sum(r.verdict == "no iota" for r in settled)
     say(
         f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
-        f"the values of the file, {len(settled) - sure - failing} in between:"
+        f"the values of the file, {without} have no ι there, {len(settled) - sure - failing - without} in "
+        "between:"
     )
     if told:
         console().print(
@@ -280,10 +313,8 @@ def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
     for row in rows:
         if row.box is None or row.ellipsoid is None:
             continue
-        if (
-            row.box.verdict.startswith("fails at")
-            or row.box.verdict == row.ellipsoid.verdict == "holds for all"
-        ):
+        known = row.verdict in ("fails", "no iota")
+        if known or row.box.verdict == row.ellipsoid.verdict == "holds for all":
             continue
         example = row.box.counterexample or row.ellipsoid.counterexample
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in example.items())
@@ -294,7 +325,7 @@ def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
 
 
 def _iota(row: Row, verdict: str) -> str:
-    return f"{verdict} at iota = {row.at_iota:.4g}" if row.at_iota is not None else verdict
+    return f"{verdict} at ι = {row.at_iota:.4g}" if row.at_iota is not None else verdict
 
 
 # --- repairs --------------------------------------------------------------------------------------
@@ -319,7 +350,7 @@ def _show_repairs(judged: Judged) -> None:
     else:
         say("  nothing has to change for these conditions")
     if judged.repair.iota is not None:
-        say(f"  with iota = {judged.repair.iota:.6g} 1/s")
+        say(f"  with ι = {judged.repair.iota:.6g} 1/s")
     say(f"  {judged.repair.method}", "dim")
 
 
@@ -333,19 +364,22 @@ def _wanted(single: Single) -> str:
 
 
 def _show_rest(report: Report) -> None:
-    if report.actuation:
-        section("Forces that no thruster gives")
-        say(f"  {report.actuation}", _RED)
+    if report.alone:
+        section("Axes that no thruster pushes")
+        say(f"  {report.alone.text}", "" if report.alone.stable else _RED)
+        say(f"  poles of their own motion: {_roots(report.alone.poles)} 1/s")
     if report.left_out:
         section("Not in the conditions")
         console().print(table(("", ""), report.left_out.items()))
     if report.whole is not None:
-        style = _RED if report.whole.stable is False else ""
+        style = "" if report.whole.stable else _RED
         say(f"  full loop linearised at rest: {_whole(report.whole)}", style)
+        if report.whole.simulated:
+            say(f"  full loop simulated: {report.whole.simulated}", style)
 
 
 def _whole(whole: WholeLoop) -> str:
-    if whole.pole is None:
+    if whole.pole is None or whole.verdict not in ("stable", "unstable"):
         return whole.text
     verdict = "stable" if whole.stable else "UNSTABLE"
     at = f" ({whole.text})" if whole.text else ""

@@ -3,10 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+import re
+import sys
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import typer
+
+# A blank that ties a sign or a comparison to its number.
+_TIED = "\u00a0"
+_TIES = re.compile(r"(?<=[<>=≤≥≻±]) (?=[-+\d.])|(?<=\+-) (?=\d)| (?=(?:±|\+-|[<>=≤≥≻]) [-+\d.])")
+# Between columns, and between cells that share a line without being columns.
+_GAP, _APART = "  ", "   "
+# What stands for the letters of the paper's notation where a terminal has ASCII only.
+_NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "λ": "lambda", "ι": "iota", "γ": "gamma"}
+_NAMES |= {"Λ": "Lambda", "≻": ">", "²": "^2", "√": "sqrt", "±": "+-", "≥": ">=", "≤": "<="}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """When a table that is too wide keeps its columns.
+
+    Attributes
+    ----------
+    prose : int
+        A column that is wider holds sentences, which may be wrapped; numbers are shorter.
+    least : int
+        Into fewer columns than this no sentence is wrapped: the cells of a row then stand below each other.
+    """
+
+    prose: int = 30
+    least: int = 24
+
+
+LAYOUT = Layout()
 
 
 def print_json(content: Any) -> None:
@@ -14,19 +46,82 @@ def print_json(content: Any) -> None:
     typer.echo(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def console() -> Any:
-    """The terminal, or whatever stdout is at the moment."""
-    from rich.console import Console
+class Printer:
+    """The terminal, or whatever stdout is at the moment: nothing is cut, and no number is broken."""
 
-    return Console(highlight=False)
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._console = Console(highlight=False)
+
+    def print(self, content: Any = "", *, soft_wrap: bool = False) -> None:
+        """Print text, or a table.
+
+        Parameters
+        ----------
+        content
+            What `text` or `table` made, or something that rich can print.
+        soft_wrap
+            Whether the text stays one line in files.
+        """
+        from rich.text import Text
+
+        if isinstance(content, Text) and (self._console.is_terminal or not soft_wrap):
+            content = _joined(_wrapped_text(content, self._console.width))
+        self._console.print(content, no_wrap=True, overflow="ignore", crop=False)
+
+
+def console() -> Printer:
+    """The terminal, or whatever stdout is at the moment."""
+    return Printer()
 
 
 def text(content: str, style: str = "") -> Any:
-    """Text without markup; control characters out of files are shown and not sent to the terminal."""
+    """Text without markup; control characters out of files are shown and not sent to the terminal.
+
+    Where stdout cannot have a letter, its name stands there (lambda, iota), or its number.
+    """
     from rich.text import Text
 
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in content)
-    return Text(shown, style=style)
+    return Text(_encodable(shown, _encoding()), style=style)
+
+
+def _encoding() -> str:
+    return getattr(sys.stdout, "encoding", None) or "utf-8"
+
+
+def _encodable(shown: str, encoding: str) -> str:
+    try:
+        shown.encode(encoding)
+    except UnicodeEncodeError:
+        for letter, name in _NAMES.items():
+            shown = shown.replace(letter, name)
+        return shown.encode(encoding, "backslashreplace").decode(encoding)
+    return shown
+
+
+def wrapped(words: str, width: int) -> list[str]:
+    """Lines of at most so many columns, broken between words but not between a sign and its number."""
+    lines = textwrap.wrap(
+        _TIES.sub(_TIED, words), max(width, 1), break_long_words=False, break_on_hyphens=False
+    )
+    return [line.replace(_TIED, " ") for line in lines] or [""]
+
+
+def _wrapped_text(content: Any, width: int) -> list[Any]:
+    """The same for a `text`; further lines begin where the first does."""
+    if content.cell_len <= width:
+        return [content]
+    indent = " " * (len(content.plain) - len(content.plain.lstrip(" ")))
+    lines = wrapped(content.plain.strip(), width - len(indent))
+    return [text(indent + line, content.style) for line in lines]
+
+
+def _joined(lines: Iterable[Any]) -> Any:
+    from rich.text import Text
+
+    return Text("\n").join(lines)
 
 
 def section(title: str, content: Any = None) -> None:
@@ -41,6 +136,9 @@ def section(title: str, content: Any = None) -> None:
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], indent: int = 2) -> Any:
     """A table without lines; without a head where all columns are nameless.
 
+    Where it is wider than the terminal, a column of sentences is wrapped; if that is not enough, the cells of
+    each row stand below each other, each with its head.
+
     Parameters
     ----------
     columns
@@ -50,10 +148,80 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], indent: int = 2
     indent
         Blanks at the left.
     """
-    from rich.padding import Padding
-    from rich.table import Table
+    cells = [[text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    return _Table(columns, cells, indent)
 
-    grid = Table(*columns, box=None, pad_edge=False, header_style="dim", show_header=any(columns))
-    for row in rows:
-        grid.add_row(*(text(cell) if isinstance(cell, str) else cell for cell in row))
-    return Padding(grid, (0, 0, 0, indent))
+
+class _Table:
+    """A table that is laid out for the terminal it is printed on."""
+
+    def __init__(self, columns: Sequence[str], rows: list[list[Any]], indent: int) -> None:
+        self._heads = [text(c, "dim") for c in columns]
+        self._rows, self._indent = rows, indent
+
+    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
+        room = options.max_width - self._indent
+        widths = self._widths(room)
+        lines = self._grid(widths) if widths else self._records(room)
+        yield from (_indented(line, self._indent) for line in lines)
+
+    def _shown(self) -> list[list[Any]]:
+        return [self._heads, *self._rows] if any(h.plain for h in self._heads) else self._rows
+
+    def _widths(self, room: int) -> list[int]:
+        """Width of each column; nothing where they do not fit."""
+        widths = [max((c.cell_len for c in column), default=0) for column in zip(*self._shown(), strict=True)]
+        over = sum(widths) + len(_GAP) * (len(widths) - 1) - room
+        if not widths or over <= 0:
+            return widths
+        widest = widths.index(max(widths))
+        left = widths[widest] - over
+        if widths[widest] < LAYOUT.prose or left < LAYOUT.least:
+            return []
+        widths[widest] = left
+        return widths
+
+    def _grid(self, widths: list[int]) -> Iterator[Any]:
+        for row in self._shown():
+            cells = [_wrapped_text(c, w) for c, w in zip(row, widths, strict=True)]
+            for k in range(max(map(len, cells), default=0)):
+                yield _side_by_side([c[k] if k < len(c) else text("") for c in cells], widths)
+
+    def _records(self, room: int) -> Iterator[Any]:
+        if self._heads and self._heads[0].plain:
+            yield from _wrapped_text(self._heads[0], room)
+        for row in self._rows:
+            yield from self._record(row, room)
+
+    def _record(self, row: list[Any], room: int) -> Iterator[Any]:
+        """A row as lines: its first cell, and below it the others with their heads, packed into lines."""
+        from rich.text import Text
+
+        first, *others = row
+        yield from _wrapped_text(first, room)
+        room -= len(_GAP)
+        line = Text()
+        for head, cell in zip(self._heads[1:], others, strict=True):
+            named = Text.assemble(f"{head.plain}: " if head.plain else "", cell)
+            if not cell.plain:
+                continue
+            if line.plain and line.cell_len + len(_APART) + named.cell_len > room:
+                yield from (_indented(part, len(_GAP)) for part in _wrapped_text(line, room))
+                line = Text()
+            line = Text(_APART).join([line, named]) if line.plain else named
+        yield from (_indented(part, len(_GAP)) for part in _wrapped_text(line, room) if line.plain)
+
+
+def _side_by_side(cells: Sequence[Any], widths: Sequence[int]) -> Any:
+    from rich.text import Text
+
+    padded = [Text.assemble(c, " " * (w - c.cell_len)) for c, w in zip(cells, widths, strict=True)]
+    line = Text(_GAP).join(padded)
+    line.rstrip()
+    return line
+
+
+def _indented(line: Any, by: int) -> Any:
+    from rich.text import Text
+
+    return Text.assemble(" " * by, line)

@@ -19,9 +19,9 @@ from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import Problem
 from .reaching import reaching
 from .region import region
-from .result import FAILS, HOLDS, UNPROVED, Agreement, Channel, Region, Report, Row
+from .result import FAILS, HOLDS, NO_IOTA, UNPROVED, Agreement, Channel, Region, Report, Row
 from .routh import channel_polynomial, coupled_roots, roots, routh_array
-from .uncertain import ALL, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
+from .uncertain import ALL, NO_IOTA_THERE, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
 from .whole import left_alone, whole_loop
 
 Array = np.ndarray
@@ -165,11 +165,11 @@ class _Place:
         iota = self._iota(one, span)
         left, right, certificate = self._sides(one, iota)
         condition = self.condition
-        verdict = HOLDS if certificate.bound > 0 else UNPROVED if certificate.found > 0 else FAILS
+        verdict = self._verdict(certificate, span)
         row = Row(
             condition.form,
             condition.id,
-            condition.statement,
+            condition.matrices if self.channel is None else condition.statement,
             condition.about,
             condition.source,
             _MATRICES if self.channel is None else self.problem.coordinates[self.channel],
@@ -185,6 +185,11 @@ class _Place:
         )
         box, ellipsoid = self._ranges(one, iota, verdict, uncertainty)
         return replace(row, box=box, ellipsoid=ellipsoid)
+
+    def _verdict(self, certificate: Certificate, span: Span | None) -> str:
+        if certificate.found > 0:
+            return HOLDS if certificate.bound > 0 else UNPROVED
+        return NO_IOTA if self.condition.uses_iota and span is None else FAILS
 
     def _span(self, one: SignSet) -> Span | None:
         if not self.condition.uses_iota:
@@ -225,7 +230,8 @@ class _Place:
         if not (matters & known).any():
             return None, None
         if verdict != HOLDS:
-            found = Range(NOMINAL if verdict == FAILS else OPEN, self._margin(one, iota), {})
+            nominal = {FAILS: NOMINAL, NO_IOTA: NO_IOTA_THERE}.get(verdict, OPEN)
+            found = Range(nominal, self._margin(one, iota), {})
             return found, found
 
         def margins(theta: Array) -> Array:
@@ -304,7 +310,7 @@ def _agreements(problem: Problem, iota: float | None) -> list[Agreement]:
             continue
         span = problem.iota(own, problem.distinct)
         served = span is not None and (iota is None or span[0] < iota < span[1])
-        found.append(Agreement(form, span, HOLDS if served else FAILS))
+        found.append(Agreement(form, span, HOLDS if served else NO_IOTA if span is None else FAILS))
     return found
 
 

@@ -13,7 +13,7 @@ from .interval import block, least_eigenvalue
 
 FORMS = {
     "printed": "as the mini-AUV paper prints them",
-    "units": "the printed ones with units that fit (iota in 1/s)",
+    "units": "the printed ones with units that fit (ι in 1/s)",
     "derived": "derived from the model itself",
 }
 """Where a condition comes from."""
@@ -67,7 +67,10 @@ class Condition(abc.ABC):
     form : str
         One of `FORMS`.
     statement : str
-        The demand as text.
+        The demand on one channel, as text.
+    matrices : str
+        The demand on matrices in the paper's notation: eigenvalues that are compared (λmin, λmax), or a
+        matrix that is positive definite (≻ 0); nothing where it is stated for one channel only.
     about : str
         What it is for, one sentence.
     source : str
@@ -88,6 +91,7 @@ class Condition(abc.ABC):
     id: ClassVar[str]
     form: ClassVar[str]
     statement: ClassVar[str]
+    matrices: ClassVar[str] = ""
     about: ClassVar[str]
     source: ClassVar[str]
     eigenvalues: ClassVar[bool] = False

@@ -58,8 +58,11 @@ class Interval:
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: float) -> Interval:
-        return self * enclose(1.0 / np.asarray(other))
+    def __truediv__(self, other: Any) -> Interval:
+        return self * enclose(other).reciprocal()
+
+    def __rtruediv__(self, other: Any) -> Interval:
+        return enclose(other) * self.reciprocal()
 
     def __pow__(self, power: int) -> Interval:
         if power < 0:

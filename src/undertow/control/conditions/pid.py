@@ -29,6 +29,7 @@ class PrintedDamper(Condition):
     id = "K_V"
     form = "printed"
     statement = "K_V > M"
+    matrices = "λmin(K_V) > λmax(M_q)"
     about = "The paper asks the damping gains to exceed the inertia, though kg/s and kg cannot be compared."
     source = _PAPER
     uses = ("M",)
@@ -45,6 +46,7 @@ class PrintedIntegral(Condition):
     id = "K_I"
     form = "printed"
     statement = "K_I > 0"
+    matrices = "K_I ≻ 0"
     about = "The integral pushes towards the set-point."
     source = _PAPER
 
@@ -55,7 +57,8 @@ class PrintedIntegral(Condition):
 class PrintedSpring(Condition):
     id = "K_P"
     form = "printed"
-    statement = "K_P > K_V + 2 K_I/iota"
+    statement = "K_P > K_V + 2 K_I/ι"
+    matrices = "λmin(K_P) > λmax(K_V + 2 K_I/ι)"
     about = "The spring outweighs damper and integral; the smallest gain of all axes against the largest."
     source = _PAPER
     eigenvalues = True
@@ -71,7 +74,8 @@ class PrintedSpring(Condition):
 class PrintedLast(Condition):
     id = "last"
     form = "printed"
-    statement = "(1 - iota) K_P/2 > iota M"
+    statement = "(1 - ι) K_P/2 > ι M"
+    matrices = "(1 - ι) K_P/2 - ι M_q ≻ 0"
     about = "The block of the velocities in V_dot at the set-point; K_V must be meant where K_P is printed."
     source = _PAPER
     uses = ("M",)
@@ -86,8 +90,9 @@ class PrintedLast(Condition):
 
 class MendedDamper(PrintedDamper):
     form = "units"
-    statement = "K_V > iota M"
-    about = "Damping gains exceed inertia times iota, both in kg/s."
+    statement = "K_V > ι M"
+    matrices = "λmin(K_V) > λmax(ι M_q)"
+    about = "Damping gains exceed inertia times ι, both in kg/s."
     source = _MENDED
     uses_iota = True
 
@@ -102,7 +107,8 @@ class MendedIntegral(PrintedIntegral):
 
 class MendedSpring(PrintedSpring):
     form = "units"
-    statement = "K_P > iota K_V + 2 K_I/iota"
+    statement = "K_P > ι K_V + 2 K_I/ι"
+    matrices = "λmin(K_P) > λmax(ι K_V + 2 K_I/ι)"
     about = "The spring outweighs damper and integral, all in N/m."
     source = _MENDED
 
@@ -114,7 +120,8 @@ class MendedLast(PrintedLast):
     """iota e' K q_dot is at most iota^2 e' K e/2 + q_dot' K q_dot/2, which leaves half of K_V here."""
 
     form = "units"
-    statement = "K_V/2 > iota M"
+    statement = "K_V/2 > ι M"
+    matrices = "K_V/2 - ι M_q ≻ 0"
     about = "The block of the velocities in V_dot with K_V in it, both sides in kg/s."
     source = _MENDED
 
@@ -130,7 +137,8 @@ class Integral(PrintedIntegral):
 class PositiveCandidate(Condition):
     id = "V"
     form = "derived"
-    statement = "K_P - K_I/iota > iota^2 M"
+    statement = "K_P - K_I/ι > ι² M"
+    matrices = "K_P - K_I/ι - ι² M_q ≻ 0"
     about = "The Lyapunov function is positive everywhere but at the set-point."
     source = _OWN
     uses = ("M",)
@@ -146,10 +154,11 @@ class PositiveCandidate(Condition):
 class FallingCandidate(Condition):
     id = "V_dot"
     form = "derived"
-    statement = "Q(iota) > 0"
+    statement = "Q(ι) ≻ 0"
+    matrices = statement
     about = (
         "The Lyapunov function falls along every motion near the set-point; "
-        "Q = [[iota K_P - K_I, iota K/2], [iota K/2, K - iota M]] with K = K_V + D."
+        "Q = [[ι K_P - K_I, ι K/2], [ι K/2, K - ι M_q]] with K = K_V + D_q."
     )
     source = _OWN
     uses = ("M", "D")
@@ -169,8 +178,8 @@ class SomeIota(Condition):
 
     id = "some iota"
     form = "derived"
-    statement = "K k_p - M k_i > K sqrt(K k_i), K = k_v + d"
-    about = "Exactly then some iota makes the Lyapunov function of this channel work."
+    statement = "K k_p - M k_i > K √(K k_i), K = k_v + d"
+    about = "Exactly then some ι makes the Lyapunov function of this channel work."
     source = _OWN
     uses = ("M", "D")
     per_channel_only = True

@@ -19,7 +19,7 @@ Array = np.ndarray
 _STATEMENT = "K_Z M > |error of g|"
 _ABOUT = (
     "With M, D, g off by dM, dD, dg the surface is still reached in a straight run at speed s while "
-    "K_Z M > |dg| + (|dD| + Lambda |dM|) s."
+    "K_Z M > |dg| + (|dD| + Λ |dM|) s."
 )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from .feasible import Span
 from .uncertain import Range
 
-HOLDS, FAILS, UNPROVED = "holds", "fails", "not proved"
+HOLDS, FAILS, UNPROVED, NO_IOTA = "holds", "fails", "not proved", "no iota"
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ class Row:
     left, right, margin : float
         The two sides (at `iota`), and the least margin over all attitudes.
     verdict : str
-        `HOLDS`, `FAILS` or `UNPROVED` (found nowhere to fail, but the bound over attitudes is not settled).
+        `HOLDS`, `FAILS`, `UNPROVED` (found nowhere to fail, but the bound over attitudes is not settled) or
+        `NO_IOTA` (there is no iota that satisfies it; sides and margin are those at the best one).
     iota : (float, float) or None
         The values of iota that satisfy it; None where none does or the condition has no iota.
     uses_iota : bool
@@ -117,7 +118,7 @@ class Agreement:
     iota : (float, float) or None
         The values of iota that do.
     verdict : str
-        `HOLDS` or `FAILS`.
+        `HOLDS`, `NO_IOTA`, or `FAILS` (the iota that was given is none of them).
     """
 
     form: str

@@ -17,6 +17,7 @@ class Reaches(Condition):
     id = "K_Z"
     form = "printed"
     statement = "K_Z > 0"
+    matrices = "K_Z ≻ 0"
     about = "S' S_dot = -sum K_Z |S| is negative: the surface is reached in the time |S|/K_Z."
     source = _PAPER
 
@@ -27,8 +28,9 @@ class Reaches(Condition):
 class Slides(Condition):
     id = "Lambda"
     form = "printed"
-    statement = "Lambda > 0"
-    about = "On the surface e_dot = -Lambda e, so that the error dies out."
+    statement = "Λ > 0"
+    matrices = "Λ ≻ 0"
+    about = "On the surface e_dot = -Λ e, so that the error dies out."
     source = _PAPER
 
     def left(self, s: Signs) -> Any:
@@ -37,7 +39,7 @@ class Slides(Condition):
 
 class DerivedSlides(Slides):
     form = "derived"
-    source = "derived here: S = 0 means q_dot = Lambda (q_d - q)"
+    source = "derived here: S = 0 means q_dot = Λ (q_d - q)"
 
 
 class DerivedReaches(Reaches):
@@ -49,6 +51,7 @@ class HasWidth(Condition):
     id = "width"
     form = "derived"
     statement = "width > 0"
+    matrices = "width ≻ 0"
     about = (
         "Inside the layer S_dot = -(K_Z/width) S: S dies out, so on the exact model nothing is left of it."
     )
@@ -62,7 +65,8 @@ class Root(Condition):
     id = "K_1"
     form = "derived"
     statement = "K_1 > 0"
-    about = "V = K_2 |S| + twist^2/2 has V_dot = -K_1 K_2 sqrt|S|; bounds on disturbances are not certified."
+    matrices = "K_1 ≻ 0"
+    about = "V = K_2 |S| + twist²/2 has V_dot = -K_1 K_2 √|S|; bounds on disturbances are not certified."
     source = "derived here; finite time: Levant (1993)"
 
     def left(self, s: Signs) -> Any:
@@ -72,7 +76,8 @@ class Root(Condition):
 class Twist(Root):
     id = "K_2"
     statement = "K_2 > 0"
-    about = "V = K_2 |S| + twist^2/2 is positive everywhere but at S = twist = 0."
+    matrices = "K_2 ≻ 0"
+    about = "V = K_2 |S| + twist²/2 is positive everywhere but at S = twist = 0."
 
     def left(self, s: Signs) -> Any:
         return s.K_2

@@ -20,7 +20,7 @@ Margins = Callable[[Array], Array]
 """From parameters of shape (k, n_parameters) to margins of shape (k,), concave in them."""
 
 ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "not settled"
-SAMPLED = "not settled (attitudes sampled)"
+SAMPLED, NO_IOTA_THERE = "not settled (attitudes sampled)", "no iota at the values of the file"
 _MOST_CORNERS = 12
 _SIDES = 96
 
@@ -32,7 +32,7 @@ class Range:
     Attributes
     ----------
     verdict : str
-        `ALL`, `SOME`, `NOMINAL`, or `OPEN` or `SAMPLED` (neither proved nor refuted).
+        `ALL`, `SOME`, `NOMINAL`, `NO_IOTA_THERE`, or `OPEN` or `SAMPLED` (neither proved nor refuted).
     margin : float
         Least margin found at a point of the set.
     counterexample : dict of float

@@ -1,0 +1,275 @@
+"""Random vehicles with random gains: loops that `undertow gains` says yes of are simulated from their region.
+
+    python -m benchmarks.certificates --cases 200 --seed 1
+
+Prints one line for each case whose certified loop does not come to its set-point, with the files it needs, and a
+summary: how many were certified, how many of those that simulation calls stable were refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from undertow.control.closed_loop.scenario import Scenario
+from undertow.control.closed_loop.simulate import ClosedLoop
+from undertow.control.conditions.check import check
+from undertow.control.conditions.result import Report
+from undertow.control.conditions.uncertain import Uncertainty
+from undertow.control.gains import GainSet, load_gains
+from undertow.errors import UndertowError
+from undertow.model.evaluation import function_of
+from undertow.model.loading import load_vehicle
+
+Array = np.ndarray
+AXES = {
+    "surge": ("X", "u", "x"), "sway": ("Y", "v", "y"), "heave": ("Z", "w", "z"),
+    "roll": ("K", "p", "phi"), "pitch": ("M", "q", "theta"), "yaw": ("N", "r", "psi"),
+}  # fmt: skip
+SETS = (
+    ("surge",), ("heave",), ("surge", "sway", "yaw"), ("surge", "sway", "heave", "yaw"),
+    ("surge", "sway", "heave", "roll", "pitch", "yaw"),
+)  # fmt: skip
+LAWS = ("pd", "pid", "sliding-mode", "sliding-mode-boundary-layer", "super-twisting")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A vehicle file and a gain file."""
+
+    vehicle: str
+    gains: str
+
+
+# --- drawing --------------------------------------------------------------------------------------
+def draw(rng: np.random.Generator, effects: bool) -> Case:
+    """A vehicle of some kilograms to some tons with gains of all sizes; with effects that no condition knows."""
+    dofs = SETS[rng.choice(len(SETS), p=(0.1, 0.1, 0.25, 0.4, 0.15))]
+    size = float(10 ** rng.uniform(-0.7, 0.5))  # length, m
+    m = 100 * size**3 * float(rng.uniform(0.5, 2))
+    inertia = m * size**2 * rng.uniform(0.05, 0.12, 3)
+    lines = [
+        'schema = "undertow/vehicle/1"', 'name = "drawn"',
+        f"degrees_of_freedom = [{', '.join(repr(d) for d in dofs)}]".replace("'", '"'),
+        'signs = "sname"', "[effects.rigid_body]", f"m = {m:.6g}",
+    ]  # fmt: skip
+    lines += [f"I_{a} = {i:.6g}" for a, i in zip("xyz", inertia, strict=True)]
+    lines += _hull(rng, dofs, m, size)
+    return Case("\n".join([*lines, *_thrusters(rng, dofs, m, size), *(_more(rng) if effects else ())]), _gains(rng, dofs, m, size))
+
+
+def _hull(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float) -> Iterator[str]:
+    def each(name: str, low: float, high: float, turn: float, reversing: bool = True) -> Iterator[str]:
+        for d in dofs:
+            force, speed, _ = AXES[d]
+            value = -m * float(10 ** rng.uniform(low, high)) * (size**turn if force in "KMN" else 1.0)
+            key = name.format(F=force, v=speed)
+            if reversing and rng.random() < 0.3:
+                yield f"{key} = {{ forward = {value:.6g}, backward = {value * rng.uniform(0.6, 1.5):.6g} }}"
+            else:
+                yield f"{key} = {value:.6g}"
+
+    yield "[effects.rigid_body_coriolis]"
+    yield "[effects.added_mass]"
+    yield from (line.replace("= ", "= ") for line in each("{F}_{v}dot", -1.0, 0.2, 2))
+    yield "[effects.added_mass_coriolis]"
+    yield "[effects.linear_damping]"
+    yield from each("{F}_{v}", -2.0, 0.3, 2)
+    if rng.random() < 0.7:
+        yield "[effects.quadratic_damping]"
+        yield from each("{F}_{v}abs{v}", -2.0, 0.5, 2)
+    if {"surge", "sway", "yaw"} <= set(dofs) and rng.random() < 0.5:
+        yield "[effects.lift]"
+        yield from (f"{k} = {m / size * rng.normal(0, 0.5) * f:.6g}" for k, f in (("Y_uv", 1), ("N_uv", size), ("N_ur", size)))
+    if "roll" in dofs:
+        yield from ("[effects.restoring]", f"W = {m * 9.81:.6g}", f"B = {m * 9.81 * rng.uniform(0.98, 1.02):.6g}")
+        yield f"z_b = {-size * rng.uniform(-0.005, 0.05):.6g}"
+    elif "heave" in dofs and rng.random() < 0.5:
+        yield from ("[effects.net_buoyancy]", f"B_net = {m * 9.81 * rng.normal(0, 0.02):.6g}")
+
+
+def _thrusters(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float) -> Iterator[str]:
+    limited = rng.random() < 0.6
+    for i, d in enumerate(dofs):
+        if len(dofs) > 2 and d in ("sway", "heave") and rng.random() < 0.1:
+            continue
+        wrench = [0.0] * 6
+        wrench["XYZKMN".index(AXES[d][0])] = 1.0 if AXES[d][0] in "XYZ" else size / 2
+        yield from ("[[thrusters]]", f'name = "f{i}"', f"wrench = {wrench}")
+        if limited:
+            yield f"limit = {m * float(10 ** rng.uniform(-1.5, 0.5)):.6g}"
+
+
+def _more(rng: np.random.Generator) -> list[str]:
+    return list(
+        rng.choice(
+            np.array([
+                "[effects.thruster_lag]\nT_lag = {:.4g}".format(10 ** rng.uniform(-1.5, 1)),
+                "[effects.actuation_delay]\ninput_delay = {:.4g}".format(10 ** rng.uniform(-1.5, 0.5)),
+                "[effects.attitude_bias]\nb_psi = {:.4g}".format(rng.normal(0, 1.0)),
+                "[effects.ocean_current]\nV_N = {:.4g}\nV_E = {:.4g}".format(*rng.normal(0, 0.2, 2)),
+                "[effects.velocity_lever_arm]\ndx_v = {:.4g}".format(rng.normal(0, 0.5)),
+                "[effects.sensor_delay]\nvelocity_delay = {:.4g}".format(10 ** rng.uniform(-1.5, 0.5)),
+                "[effects.dry_friction]\nX_c = {:.4g}".format(-(10 ** rng.uniform(-1.5, 1))),
+            ], dtype=object),
+            size=1,
+        )
+    )  # fmt: skip
+
+
+def _gains(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float) -> str:
+    law = str(rng.choice(LAWS, p=(0.3, 0.4, 0.1, 0.1, 0.1)))
+    own = {d: float(10 ** rng.uniform(-1.3, 0.3)) for d in dofs}  # natural frequency, rad/s
+    if rng.random() < 0.6 and {"surge", "sway"} <= set(dofs):
+        own |= dict.fromkeys({"surge", "sway", "heave"} & set(dofs), own["surge"])
+    damping = {d: float(10 ** rng.uniform(-1.0, 0.5)) for d in dofs}
+    if rng.random() < 0.6:
+        damping = dict.fromkeys(dofs, damping[dofs[0]])
+    integral = float(10 ** rng.uniform(-2.5, 0))
+    rows: dict[str, dict[str, float]] = {}
+    for d in dofs:
+        scale = m * (size**2 / 12 if AXES[d][0] in "KMN" else 1.0) * 1.5
+        w, z, c = own[d], damping[d], AXES[d][2]
+        rows.setdefault("K_P", {})[c] = scale * w**2
+        rows.setdefault("K_V", {})[c] = scale * 2 * z * w
+        rows.setdefault("K_I", {})[c] = scale * w**3 * integral
+        rows.setdefault("K_Z", {})[c] = w**2 / 5
+        rows.setdefault("Lambda", {})[c] = w
+        rows.setdefault("width", {})[c] = w / 20
+        rows.setdefault("K_1", {})[c] = w
+        rows.setdefault("K_2", {})[c] = w**2 / 10
+    wanted = {
+        "pd": ("K_P", "K_V"), "pid": ("K_P", "K_V", "K_I"), "sliding-mode": ("K_Z", "Lambda"),
+        "sliding-mode-boundary-layer": ("K_Z", "Lambda", "width"), "super-twisting": ("K_1", "K_2", "Lambda"),
+    }[law]  # fmt: skip
+    lines = ['schema = "undertow/gains/1"', 'name = "drawn"', f'law = "{law}"']
+    return "\n".join([*lines, "UNACTUATED", "[gains]"]) + "".join(
+        f"\n{g} = {{ {', '.join(f'{c} = {v:.6g}' for c, v in rows[g].items())} }}" for g in wanted
+    )
+
+
+# --- judging --------------------------------------------------------------------------------------
+def load(case: Case, folder: Path) -> GainSet:
+    """The gain set of a case; axes without a thruster are named as such."""
+    (folder / "v.toml").write_text(case.vehicle)
+    vehicle = load_vehicle(folder / "v.toml")
+    pushed = {"XYZKMN"[i] for t in vehicle.thrusters for i, w in enumerate(t.wrench) if w}
+    silent = [d for d in vehicle.degrees_of_freedom if AXES[d][0] not in pushed]
+    named = "unactuated = [" + ", ".join(f'"{d}"' for d in silent) + "]" if silent else ""
+    (folder / "g.toml").write_text(case.gains.replace("UNACTUATED", named))
+    return load_gains(folder / "g.toml", vehicle)
+
+
+def starts(gains: GainSet, report: Report, count: int, rng: np.random.Generator) -> dict[str, Array]:
+    """States on the border of the certified region, integrals at zero; some metres where it is everywhere."""
+    vehicle, region = gains.plant.vehicle, report.region
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    n = len(vehicle.pose_names)
+    z = rng.normal(size=(count, 2 * n))
+    z[: count // 2, n:] = 0.0
+    angles = np.array([c in ("phi", "theta", "psi") for c in vehicle.pose_names])
+    tame = np.where(angles, 0.9, 1.0)
+    if region.level is None or region.level > 1e6:
+        most = np.array([min(region.errors.get(c, 2.0), 2.0) for c in vehicle.pose_names]) * tame * 0.99
+        fast = np.array([min(region.speeds.get(v, 0.5), 0.5) for v in vehicle.velocity_names]) * 0.3
+        if "Lambda" in {g.name for g in type(gains.law).gains}:
+            fast = fast * 0.0
+        z = rng.choice((-1.0, 1.0), z.shape) * np.concatenate([most, fast])
+        return dict(zip(names, z.T, strict=True))
+    z *= np.concatenate([[region.errors[c] for c in vehicle.pose_names], [region.speeds[v] for v in vehicle.velocity_names]])
+    levels = np.array([_level(gains, row, region.iota) for row in z])
+    z *= np.sqrt(0.98 * region.level / levels)[:, None]
+    return dict(zip(names, z.T, strict=True))
+
+
+def _level(gains: GainSet, state: Array, iota: float | None) -> float:
+    """V of a state: pose as the error from a set-point at zero."""
+    plant, n = gains.plant, len(gains.plant.nu)
+    J = np.array(function_of(list(plant.eta), plant.J.tolist())(*state[:n]), dtype=float)
+    way = {v: 1 if state[n + list(plant.nu).index(v)] > 0 else -1 for v in plant.reversing}
+    M = np.array(plant.one_way(plant.M, way).xreplace(plant.numbers).tolist(), dtype=float)
+    K_P = np.array([gains.values[f"K_P_{c}"] for c in plant.vehicle.pose_names])
+    error, nu = -state[:n], state[n:]
+    momentum = np.linalg.solve(J.T, M @ nu)
+    return float(0.5 * nu @ M @ nu + 0.5 * error @ (K_P * error) - (iota or 0.0) * error @ momentum)
+
+
+def simulated(gains: GainSet, first: dict[str, Array], duration: float) -> Array:
+    """Largest pose error at the end, of axes that are pushed, beside that of the start, by run."""
+    loop = ClosedLoop(gains)
+    n = len(gains.plant.vehicle.pose_names)
+    zero = tuple(0.0 for _ in range(n))
+    for dt in (0.01, 0.001):
+        try:
+            runs = loop.run_many(Scenario(zero, duration, dt), starts=first)
+            break
+        except UndertowError:
+            if dt == 0.001:
+                raise
+    pose = runs.states[:, -1, :n]
+    names = gains.plant.vehicle.pose_names
+    turns = np.array([c in ("phi", "theta", "psi") for c in names])
+    pose = np.where(turns, (pose + np.pi) % (2 * np.pi) - np.pi, pose)
+    begun = np.array([first[c] for c in names]).T
+    scale = np.array([np.abs(begun[:, turns == t]).max(axis=1) for t in turns]).T
+    silent = {AXES[d][2] for d in gains.unactuated}
+    kept = [i for i, c in enumerate(names) if c not in silent and not ({"x", "y"} & silent and c in "xy")]
+    return np.nan_to_num(np.max(np.abs(pose / scale)[:, kept], axis=1), nan=np.inf)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--starts", type=int, default=16)
+    parser.add_argument("--effects", action="store_true", help="add an effect that no condition knows")
+    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "certificates")
+    wish = parser.parse_args()
+    counts: dict[str, int] = {}
+    for k in range(wish.cases):
+        rng = np.random.default_rng((wish.seed, k))
+        folder = wish.keep / f"{wish.seed}-{k}"
+        folder.mkdir(parents=True, exist_ok=True)
+        outcome = judge(draw(rng, wish.effects), folder, wish.starts, rng)
+        counts[outcome.partition(":")[0]] = counts.get(outcome.partition(":")[0], 0) + 1
+        if not outcome.startswith(("certified", "refused")) or "--" in outcome:
+            print(f"{folder}: {outcome}", flush=True)
+    print(counts)
+    return 1 if "BROKEN" in counts else 0
+
+
+def judge(case: Case, folder: Path, count: int, rng: np.random.Generator) -> str:
+    """What became of a case, in words."""
+    try:
+        gains = load(case, folder)
+        report = check(gains, Uncertainty(gains.plant.vehicle), forms=["derived"])
+    except UndertowError as error:
+        return f"bad input: {error}"
+    law = gains.law.id
+    if not report.ok:
+        why = "conditions" if not report.conditions_hold else "region" if report.region.kind == "none" and not report.alone else "alone" if report.alone and not report.alone.stable else f"whole {report.whole and report.whole.verdict}"
+        return f"refused {law} {why}"
+    slowest = min((-c.roots[0].real for c in report.channels), default=0.05)
+    if law not in ("pd", "pid"):
+        slowest = min(v for n, v in gains.values.items() if n.startswith("Lambda") and v)
+    duration = max(25 / max(slowest, 1e-9), 60.0)
+    if duration > 2500:
+        return f"certified, too slow to simulate {law}"
+    try:
+        left = simulated(gains, starts(gains, report, count, rng), duration)
+    except UndertowError as error:
+        return f"not simulated: {error}"
+    if left.max() > 0.3:
+        return f"BROKEN: {law} {report.region.kind} {report.region.level} {left.max():.3g} of the start's error after {duration:.0f} s; whole {report.whole}"
+    return f"certified and comes {law}"
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    raise SystemExit(main())
