@@ -118,8 +118,9 @@ def test_fit_keeps_stretches_aside_and_writes_nothing_unasked(
 
 
 def test_fit_prints_the_correlation_matrix_that_its_covariance_has(
-    case: Path, capsys: pytest.CaptureFixture[str]
+    case: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     assert main(["fit", *LOG, "--holdout", "holdout.csv", "--correlation", "--out", "new.toml"]) == 0
     lines = _lines(capsys)
     covariance = tomllib.loads(Path("new.toml").read_text())["history"][0]["covariance"]
@@ -137,7 +138,10 @@ def test_fit_in_place_changes_the_file(case: Path) -> None:
     assert load_vehicle("usv.toml").value_of("Y_v").value != old.value_of("Y_v").value
 
 
-def test_fit_prints_values_in_the_signs_of_the_file(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_prints_values_in_the_signs_of_the_file(
+    case: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     text = (case / "usv.toml").read_text().replace('"sname"', '"magnitudes"')
     text = text.replace("value = -", "value = ")
     (case / "positive.toml").write_text(text)

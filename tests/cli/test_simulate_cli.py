@@ -62,6 +62,43 @@ def test_what_has_grown_beyond_measure_is_told_in_a_few_digits(capsys: Capture) 
     assert not re.search(r"\d{20}", said)
 
 
+LATE = """
+[effects.actuation_delay]
+delay = "1 s"
+"""
+STIFF = """
+schema = "undertow/gains/1"
+name = "stiff"
+law = "pd"
+unactuated = ["sway"]
+[gains]
+K_P = 30
+K_V = 1
+"""
+
+
+def test_a_run_that_diverges_ends_with_one_and_says_why(here: Path, capsys: Capture) -> None:
+    """Also where the run stops while all numbers are finite."""
+    (here / "late.toml").write_text(bundled_vehicles()["mini-auv"].read_text() + LATE)
+    (here / "stiff.toml").write_text(STIFF)
+    words = ["simulate", "mini-auv", "stiff.toml", "--plant", "late.toml", "--to", "0,0,1,0", "--dt", "0.05"]
+    asked = ["--json", "r.json", "--out", "log.csv", "--figures", "pictures"]
+    assert main([*words, "--for", "3000", *asked]) == 1
+    said = capsys.readouterr().out
+    (result,) = json.loads((here / "r.json").read_text())
+    why = result["divergence"]
+    assert f"DIVERGED: diverged at t = {why['time']:.6g} s: w = {why['value']:.4g} m/s" in said
+    assert "nothing in water is faster than 100" in said
+    assert result["diverged"] == why["time"]
+    assert (why["name"], why["limit"]) == ("w", 100.0)
+    rows = np.loadtxt(here / "log.csv", delimiter=",", skiprows=1)
+    assert rows[-1, 0] < why["time"]
+    assert np.isfinite(rows).all()
+    assert (here / "pictures" / "z.png").is_file()
+    assert main([*words, "--for", f"{why['time'] + 0.5:.1f}"]) == 1
+    assert main([*words, "--for", f"{why['time'] / 2:.1f}"]) == 0  # swings ever more, but is a motion still
+
+
 def test_the_log_is_one_that_undertow_reads(here: Path) -> None:
     assert (
         main([*SHORT, "--noise", "x=0.01", "--noise", "psi=1deg", "--log", "0.05", "--out", "log.csv"]) == 0

@@ -10,6 +10,7 @@ import pytest
 
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
+from undertow.control.closed_loop.measures import CREDIBLE, divergence
 from undertow.control.closed_loop.sampling import SampledLoop
 from undertow.control.closed_loop.virtual import VirtualLoop
 from undertow.control.gain_schema import GainTable, ScheduleTable
@@ -17,6 +18,7 @@ from undertow.control.gains import gains_from_table, load_gains
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.model.symbols import FASTEST
 from undertow.model.vehicle import Value, Vehicle
 
 # --- 240 s at 1 ms: the rows of the paper's three controllers -----------------------------------
@@ -278,18 +280,60 @@ def test_a_dead_time_acts() -> None:
         ClosedLoop(load_gains("paper-pd", AUV), late).run(replace(scenario, continuous=True))
 
 
-def test_a_loop_that_diverges_says_when() -> None:
+def diverging() -> ClosedLoop:
     """Depth under a stiff spring, felt a second late, and water that drags linearly only."""
     late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(1.0)})
     table = {"schema": "undertow/gains/1", "name": "stiff", "law": "pd", "unactuated": ["sway"]}
     content = table | {"gains": {"K_P": 30.0, "K_V": 1.0}}
-    stiff = gains_from_table(GainTable.model_validate(content), AUV)
-    record = ClosedLoop(stiff, late).run(Scenario((0.0, 0.0, 1.0, 0.0), 3000.0, 0.05))
+    return ClosedLoop(gains_from_table(GainTable.model_validate(content), AUV), late)
+
+
+DOWN = Scenario((0.0, 0.0, 1.0, 0.0), 3000.0, 0.05)
+
+
+def test_a_loop_that_diverges_says_when() -> None:
+    record = diverging().run(DOWN)
     assert record.result.diverged is not None
-    assert 100 < record.result.diverged < 3000
+    assert 10 < record.result.diverged < 15
     assert record.result.of("z").settling is None
     assert np.isfinite(record.state["z"]).all()
     assert f'"diverged": {record.result.diverged}' in record.to_json()
+
+
+def test_a_run_has_diverged_where_nothing_in_water_is_as_fast() -> None:
+    """Long before the numbers end: the run that stops while they are finite has diverged as well."""
+    whole = diverging().run(DOWN).result.divergence
+    assert whole is not None
+    assert (whole.name, whole.unit, whole.limit) == ("w", "m/s", FASTEST)
+    assert FASTEST < abs(whole.value) < math.inf
+    short = diverging().run(replace(DOWN, duration=round(whole.time + 1.0)))
+    assert short.result.divergence == whole
+    before = short.state["w"][short.t < whole.time]
+    assert len(before) == len(short.t)
+    assert np.abs(before).max() <= FASTEST
+    assert short.result.of("z").largest < 2 * FASTEST * whole.time
+    assert f"t = {whole.time:.6g} s: w = {whole.value:.4g} m/s" in whole.text
+    assert diverging().run(replace(DOWN, duration=whole.time - 0.05)).result.divergence is None
+
+
+def test_many_runs_diverge_where_one_does() -> None:
+    one = diverging().run(DOWN).result
+    scenario = replace(DOWN, duration=round(one.diverged + 5.0), log_interval=0.05)
+    runs = diverging().run_many(scenario, starts={"z": np.array([0.0, 1.0])})
+    assert runs.diverged[0]
+    assert runs.t[np.isfinite(runs.state("w")[0])][-1] == pytest.approx(one.diverged - 0.05)
+
+
+def test_a_pose_that_jumps_has_diverged() -> None:
+    """Where the integration jumps there need be no speed: 3e12 m in 1000 s are none of a vehicle in water."""
+    x = np.array([[0.0, 0.0, -3e12, 0.0, 0.1, 0.0, 0.2, 0.0], [9e4, 0.0, 1.0, 0.0, 99.0, 0.0, 0.2, 0.0]])
+    t = np.array([1000.0, 1000.0])
+    assert CREDIBLE.broken(x, np.zeros(4), t).any(axis=1).tolist() == [True, False]
+    names = ("x", "y", "z", "psi", "u", "v", "w", "r")
+    found = divergence(names, x[0], np.zeros(4), 1000.0)
+    assert (found.name, found.value, found.limit) == ("z", -3e12, 2 * FASTEST * 1001.0)
+    far = divergence(names, np.array([0.0, 0.0, math.nan, *[0.0] * 5]), np.zeros(4), 1.0)
+    assert "z is no finite number" in far.text
 
 
 def test_progress_is_told() -> None:

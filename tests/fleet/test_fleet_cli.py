@@ -15,6 +15,8 @@ import pytest
 
 from benchmarks.fleet.made import log
 from undertow.cli.main import main
+from undertow.fleet import rollouts as predicted
+from undertow.model.symbols import FASTEST
 
 Capture = pytest.CaptureFixture[str]
 DIAGNOSE = ["fleet", "diagnose", "craft.toml", "logs/**/*.parquet", "--workers", "0", "--out", "report"]
@@ -129,6 +131,26 @@ def test_without_dask_it_says_what_to_install(
     monkeypatch.setattr("undertow.fleet.engine.find_spec", lambda name: None)
     assert main(["fleet", "diagnose", "craft.toml", "logs"]) == 2
     assert 'pip install "undertow[fleet]"' in capsys.readouterr().err
+
+
+def test_rollouts_that_diverge_are_counted_and_end_with_one(
+    small: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of sixty leave what a vehicle in water can do, with finite numbers."""
+    pl.DataFrame(log(small / "craft.toml", {}, np.random.default_rng(1), current=0.0)).write_parquet(
+        "s.parquet"
+    )
+    rolled = predicted._paths  # where the trajectories come from: some of them are sent off
+
+    def off(*args: object) -> np.ndarray:
+        paths = rolled(*args)
+        paths[:2, -1, -1] = 2 * FASTEST
+        return paths
+
+    monkeypatch.setattr(predicted, "_paths", off)
+    words = ["fleet", "rollouts", "craft.toml", "s.parquet", "--workers", "0", "--count", "60"]
+    assert main([*words, "--horizon", "50"]) == 1
+    assert "2 of 60 rollouts diverged and are left out" in capsys.readouterr().out
 
 
 def test_bands_of_rollouts_hold_what_was_measured(small: Path, capsys: Capture) -> None:

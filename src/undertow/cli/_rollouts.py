@@ -51,7 +51,11 @@ def rolled(
     )
     diverged = sum(b.diverged for b in bands)
     if diverged:
-        console().print(text(f"  {diverged} rollouts diverged and are left out", "yellow"))
+        of = count * len(bands)
+        told = (
+            f"  {diverged} of {of} rollouts diverged and are left out: the bands are too narrow without them"
+        )
+        console().print(text(told, "yellow"), soft_wrap=True)
     _warn(bands, coverage)
     for place, words in failed.items():
         told = words if place.partition(",")[0] in words else f"{place}: {words}"
@@ -59,7 +63,7 @@ def rolled(
     if out is not None:
         write_whole(out, parquet(bands))
         console().print(text(f"wrote {out}"))
-    return _INCOMPLETE if failed else 0
+    return _INCOMPLETE if failed or diverged else 0
 
 
 def shares(bands: Sequence[Band]) -> dict[str, float]:

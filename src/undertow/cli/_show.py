@@ -169,16 +169,28 @@ class _Table:
         return [self._heads, *self._rows] if any(h.plain for h in self._heads) else self._rows
 
     def _widths(self, room: int) -> list[int]:
-        """Width of each column; nothing where they do not fit."""
-        widths = [max((c.cell_len for c in column), default=0) for column in zip(*self._shown(), strict=True)]
-        over = sum(widths) + len(_GAP) * (len(widths) - 1) - room
-        if not widths or over <= 0:
+        """Width of each column; nothing where they do not fit, even with heads of several lines."""
+        cells = [max((row[i].cell_len for row in self._rows), default=0) for i in range(len(self._heads))]
+        widths = [max(cell, head.cell_len) for cell, head in zip(cells, self._heads, strict=True)]
+        gaps = len(_GAP) * (len(widths) - 1)
+        if sum(widths) + gaps <= room:
             return widths
+        widths = [max(cell, _longest_word(head)) for cell, head in zip(cells, self._heads, strict=True)]
+        over = sum(widths) + gaps - room
+        if over <= 0:
+            return self._spread(widths, -over)
         widest = widths.index(max(widths))
         left = widths[widest] - over
         if widths[widest] < LAYOUT.prose or left < LAYOUT.least:
             return []
         widths[widest] = left
+        return widths
+
+    def _spread(self, widths: list[int], spare: int) -> list[int]:
+        """Give what is left to the heads that need it, from the left."""
+        for i, head in enumerate(self._heads):
+            more = min(spare, max(0, head.cell_len - widths[i]))
+            widths[i], spare = widths[i] + more, spare - more
         return widths
 
     def _grid(self, widths: list[int]) -> Iterator[Any]:
@@ -210,6 +222,10 @@ class _Table:
                 line = Text()
             line = Text(_APART).join([line, named]) if line.plain else named
         yield from (_indented(part, len(_GAP)) for part in _wrapped_text(line, room) if line.plain)
+
+
+def _longest_word(content: Any) -> int:
+    return max(map(len, wrapped(content.plain, 1)))
 
 
 def _side_by_side(cells: Sequence[Any], widths: Sequence[int]) -> Any:

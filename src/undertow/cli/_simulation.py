@@ -206,8 +206,8 @@ def _facts(result: LoopResult) -> Iterator[str]:
     yield f"{result.duration:g} s, {how} {result.dt:g} s"
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
-    if result.diverged is not None:
-        yield f"DIVERGED: no numbers any more after {result.diverged:g} s"
+    if result.divergence is not None:
+        yield f"DIVERGED: {result.divergence.text}; the numbers are of the run up to there"
     if result.turned_thrusters:
         names = ", ".join(result.turned_thrusters)
         yield f"REMARK: more than 45 deg from where the controller takes them to push: {names}"

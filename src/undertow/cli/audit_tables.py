@@ -4,6 +4,8 @@ Tables A1 to A6 of the paper on the mini-AUV come with undertow as they were pri
 took from them. Found are repeated rows, values that change their sign on the way, values far from the trend
 of the other cases, digits of another table, a case that its own rule does not take, sums that do not add up,
 values within their error of zero, and estimates that are not physical.
+
+The exit code is 1 where something is found, as that of audit is, so that a pipeline stops.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import typer
 _JSON = typer.Option("--json", help="Print JSON instead of text.")
 
 
-def audit_tables(json: Annotated[bool, _JSON] = False) -> None:
+def audit_tables(json: Annotated[bool, _JSON] = False) -> int:
     from dataclasses import asdict
 
     from undertow.cli._show import console, print_json, section, text
@@ -24,7 +26,7 @@ def audit_tables(json: Annotated[bool, _JSON] = False) -> None:
     found = audit(appendix())
     if json:
         print_json([asdict(remark) for remark in found])
-        return
+        return int(bool(found))
     for kind, meaning in KINDS.items():
         own = [remark for remark in found if remark.kind == kind]
         if own:
@@ -32,3 +34,4 @@ def audit_tables(json: Annotated[bool, _JSON] = False) -> None:
             for remark in own:
                 console().print(text(f"  {remark.where}: {remark.text}"), soft_wrap=True)
     console().print(text(f"{len(found)} remarks on {len(appendix().tables)} tables"))
+    return int(bool(found))

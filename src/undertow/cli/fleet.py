@@ -127,6 +127,9 @@ def rollouts(
     \b
         undertow fit rov.toml run1.csv run2.csv --out fitted.toml
         undertow fleet rollouts fitted.toml run3.csv --count 1000 --horizon 20 --out bands.parquet
+
+    Exit code 0: all rollouts count; 1: some diverged or some logs could not be used, and are named; 2: a
+    mistake in the input.
     """
     from undertow.cli._rollouts import rolled
     from undertow.fleet.engine import engine

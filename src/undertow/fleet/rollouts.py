@@ -94,7 +94,8 @@ class Band:
     measured, low, median, high : (k, c) array
         Measurement and quantiles of the rollouts, the noise of the sensors included; SI.
     diverged : int
-        Rollouts that are left out since they diverged.
+        Rollouts that are left out since they diverged: they are no numbers any more, or none that a vehicle
+        in water can have.
     """
 
     log: str
@@ -177,7 +178,7 @@ def rolled_out(flights: Flights, source: Source, window: int, place: int, p: Arr
     random = np.random.default_rng([flights.seed, place])
     sigma = chosen.sigma
     paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
-    good = np.isfinite(paths).all(axis=(1, 2))
+    good = _credible(paths, chosen.t[0])
     if not good.any():
         raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")
     noisy = paths[good] + sigma * random.standard_normal(paths[good].shape)
@@ -185,6 +186,15 @@ def rolled_out(flights: Flights, source: Source, window: int, place: int, p: Arr
     low, median, high = np.quantile(noisy, [tail, 0.5, 1 - tail], axis=0)
     t, measured = chosen.t[0], chosen.measured[0]
     return Band(source.log, window, chosen.names, t, measured, low, median, high, int(np.sum(~good)))
+
+
+def _credible(paths: Array, t: Array) -> NDArray[np.bool_]:
+    """Which rollouts stay what a vehicle in water can do, shape (count,); of paths (count, k, 2n) of pose and
+    velocities."""
+    from undertow.control.closed_loop.measures import CREDIBLE
+
+    start = paths[:, 0, : paths.shape[2] // 2]
+    return np.asarray(~CREDIBLE.broken(paths, start, t - t[0]).any(axis=(1, 2)))
 
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:

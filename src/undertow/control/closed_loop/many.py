@@ -14,6 +14,7 @@ from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
 
 from .blocks import blocks
+from .measures import CREDIBLE
 
 if TYPE_CHECKING:
     from .problem import LoopProblem
@@ -88,7 +89,8 @@ class Runs:
     t : ndarray, shape (n,)
         Times of the rows, s.
     states : ndarray, shape (b, n, nx)
-        True states; NaN from the first row on at which a run is no number any more.
+        True states; NaN from the first row on at which a run has diverged: it is no number any more, or none
+        that a vehicle in water can have (`Credible`).
     commands : ndarray, shape (b, n, nu)
         Commands that the controller gives at the rows.
     state_names, command_names : tuple of str
@@ -111,7 +113,7 @@ class Runs:
 
     @property
     def diverged(self) -> np.ndarray:
-        """Which runs are no number at the end, shape (b,)."""
+        """Which runs have diverged before the end, shape (b,)."""
         return np.isnan(self.states[:, -1]).any(axis=1)
 
 
@@ -166,8 +168,9 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
         runs.states[share, rows] = found.x
         runs.commands[share, rows] = found.u[:, :, loop.parts.commanded]
         row = rows.stop
-    # Zero times what is not finite is NaN.
-    lost = np.isnan(runs.states[share] @ np.zeros(runs.states.shape[2]))
+    pose = len(loop.vehicle.pose_names)
+    states = runs.states[share]
+    lost = CREDIBLE.broken(states, states[:, 0, :pose], runs.t).any(axis=2)
     gone = np.maximum.accumulate(lost, axis=1)
     if not gone[:, -1].any():
         return

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from undertow.model.symbols import FASTEST
 
 from .cycles import Cycle
 from .scenario import UNITS
@@ -21,6 +23,95 @@ BAND = 0.02
 TAIL = 0.1
 _TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
+
+
+@dataclass(frozen=True)
+class Credible:
+    """What a state of a vehicle in water can be; a run that leaves it has diverged.
+
+    Attributes
+    ----------
+    speed : float
+        Largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches.
+    ahead : float
+        A pose may be as far from the start as twice that speed (the vehicle's and the water's) leads in the
+        time so far and this many seconds more, m and rad; farther, the integration has jumped.
+    """
+
+    speed: float = FASTEST
+    ahead: float = 1.0
+
+    def limits(self, t: np.ndarray, pose: int, states: int) -> np.ndarray:
+        """Largest magnitudes at some times, shape (n, states): change of pose, velocities, then no limit."""
+        found = np.full((len(t), states), np.inf)
+        found[:, :pose] = 2 * self.speed * (t[:, None] + self.ahead)
+        found[:, pose : 2 * pose] = self.speed
+        return found
+
+    def broken(self, x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Where states are not finite or beyond their limits, shape (..., n, states).
+
+        Parameters
+        ----------
+        x : ndarray, shape (..., n, states)
+            States over time, pose and velocities first.
+        start : ndarray, shape (..., pose)
+            First pose.
+        t : ndarray, shape (n,)
+            Times, s.
+        """
+        pose = start.shape[-1]
+        moved = x.copy()
+        moved[..., :pose] -= start[..., None, :]
+        return ~np.isfinite(x) | (np.abs(moved) > self.limits(t, pose, x.shape[-1]))
+
+
+CREDIBLE = Credible()
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """The first state of a run that no vehicle in water can have.
+
+    Attributes
+    ----------
+    time : float
+        When, s.
+    name, unit : str
+        Which state; velocities in m/s and rad/s.
+    value : float
+        Its value; the change since the start for a pose.
+    limit : float
+        What it may be.
+    text : str
+        All of that in a line.
+    """
+
+    time: float
+    name: str
+    unit: str
+    value: float
+    limit: float
+    text: str
+
+
+def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float) -> Divergence:
+    """What has diverged in a state at time t, shape (states,), with the pose that the run began with."""
+    broken = CREDIBLE.broken(x[None], start, np.array([t]))[0]
+    place = int(np.argmax(broken))
+    pose = len(start)
+    limit = float(CREDIBLE.limits(np.array([t]), pose, len(x))[0, place])
+    name, value = names[place], float(x[place] - (start[place] if place < pose else 0.0))
+    unit = UNITS.get(name, "")
+    if not math.isfinite(value):
+        why = f"{name} is no finite number any more"
+    elif place < pose:
+        why = (
+            f"{name} is {value:.4g} {unit} from where it began, and nothing in water gets beyond {limit:.4g}"
+        )
+    else:
+        why = f"{name} = {value:.4g} {unit}, and nothing in water is faster than {limit:g}"
+    return Divergence(t, name, unit, value, limit, f"diverged at t = {t:.6g} s: {why}")
 
 
 @dataclass(frozen=True)
@@ -172,9 +263,11 @@ class Measures:
             moves |= {ALONG: math.hypot(moves["x"], moves["y"]), CROSS: 0.0}
         self._errors = {n: _Error(m, _TURN if UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()}
         self._names = list(to)
+        self._states = loop.parts.functions.state_names
+        self._start = np.array(list(start.values()))
         self._commands = _Commands(loop)
         self.gate: float | None = None
-        self.diverged: float | None = None
+        self.diverged: Divergence | None = None
 
     @property
     def goal(self) -> dict[str, float]:
@@ -184,15 +277,18 @@ class Measures:
     def _turns(self, name: str) -> int:
         return self._errors[name].turns if self.diverged is None else 0
 
-    def add(self, begin: int, rows: Rows) -> None:
-        """Take in the rows of the samples from `begin` on."""
-        good = np.isfinite(rows.x).all(axis=1)
-        count = len(good) if good.all() else int(np.argmin(good))
-        t = (begin + np.arange(len(good))) * self._scenario.dt
-        if count < len(good):
-            self.diverged = float(t[count])
-        if not count:
-            return
+    def add(self, begin: int, rows: Rows) -> int:
+        """Take in the rows of the samples from `begin` on; how many there are before the run diverges."""
+        t = (begin + np.arange(len(rows.x))) * self._scenario.dt
+        broken = np.flatnonzero(CREDIBLE.broken(rows.x, self._start, t).any(axis=1))
+        count = int(broken[0]) if broken.size else len(t)
+        if count < len(t):
+            self.diverged = divergence(self._states, rows.x[count], self._start, float(t[count]))
+        if count:
+            self._take(t, rows, count)
+        return count
+
+    def _take(self, t: np.ndarray, rows: Rows, count: int) -> None:
         errors = self._from(self._goal, rows.x[:count])
         for name, error in errors.items():
             self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)

@@ -85,6 +85,10 @@ class Rows:
         """The rows of one run, arrays of shape (rows, n)."""
         return Rows(*(array[run] for array in vars(self).values()))
 
+    def first(self, count: int) -> Rows:
+        """The first rows of one run."""
+        return Rows(*(array[:count] for array in vars(self).values()))
+
 
 ALL = ("x", "y", "u", "s", "tau")
 

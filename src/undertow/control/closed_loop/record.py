@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .cycles import Cycle, find_cycle
-from .measures import CommandResult, CoordinateResult, Measures
+from .measures import CommandResult, CoordinateResult, Divergence, Measures
 
 if TYPE_CHECKING:
     from .problem import Rows
@@ -40,7 +40,10 @@ class LoopResult:
     gate_passed : float, optional
         When the heading came within the gate, s; None if it did not, or there is no gate.
     diverged : float, optional
-        When the state was no number any more, s.
+        When the state was none of a vehicle in water any more, s: not finite, or beyond `Credible`. The
+        measures are of the run up to there.
+    divergence : Divergence, optional
+        What diverged, with the numbers.
     coordinates : tuple of CoordinateResult
         One for each pose coordinate, and along and across the track.
     commands : tuple of CommandResult
@@ -59,6 +62,7 @@ class LoopResult:
     to: Mapping[str, float]
     gate_passed: float | None
     diverged: float | None
+    divergence: Divergence | None
     coordinates: tuple[CoordinateResult, ...]
     commands: tuple[CommandResult, ...]
     turned_thrusters: tuple[str, ...]
@@ -137,6 +141,8 @@ class Recorder:
 
     def add(self, begin: int, rows: Rows) -> None:
         """Take in the rows of the samples from `begin` on."""
+        if not len(rows.x):
+            return
         samples = begin + np.arange(len(rows.x))
         every = np.flatnonzero(samples % self._stride == 0)
         self._kept.append((samples[every], *(part[every] for part in (rows.x, rows.y, rows.tau))))
@@ -148,12 +154,10 @@ class Recorder:
     def record(self, start: Mapping[str, float], to: Mapping[str, float], measures: Measures) -> Record:
         """The rows and the result."""
         samples, x, y, tau = (np.concatenate(part) for part in zip(*self._kept, strict=True))
-        good = np.isfinite(x).all(axis=1)
-        samples, x, y, tau = (part[good] for part in (samples, x, y, tau))
         t, parts = samples * self._scenario.dt, self._loop.parts
         vehicle, known = parts.vehicle, self._loop.gains.plant.vehicle
         means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
-        if len(means) > 1 and self._counts[-1] < self._stride:
+        if len(means) > 1 and self._counts[samples[-1] // self._stride] < self._stride:
             means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
         errors = measures.errors(x)
         return Record(
@@ -184,6 +188,7 @@ class Recorder:
             dict(start),
             measures.goal if to else {},
             measures.gate if gains.schedule.order == "yaw-first" else None,
+            None if measures.diverged is None else measures.diverged.time,
             measures.diverged,
             measures.coordinates(cycles),
             measures.commands(),

@@ -10,7 +10,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
-from undertow.model.symbols import FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.symbols import FASTEST, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.units import to_si
 from undertow.model.vehicle_schema import Quantity
 
@@ -140,7 +140,7 @@ class Scenario:
         Raises
         ------
         UndertowError
-            If the vehicle does not have one that is given.
+            If the vehicle does not have one that is given, or nothing in water is as fast.
         """
         alien = [n for n in self.moving if n not in names]
         if alien:
@@ -148,6 +148,12 @@ class Scenario:
                 f"velocity '{alien[0]}' is none of the vehicle's{nearest(alien[0], names)}: it has "
                 f"{', '.join(names)}"
             )
+        for name, value in self.moving.items():
+            if not abs(value) <= FASTEST:
+                raise UndertowError(
+                    f"first {name} = {value:g} {UNITS[name]}: nothing in water is as fast; stay within "
+                    f"{FASTEST:g}"
+                )
         return np.array([self.moving.get(n, 0.0) for n in names])
 
     def noise_of(self, names: tuple[str, ...]) -> np.ndarray:

@@ -118,11 +118,11 @@ class ClosedLoop:
         measures, recorder = Measures(self, scenario, start, to, left), Recorder(self, scenario)
         for block in blocks(self.parts, scenario, range(1)):
             rows = self.stepper.run(problem, block).of(0)
-            measures.add(block.first, rows)
-            recorder.add(block.first, rows)
+            credible = measures.add(block.first, rows)
+            recorder.add(block.first, rows.first(credible))
             if progress is not None:
                 progress((block.first + block.samples) * scenario.dt, self.gains.name)
-            if not np.isfinite(rows.x).all():
+            if measures.diverged is not None:
                 break
         return recorder.record(start, to, measures)
 
