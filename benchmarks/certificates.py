@@ -2,8 +2,8 @@
 
     python -m benchmarks.certificates --cases 200 --seed 1
 
-Prints one line for each case whose certified loop does not come to its set-point, with the files it needs, and a
-summary: how many were certified, how many of those that simulation calls stable were refused.
+Prints one line for each case whose certified loop does not come to its set-point, with the folder of its
+files, and a summary: how many were certified, and why the others were refused.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Case:
 
 # --- drawing --------------------------------------------------------------------------------------
 def draw(rng: np.random.Generator, effects: bool) -> Case:
-    """A vehicle of some kilograms to some tons with gains of all sizes; with effects that no condition knows."""
+    """A vehicle of some kilograms to some tons with gains of all sizes, and effects if wanted."""
     dofs = SETS[rng.choice(len(SETS), p=(0.1, 0.1, 0.25, 0.4, 0.15))]
     size = float(10 ** rng.uniform(-0.7, 0.5))  # length, m
     m = 100 * size**3 * float(rng.uniform(0.5, 2))
@@ -61,7 +61,9 @@ def draw(rng: np.random.Generator, effects: bool) -> Case:
     ]  # fmt: skip
     lines += [f"I_{a} = {i:.6g}" for a, i in zip("xyz", inertia, strict=True)]
     lines += _hull(rng, dofs, m, size)
-    return Case("\n".join([*lines, *_thrusters(rng, dofs, m, size), *(_more(rng) if effects else ())]), _gains(rng, dofs, m, size))
+    lines += _thrusters(rng, dofs, m, size)
+    lines += _more(rng, m) if effects else []
+    return Case("\n".join(lines), _gains(rng, dofs, m, size))
 
 
 def _hull(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float) -> Iterator[str]:
@@ -86,9 +88,16 @@ def _hull(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float
         yield from each("{F}_{v}abs{v}", -2.0, 0.5, 2)
     if {"surge", "sway", "yaw"} <= set(dofs) and rng.random() < 0.5:
         yield "[effects.lift]"
-        yield from (f"{k} = {m / size * rng.normal(0, 0.5) * f:.6g}" for k, f in (("Y_uv", 1), ("N_uv", size), ("N_ur", size)))
+        yield from (
+            f"{k} = {m / size * rng.normal(0, 0.5) * f:.6g}"
+            for k, f in (("Y_uv", 1), ("N_uv", size), ("N_ur", size))
+        )
     if "roll" in dofs:
-        yield from ("[effects.restoring]", f"W = {m * 9.81:.6g}", f"B = {m * 9.81 * rng.uniform(0.98, 1.02):.6g}")
+        yield from (
+            "[effects.restoring]",
+            f"W = {m * 9.81:.6g}",
+            f"B = {m * 9.81 * rng.uniform(0.98, 1.02):.6g}",
+        )
         yield f"z_b = {-size * rng.uniform(-0.005, 0.05):.6g}"
     elif "heave" in dofs and rng.random() < 0.5:
         yield from ("[effects.net_buoyancy]", f"B_net = {m * 9.81 * rng.normal(0, 0.02):.6g}")
@@ -106,21 +115,33 @@ def _thrusters(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: 
             yield f"limit = {m * float(10 ** rng.uniform(-1.5, 0.5)):.6g}"
 
 
-def _more(rng: np.random.Generator) -> list[str]:
-    return list(
-        rng.choice(
-            np.array([
-                "[effects.thruster_lag]\nT_lag = {:.4g}".format(10 ** rng.uniform(-1.5, 1)),
-                "[effects.actuation_delay]\ninput_delay = {:.4g}".format(10 ** rng.uniform(-1.5, 0.5)),
-                "[effects.attitude_bias]\nb_psi = {:.4g}".format(rng.normal(0, 1.0)),
-                "[effects.ocean_current]\nV_N = {:.4g}\nV_E = {:.4g}".format(*rng.normal(0, 0.2, 2)),
-                "[effects.velocity_lever_arm]\ndx_v = {:.4g}".format(rng.normal(0, 0.5)),
-                "[effects.sensor_delay]\nvelocity_delay = {:.4g}".format(10 ** rng.uniform(-1.5, 0.5)),
-                "[effects.dry_friction]\nX_c = {:.4g}".format(-(10 ** rng.uniform(-1.5, 1))),
-            ], dtype=object),
-            size=1,
-        )
-    )  # fmt: skip
+def _more(rng: np.random.Generator, m: float) -> list[str]:
+    """One effect that no condition knows, from harmless to fatal."""
+
+    def log(low: float, high: float) -> float:
+        return float(10 ** rng.uniform(low, high))
+
+    found: dict[str, dict[str, float]] = {
+        "thruster_lag": {"T_lag": log(-1.5, 1)},
+        "actuation_delay": {"delay": log(-1.5, 0.5)},
+        "sensor_delay": {"velocity_delay": log(-1.5, 0.5)},
+        "attitude_bias": {"b_psi": rng.normal(0, 1)},
+        "ocean_current": {"V_N": rng.normal(0, 0.2), "V_E": rng.normal(0, 0.2)},
+        "velocity_lever_arm": {"x_s": rng.normal(0, 0.5), "y_s": rng.normal(0, 0.5)},
+        "position_lever_arm": {"x_fix": rng.normal(0, 0.5), "y_fix": rng.normal(0, 0.5)},
+        "velocity_misalignment": {"turn_z": rng.normal(0, 0.7)},
+        "sensor_bias": {"b_u": rng.normal(0, 0.1)},
+        "sensor_scale": {"scale_velocity": rng.uniform(-0.8, 2)},
+        "thruster_deadband": {"deadband_width": m * log(-3, 0)},
+        "thruster_saturation": {"saturation_limit": m * log(-2, 0.5)},
+        "thruster_asymmetry": {"reverse_loss": rng.uniform(0, 1)},
+        "thruster_gain": {"gain_error_f0": rng.uniform(-1, 0.5)},
+        "supply_droop": {"droop_rate": log(-4, -2)},
+        "dry_friction": {"X_signu": -m * log(-3, 0)},
+        "constant_force": {"X_0": m * rng.normal(0, 0.3)},
+    }
+    chosen = str(rng.choice(list(found)))
+    return [f"[effects.{chosen}]", *(f"{k} = {v:.6g}" for k, v in found[chosen].items())]
 
 
 def _gains(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float) -> str:
@@ -182,7 +203,9 @@ def starts(gains: GainSet, report: Report, count: int, rng: np.random.Generator)
             fast = fast * 0.0
         z = rng.choice((-1.0, 1.0), z.shape) * np.concatenate([most, fast])
         return dict(zip(names, z.T, strict=True))
-    z *= np.concatenate([[region.errors[c] for c in vehicle.pose_names], [region.speeds[v] for v in vehicle.velocity_names]])
+    z *= np.concatenate(
+        [[region.errors[c] for c in vehicle.pose_names], [region.speeds[v] for v in vehicle.velocity_names]]
+    )
     levels = np.array([_level(gains, row, region.iota) for row in z])
     z *= np.sqrt(0.98 * region.level / levels)[:, None]
     return dict(zip(names, z.T, strict=True))
@@ -224,7 +247,9 @@ def simulated(gains: GainSet, first: dict[str, Array], duration: float) -> Array
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--starts", type=int, default=16)
@@ -253,8 +278,7 @@ def judge(case: Case, folder: Path, count: int, rng: np.random.Generator) -> str
         return f"bad input: {error}"
     law = gains.law.id
     if not report.ok:
-        why = "conditions" if not report.conditions_hold else "region" if report.region.kind == "none" and not report.alone else "alone" if report.alone and not report.alone.stable else f"whole {report.whole and report.whole.verdict}"
-        return f"refused {law} {why}"
+        return f"refused {law} {_why(report)}"
     slowest = min((-c.roots[0].real for c in report.channels), default=0.05)
     if law not in ("pd", "pid"):
         slowest = min(v for n, v in gains.values.items() if n.startswith("Lambda") and v)
@@ -266,8 +290,19 @@ def judge(case: Case, folder: Path, count: int, rng: np.random.Generator) -> str
     except UndertowError as error:
         return f"not simulated: {error}"
     if left.max() > 0.3:
-        return f"BROKEN: {law} {report.region.kind} {report.region.level} {left.max():.3g} of the start's error after {duration:.0f} s; whole {report.whole}"
+        where = f"{report.region.kind} {report.region.level}"
+        return f"BROKEN: {law} {where} {left.max():.3g} of the start's error after {duration:.0f} s"
     return f"certified and comes {law}"
+
+
+def _why(report: Report) -> str:
+    if not report.conditions_hold:
+        return "conditions"
+    if report.alone and not report.alone.stable:
+        return "left alone"
+    if report.region.kind == "none" and not report.alone:
+        return "region"
+    return f"whole loop {report.whole.verdict if report.whole else ''}"
 
 
 if __name__ == "__main__":

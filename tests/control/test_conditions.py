@@ -120,13 +120,14 @@ def test_the_published_surge_loop_is_unstable(signs: str, margin: float, pair: c
     assert all(c.stable for c in report().channels if c.coordinate != "x")
 
 
-def test_pd_holds_in_all_but_the_force_that_nothing_gives() -> None:
+def test_pd_holds_and_sway_is_left_alone() -> None:
     found = report("paper-pd")
     assert {r.verdict for r in found.rows} == {"holds"}
     assert all(c.stable for c in found.channels)
-    assert "sway" in found.actuation
-    assert "x: -sin(psi), y: cos(psi)" in found.actuation
-    assert not found.ok
+    assert found.alone is not None
+    assert found.alone.axes == ("sway",)
+    assert "x: -sin(psi), y: cos(psi)" in found.lyapunov.invariant
+    assert found.region.kind == "none"
 
 
 def test_damping_ratio_of_pd_surge() -> None:

@@ -15,7 +15,6 @@ from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, _InNumbers, a
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.region import region
 from undertow.control.conditions.routh import coupled_roots
-from undertow.control.conditions.speed import damping_at_speed
 from undertow.control.conditions.uncertain import ALL, NOMINAL, SOME, Uncertainty
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.laws import LawSignals
@@ -167,8 +166,13 @@ def test_coupled_axes_are_judged_together() -> None:
         )
 
 
-def test_damping_at_speed_is_proved_or_refuted() -> None:
+def test_damping_that_turns_into_its_opposite_limits_the_region() -> None:
+    """Backward X_|u|u > 0 feeds power in: K_V + X_u is outweighed at |u| = (K_V + X_u)/X_|u|u."""
     vehicle = load_vehicle("mini-auv")
-    assert damping_at_speed(Problem(load_gains("paper-pd", vehicle))).startswith("never less")
-    odd = vehicle.with_values({"X_uabsu_backward": Value(5.0)})
-    assert "u = -" in damping_at_speed(Problem(load_gains("paper-pd", odd)))
+    gains = load_gains("paper-pd", vehicle)
+    assert region(Problem(gains), None).kind == "everywhere"
+    odd = load_gains("paper-pd", vehicle.with_values({"X_uabsu_backward": Value(5.0)}))
+    found = region(Problem(odd), None)
+    assert found.kind == "level"
+    damping = gains.values["K_V_x"] - vehicle.value_of("X_u_backward").value
+    assert 0.9 * damping / 5.0 < found.speeds["u"] < damping / 5.0

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from undertow.control.conditions.repair import Repair, Single
     from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
 
+SCHEMA = "undertow/gain-report/1"
+"""Of what --json prints; docs/gains.md documents it."""
 _GREEN, _RED = "green", "red"
 
 
@@ -68,6 +70,7 @@ def judge(
 def show_json(judged: Judged) -> None:
     """Everything as JSON; roots as [real, imaginary], what has no end as null."""
     content = {
+        "schema": SCHEMA,
         "ok": judged.report.ok,
         **asdict(judged.report),
         "single_repairs": [asdict(s) for s in judged.singles],
@@ -113,7 +116,7 @@ def show(judged: Judged) -> None:
 def _headline(report: Report) -> str:
     if not report.conditions_hold:
         unproved = any(r.verdict == "not proved" for r in report.rows)
-        refuted = any(r.verdict == "fails" for r in report.rows) or not unproved
+        refuted = any(r.verdict in ("fails", "no iota") for r in report.rows) or not unproved
         return "some conditions fail" if refuted else "some conditions are not proved"
     but = []
     if report.left_out:
@@ -267,6 +270,7 @@ def _show_region(report: Report) -> None:
     section("Certified region")
     say(f"  {found.text}", _RED if found.kind == "none" and not report.alone else "")
     if found.errors:
+        say(f"  starts at rest: {_with_units(found.starts)}, one error at a time")
         say(f"  largest errors: {_with_units(found.errors)}")
         say(f"  largest speeds: {_with_units(found.speeds)}")
     for c in found.commands:

@@ -36,6 +36,7 @@ def check(
     forms: Sequence[str] = (),
     iota: float | None = None,
     tilt: float = np.pi / 3,
+    whole: bool = True,
     tell: Tell = lambda done, words: None,
 ) -> Report:
     """Check the gains of a law against every condition.
@@ -52,6 +53,8 @@ def check(
         The constant of the PID conditions, 1/s; searched for when not given.
     tilt : float
         Largest roll and pitch that conditions have to hold for, rad.
+    whole : bool
+        Whether the loop with effects and axes that no condition knows is linearised and simulated, too.
     tell : callable
         Is told how much is done (0 to 1).
 
@@ -85,7 +88,7 @@ def check(
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )
     tell(0.9, "the whole loop")
-    if not (alone or report.left_out):
+    if not (whole and (alone or report.left_out)):
         return report
     return replace(report, whole=whole_loop(gains, own))
 
@@ -142,7 +145,7 @@ def _rows(
 
 
 def _scopes(problem: Problem, condition: Condition) -> list[int | None]:
-    channels: list[int | None] = [] if condition.matrix_only else [*range(problem.size)]
+    channels: list[int | None] = [] if condition.matrix_only else [*problem.driven]
     return channels if condition.per_channel_only else [None, *channels]
 
 

@@ -101,6 +101,10 @@ class Interval:
     def __rmatmul__(self, other: Any) -> Interval:
         return enclose(other) @ self
 
+    def columns(self, places: Sequence[int]) -> Interval:
+        """Some columns of the matrices."""
+        return Interval(self.lo[..., places], self.hi[..., places])
+
     @property
     def T(self) -> Interval:
         """Transposes of the matrices along the last two axes."""

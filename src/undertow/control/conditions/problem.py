@@ -67,6 +67,11 @@ class Problem:
         """Number of pose coordinates."""
         return len(self.coordinates)
 
+    @property
+    def driven(self) -> list[int]:
+        """Coordinates that the law drives: axes left alone have gains only if the file states them."""
+        return [i for i in range(self.size) if all(v[i] for v in self.values.values())]
+
     @cached_property
     def distinct(self) -> list[SignSet]:
         """The sign sets that matter: with diagonal matrices the mixed ones add nothing to the first two."""
@@ -99,7 +104,7 @@ class Problem:
     @property
     def channels(self) -> list[tuple[int, int, str]]:
         """Coordinate, axis and name of each channel; x and y change axes for a vehicle that heads east."""
-        own = [(i, i, c) for i, c in enumerate(self.coordinates)]
+        own = [(i, i, self.coordinates[i]) for i in self.driven]
         if not self.heading_counts:
             return own
         x, y = (self.coordinates.index(c) for c in ("x", "y"))
@@ -135,11 +140,13 @@ class Problem:
 
     # --- margins ------------------------------------------------------------------------------
     def signs(self, one: SignSet, inverse: Any, iota: float | None, theta: Array | None = None) -> Signs:
-        """All quantities in pose coordinates, for J^-1 as numbers or intervals."""
+        """All quantities in the pose coordinates that are driven, for J^-1 as numbers or intervals."""
         theta = one.theta if theta is None else theta
-        gains = {name: np.diag(v) for name, v in self.values.items()}
-        turn = inverse.T if not isinstance(inverse, np.ndarray) else np.swapaxes(inverse, -1, -2)
-        M, D = (turn @ m.at(theta) @ inverse for m in (one.M, one.D))
+        own = self.driven
+        gains = {name: np.diag(v[own]) for name, v in self.values.items()}
+        columns = inverse[..., own] if isinstance(inverse, np.ndarray) else inverse.columns(own)
+        turn = columns.T if not isinstance(columns, np.ndarray) else np.swapaxes(columns, -1, -2)
+        M, D = (turn @ m.at(theta) @ columns for m in (one.M, one.D))
         return Signs({**gains, "M": M, "D": D, "iota": iota})
 
     def channel_signs(

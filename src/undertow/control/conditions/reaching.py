@@ -35,9 +35,7 @@ def reaching(problem: Problem, uncertainty: Uncertainty) -> list[Row]:
     if not weight.any():
         return []
     chosen = problem.sets[:1] if len(problem.sets) == 1 else problem.sets[:2]
-    return [
-        _row(problem, one, i, float(weight[i]), uncertainty) for one in chosen for i in range(problem.size)
-    ]
+    return [_row(problem, one, i, float(weight[i]), uncertainty) for one in chosen for i in problem.driven]
 
 
 def _row(problem: Problem, one: SignSet, i: int, weight: float, uncertainty: Uncertainty) -> Row:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -93,13 +94,6 @@ def _pd(commands: Commands) -> Region:
     return _region_of_level(commands, min(ends.values()), min(ends, key=lambda name: ends[name]))
 
 
-def _pd_reach(problem: Problem, level: float) -> dict[str, float]:
-    return {
-        c: float(np.sqrt(2 * level / k))
-        for c, k in zip(problem.coordinates, problem.values["K_P"], strict=True)
-    }
-
-
 def _pd_speeds(problem: Problem, level: float) -> Array:
     inverse = np.max([np.diag(np.linalg.inv(m)) for m in inertias(problem.sets)], axis=0)
     return np.asarray(np.sqrt(2 * level * inverse))
@@ -119,7 +113,7 @@ def _used(commands: Commands, level: float) -> bool:
 def _pd_bounds(commands: Commands, level: float) -> Array:
     if not len(commands.limits):
         return np.zeros(0)
-    return pd_commands(commands, level, _pd_reach(commands.problem, level))
+    return pd_commands(commands, level, _starts(commands.problem, level))
 
 
 class _PDDamping:
@@ -177,30 +171,33 @@ def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
     problem = commands.problem
     if level >= _HIGHEST:
         return Region("everywhere", "everywhere: V falls at any speed, from any error (half a turn aside)")
-    reach = _pd_reach(problem, level)
+    reach = _starts(problem, level)
     speeds = dict(
         zip(problem.plant.vehicle.velocity_names, map(float, _pd_speeds(problem, level)), strict=True)
     )
-    return _bounded(
-        f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})",
-        level,
-        reach,
-        speeds,
-        commands.result(_pd_bounds(commands, level)),
-    )
+    text = f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})"
+    asked = commands.result(_pd_bounds(commands, level))
+    return _bounded(problem, Region("level", text, level, reach, speeds, commands=asked))
 
 
-def _bounded(
-    claim: str, level: float | None, errors: Mapping[str, float], speeds: Mapping[str, float], commands: Any,
-    **more: Any,
-) -> Region:  # fmt: skip
-    """A region, or none where it is smaller than what is worth the name."""
-    least_error = min(errors.values())
-    if least_error < SETTINGS.smallest_error:
+def _bounded(problem: Problem, found: Region) -> Region:
+    """A region with the starts that it allows, or none where these are too small to be one."""
+    starts = found.errors if found.level is None else _starts(problem, found.level)
+    smallest = min(starts, key=lambda c: starts[c])
+    if starts[smallest] < SETTINGS.smallest_error:
         return _none(
-            f"it would end at an error of {least_error:.2g} (m or rad), below {SETTINGS.smallest_error:g}"
+            f"it would end at {starts[smallest]:.2g} {_unit(smallest)} in {smallest}, and below "
+            f"{SETTINGS.smallest_error:g} it is none"
         )
-    return Region("level", claim, level, dict(errors), dict(speeds), tuple(commands), **more)
+    gated = problem.gains.schedule.order == "yaw-first"
+    text = found.text + ("; counted from when the heading has come within its gate" if gated else "")
+    return replace(found, starts=dict(starts), text=text)
+
+
+def _starts(problem: Problem, level: float) -> dict[str, float]:
+    """Largest error of each coordinate alone, at rest and with integrals at zero, with V below a level."""
+    pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
+    return {c: float(np.sqrt(2 * level / k)) for c, k in pairs}
 
 
 # --- PID ------------------------------------------------------------------------------------------
@@ -215,7 +212,7 @@ def _pid(commands: Commands, iota: Span | None) -> Region:
     """
     problem = commands.problem
     if iota is None:
-        return _none("no iota satisfies the derived conditions together")
+        return _none("no ι satisfies the derived conditions together")
     damping = [fast_damping(problem.plant, one) for one in problem.sets]
     known = [d for d in damping if d is not None]
     if len(known) < len(damping):
@@ -238,19 +235,14 @@ def _told(places: _Places, level: float, ends: str) -> Region:
     shares = {c: (1.0 - lost) / (places.iota * w) for c, w in pairs if w > _SMALL}
     bounds = " + ".join(f"|q~_{c}|/{limit:.4g} {_unit(c)}" for c, limit in shares.items()) or "0"
     claim = (
-        f"an estimate at sampled attitudes: V_dot < 0 where {bounds} < 1 at iota = {places.iota:.4g} 1/s"
+        f"an estimate at sampled attitudes: V_dot < 0 where {bounds} < 1 at ι = {places.iota:.4g} 1/s"
         f"{places.proviso(level)}; motions that begin with V < {level:.4g} stay there and come to rest "
         f"({_BEYOND} {ends})"
     )
-    return _bounded(
-        claim,
-        level,
-        places.reach(level),
-        places.fastest(level),
-        places.commands.result(places.bounds(level)),
-        iota=places.iota,
-        proved=False,
-    )
+    asked = places.commands.result(places.bounds(level))
+    errors, speeds = places.reach(level), places.fastest(level)
+    found = Region("level", claim, level, errors, speeds, commands=asked, iota=places.iota, proved=False)
+    return _bounded(problem, found)
 
 
 def _unit(coordinate: str) -> str:
@@ -421,28 +413,23 @@ def _sliding(commands: Commands) -> Region:
         return Region("everywhere", "everywhere: S falls at any speed, from any error (half a turn aside)")
     bounds = SlidingCommands(commands)
 
-    def errors(scale: float) -> Array:
+    def box_of(scale: float) -> Array:
         return np.minimum(scale, caps)
 
     def allowed(scale: float) -> bool:
-        return bool(np.all(bounds.bounds(errors(scale)) <= commands.limits))
+        return bool(np.all(bounds.bounds(box_of(scale)) <= commands.limits))
 
     scale = (
         _largest_level(allowed, SETTINGS.largest_error) if len(commands.limits) else SETTINGS.largest_error
     )
     if scale == 0.0:
         return _none("commands are not proved to stay within their limits for any error")
-    box = errors(scale)
+    box = box_of(scale)
     largest = bounds.bounds(box) if len(commands.limits) else np.zeros(0)
     claim = (
         "motions that begin with |q~_i| within these errors and |S_i| < Lambda_i times them stay there and "
         f"come to rest ({_BEYOND} {'thrust suffices' if len(largest) else 'roll and pitch stay in range'})"
     )
     speeds = dict(zip(problem.plant.vehicle.velocity_names, map(float, bounds.speeds(box)), strict=True))
-    return _bounded(
-        claim,
-        None,
-        dict(zip(problem.coordinates, map(float, box), strict=True)),
-        speeds,
-        commands.result(largest),
-    )
+    errors = dict(zip(problem.coordinates, map(float, box), strict=True))
+    return _bounded(problem, Region("level", claim, None, errors, speeds, commands=commands.result(largest)))

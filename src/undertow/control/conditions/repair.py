@@ -125,7 +125,7 @@ def singles(problem: Problem) -> list[Single]:
         found
         for kind, condition in kinds
         for one in problem.sets[:2]
-        for i in range(problem.size)
+        for i in problem.driven
         if problem.channel_margin(condition, one, i, None) <= 0
         for found in (_single(problem, kind, condition, one, i, name) for name in ("K_P", "K_V", "K_I"))
     ]

@@ -214,6 +214,8 @@ class Region:
         V is below it in the region, J; None where the region is a box of errors and surfaces.
     errors, speeds : dict of float
         Largest error of each coordinate (m, rad) and largest body velocities (m/s, rad/s) in the region.
+    starts : dict of float
+        Largest error of each coordinate to begin with: at rest, the others and integrals zero.
     commands : tuple of Command
         What each limited thruster is asked for.
     iota : float or None
@@ -227,6 +229,7 @@ class Region:
     level: float | None = None
     errors: dict[str, float] = field(default_factory=dict)
     speeds: dict[str, float] = field(default_factory=dict)
+    starts: dict[str, float] = field(default_factory=dict)
     commands: tuple[Command, ...] = ()
     iota: float | None = None
     proved: bool = True

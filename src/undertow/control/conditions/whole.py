@@ -142,12 +142,13 @@ def _judged(case: _Case, loop: LinearLoop) -> WholeLoop:
     if worst.real > SETTINGS.slowest:
         return WholeLoop("unstable", worst, case.where)
     standing = int(np.sum(poles.real >= -SETTINGS.slowest))
+    places = len(matrix) - _rank(matrix)
+    if case.idle and standing > places:
+        text = f"what nothing pushes runs away, or an integral of its error does ({case.where or 'at rest'})"
+        return WholeLoop("unstable", worst, text)
     if standing > case.idle:
         text = f"not judged: a motion neither decays nor grows ({case.where or 'at rest'}); a dead band, say"
         return WholeLoop("not judged", worst, text)
-    if standing > len(matrix) - _rank(matrix):
-        text = f"what nothing pushes runs away, or an integral of its error does ({case.where or 'at rest'})"
-        return WholeLoop("unstable", worst, text)
     moving = [complex(p) for p in poles if p.real < -SETTINGS.slowest]
     slowest = max(moving, key=lambda p: (p.real, p.imag), default=worst)
     return _offset(WholeLoop("stable", slowest, case.where), loop)

@@ -17,9 +17,9 @@ def checked(gains: GainSet) -> Report:
 
 def certified(gains: GainSet) -> bool:
     """Whether every condition that is derived from the model holds, with one iota for all."""
-    report = checked(gains)
-    rows = all(r.verdict == HOLDS for r in report.rows if r.form == _DERIVED)
-    return rows and all(a.verdict == HOLDS for a in report.agreements if a.form == _DERIVED)
+    report = check(gains, Uncertainty(gains.plant.vehicle), forms=[_DERIVED], whole=False)
+    rows = all(r.verdict == HOLDS for r in report.rows)
+    return rows and all(a.verdict == HOLDS for a in report.agreements)
 
 
 def told(gains: GainSet) -> dict[str, tuple[str, float | None]]:
@@ -34,4 +34,7 @@ def told(gains: GainSet) -> dict[str, tuple[str, float | None]]:
         )
     for a in report.agreements:
         found[f"{a.form} conditions with one iota"] = (a.verdict, None)
+    found["certified region"] = (report.region.kind, report.region.level)
+    if report.whole is not None:
+        found["whole loop"] = (report.whole.verdict, None)
     return found
