@@ -13,8 +13,13 @@ The first line shows why the published PID gains do not work: their surge loop i
 prints everything for a program. --repair proposes the smallest change of the gains after which the literal
 (printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
 
-The exit code is 0 where all conditions hold, 1 where some fail or are not proved, the law asks for a force
-that no thruster gives, or the loop with all effects is unstable, 2 for a mistake in the input.
+Then comes what makes a yes: the region from which every motion comes to rest with no command beyond the
+limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
+sensors or such axes are outside the conditions, the whole loop, linearised at all headings and simulated.
+
+The exit code is 0 where all conditions hold, a region is certified (or the axes left alone come to rest) and
+the whole loop is stable; 1 where something fails, is not proved or could not be judged; 2 for a mistake in
+the input.
 """
 
 from __future__ import annotations
