@@ -77,13 +77,21 @@ class _Case:
 
 
 def _loops(gains: GainSet) -> Iterator[tuple[_Case, LinearLoop]]:
-    from undertow.control.linear.loop import close_loop
+    from undertow.control.linear.loop import LinearLoop, law_for
+    from undertow.control.linear.numeric import Numeric, in_direction, reversing
+    from undertow.control.linear.systems import linear_with_delays
     from undertow.control.linear.trim import find_trim
 
     smooth, vehicle = _without_jump(gains), _with_limits(gains)
-    for case in _cases(gains):
-        trim = find_trim(vehicle, case.held, direction=case.direction)
-        yield case, close_loop(vehicle, smooth, trim, pade=_PADE, nominal=gains.plant.vehicle)
+    switched = reversing(vehicle)
+    for way in (1, -1) if switched else (1,):
+        direction = dict.fromkeys(switched, way)
+        numeric = Numeric(in_direction(vehicle, direction))
+        law = law_for(smooth, gains.plant.vehicle, direction)
+        for held in _rests(gains):
+            trim = find_trim(vehicle, held, direction=direction, numeric=numeric)
+            loop = LinearLoop(linear_with_delays(numeric, trim, _PADE), law, trim)
+            yield _Case(held, direction, len(gains.unactuated)), loop
 
 
 def _with_limits(gains: GainSet) -> Vehicle:
@@ -119,20 +127,18 @@ def _without_jump(gains: GainSet) -> GainSet:
     return replace(gains, law=LAWS["sliding-mode-boundary-layer"](), values=values)
 
 
-def _cases(gains: GainSet) -> Iterator[_Case]:
-    from undertow.control.linear.numeric import reversing
-
+def _rests(gains: GainSet) -> Iterator[dict[str, float]]:
+    """What is held at each rest to look at: no velocity, an even keel where the law keeps it, a heading."""
     vehicle = gains.plant.vehicle
     rest: dict[str, float] = dict.fromkeys(vehicle.velocity_names, 0.0)
     pairs = zip(vehicle.pose_names, vehicle.degrees_of_freedom, strict=True)
     rest |= {c: 0.0 for c, dof in pairs if c in ("phi", "theta") and dof not in gains.unactuated}
-    turns = "psi" in vehicle.pose_names
+    if "psi" not in vehicle.pose_names:
+        yield rest
+        return
     differs = gains.plant.left_out or gains.unactuated or Problem(gains).heading_counts
-    count = SETTINGS.headings if turns and differs else 1
-    for heading in np.linspace(-math.pi, math.pi, count, endpoint=False) + math.pi:
-        for way in (1, -1) if reversing(vehicle) else (1,):
-            held = {**rest, "psi": float(heading)} if turns else rest
-            yield _Case(held, dict.fromkeys(reversing(vehicle), way), len(gains.unactuated))
+    for k in range(SETTINGS.headings if differs else 1):
+        yield {**rest, "psi": math.remainder(2 * math.pi * k / SETTINGS.headings, 2 * math.pi)}
 
 
 def _judged(case: _Case, loop: LinearLoop) -> WholeLoop:

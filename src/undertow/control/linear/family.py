@@ -251,7 +251,7 @@ class _Maker:
         self.vehicle, self._trim = vehicle, trim
         self._numeric = Numeric(in_direction(vehicle, trim.direction))
         self._balance = Balance(self._numeric, trim.wanted)
-        self._law = None if gains is None else law_for(gains, vehicle, trim)
+        self._law = None if gains is None else law_for(gains, vehicle, trim.direction)
         f = self._numeric.functions
         self._mass = ca.Function("mass", [f.x, f.p, f.t], [ca.densify(f.mass_matrix)])
 

@@ -49,13 +49,13 @@ def close_loop(
         If there is no such trim, or the law has no linear form there.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    law = law_for(gains, nominal or vehicle, found)
+    law = law_for(gains, nominal or vehicle, found.direction)
     return LinearLoop(linearize(vehicle, found, pade=pade), law, found)
 
 
-def law_for(gains: GainSet, vehicle: Vehicle, trim: Trim) -> LawSystem:
-    """A law that knows a vehicle, with the set of parameters of a trim."""
-    return LawSystem(replace(gains, plant=Plant(in_direction(vehicle, trim.direction))))
+def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:
+    """A law that knows a vehicle, with the set of parameters of a direction of motion."""
+    return LawSystem(replace(gains, plant=Plant(in_direction(vehicle, direction))))
 
 
 class LinearLoop:

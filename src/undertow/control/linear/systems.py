@@ -44,7 +44,12 @@ def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int =
         raise UndertowError(
             f"the trim is of another vehicle than '{vehicle.name}': find it again for this one"
         )
-    system = linear_at(numeric, found)
+    return linear_with_delays(numeric, found, pade)
+
+
+def linear_with_delays(numeric: Numeric, trim: Trim, pade: int) -> ct.StateSpace:
+    """The linear system at a trim with Padé approximations of its dead times, of order zero without them."""
+    system = linear_at(numeric, trim)
     late = {n: s for n, s in numeric.report_delays.items() if n in system.output_labels}
     if not numeric.dead_time and not late:
         return system
@@ -52,7 +57,7 @@ def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int =
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
             ", ".join(_lateness(numeric.dead_time, late)),
-            vehicle.name,
+            numeric.vehicle.name,
         )
         return system
     commanded = _late(system, numeric.dead_time, pade) if numeric.dead_time else system

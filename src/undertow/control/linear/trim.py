@@ -71,6 +71,7 @@ def find_trim(
     *,
     free: Collection[str] = (),
     direction: Mapping[str, int] | None = None,
+    numeric: Numeric | None = None,
 ) -> Trim:
     """The steady motion with these values.
 
@@ -90,6 +91,8 @@ def find_trim(
     direction : mapping
         1 or -1 by velocity: whose set of parameters holds where forward and backward ones differ and the
         motion does not tell; forward unless stated.
+    numeric : Numeric, optional
+        The equations of the vehicle in this direction, if they are at hand.
 
     Raises
     ------
@@ -98,7 +101,7 @@ def find_trim(
         beyond its limit.
     """
     wanted = request(vehicle, held, free)
-    trim = _search(vehicle, wanted, dict(direction or {}))
+    trim = _search(vehicle, wanted, dict(direction or {}), numeric)
     asked = {name: way for name, way in trim.direction.items() if name not in (direction or {})}
     words = [f"{name}={way}" for name, way in asked.items()]
     return replace(trim, remarks=(*trim.remarks, *_assumed(words)))
@@ -112,10 +115,12 @@ def _assumed(words: list[str]) -> list[str]:
     ]
 
 
-def _search(vehicle: Vehicle, wanted: Request, direction: dict[str, int]) -> Trim:
+def _search(
+    vehicle: Vehicle, wanted: Request, direction: dict[str, int], known: Numeric | None = None
+) -> Trim:
     """A trim, with the set of parameters for rest where the vehicle is at rest in the water."""
-    one_way = in_direction(vehicle, direction)
-    numeric = Numeric(one_way)
+    numeric = known or Numeric(in_direction(vehicle, direction))
+    one_way = numeric.vehicle
     if numeric.varies:
         raise UndertowError(
             f"forces on '{vehicle.name}' depend on time (waves, a supply that fades): there is no steady "
