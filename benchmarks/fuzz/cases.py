@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
+from undertow.model.loading import bundled_vehicles
+
 from .mutations import BYTES, OF_TABLES, OF_TEXT, Mutation, mutated
 from .originals import MAPPING, originals, surface_log, surface_vehicle
 
@@ -23,10 +25,13 @@ _VEHICLE_COMMANDS = (
     "codegen {} --out out",
     "linearize {}",
     "update {} --out out",
-    "gains {} paper-pd --json out.json",
+    "added-mass box --length 1 --beam 1 --height 1 --into {} --out out.toml",
+)
+_PAPER_COMMANDS = (
+    "gains {} paper-pd --json",
+    "gains {} paper-smc",
     "simulate {} paper-pid --to 1,0,1 --for 3 --dt 0.01 --out out.csv",
     "simulate {} paper-pd --to 1,0,1 --for 2 --dt 0.01 --json out.json",
-    "added-mass box --length 1 --beam 1 --height 1 --into {} --out out.toml",
 )
 _SURFACE_COMMANDS = (
     "compare {} log.csv",
@@ -38,7 +43,8 @@ _SURFACE_COMMANDS = (
     _DESIGN,
 )
 _GAINS_COMMANDS = (
-    "gains mini-auv {} --json out.json",
+    "gains mini-auv {} --json",
+    "gains mini-auv {}",
     _SIMULATE,
     "linearize mini-auv --gains {}",
     "codegen mini-auv --controller {} --out out",
@@ -55,8 +61,15 @@ _LOG_COMMANDS = (
     "fit vehicle.toml {} --method instrumental --horizon 1 --fill hold",
     "plan vehicle.toml {} --tries 20 --duration 10 --out out.csv",
     "doctor vehicle.toml {} --map mapping.toml --mend out.toml",
-    "identify vehicle.toml {} --stream --json out.json",
+    "compare vehicle.toml {} --map mapping.toml --from 2 --to 18",
 )
+#: Commands for each kind of file.
+COMMANDS = {
+    "vehicle": (*_VEHICLE_COMMANDS, *_PAPER_COMMANDS, *_SURFACE_COMMANDS),
+    "gains": _GAINS_COMMANDS,
+    "mapping": _MAPPING_COMMANDS,
+    "log": _LOG_COMMANDS,
+}
 _SUFFIXES = {"vehicle": "toml", "gains": "toml", "mapping": "toml", "log": "csv"}
 
 
@@ -96,13 +109,20 @@ def case(seed: int, number: int) -> Case:
     """The case of a seed and a number; always the same one."""
     rng = random.Random(f"{seed}:{number}")
     reader = rng.choices([*SHARES], [*SHARES.values()])[0]
-    commands = _commands(reader)
+    commands = COMMANDS.get(reader, ())
     command = rng.choice(commands) if commands and rng.random() < _COMMANDS_SHARE else ""
-    files = originals()[reader]
-    # Commands for the surface vehicle want its own files; they stand first.
-    own = command in (*_SURFACE_COMMANDS, *_MAPPING_COMMANDS, *_LOG_COMMANDS)
-    sound = surface_log() if own and reader == "log" else files[0] if own else rng.choice(files)
+    sound = rng.choice(sound_files(reader, command))
     return Case(f"{seed}:{number}", reader, mutated(sound, rng, damage_to(reader)), command)
+
+
+def sound_files(reader: str, command: str) -> tuple[bytes, ...]:
+    """Files that a reader, or a command of that reader, has an answer for."""
+    if command in _PAPER_COMMANDS:
+        return (bundled_vehicles()["mini-auv"].read_bytes(),)
+    if command in _SURFACE_COMMANDS:
+        return (surface_vehicle(),)
+    own = {"log": surface_log(), "mapping": MAPPING}
+    return (own[reader],) if command and reader in own else originals()[reader]
 
 
 def damage_to(reader: str) -> tuple[Mutation, ...]:
@@ -110,12 +130,3 @@ def damage_to(reader: str) -> tuple[Mutation, ...]:
     if reader in ("log", "parts of a log", "partition"):
         return OF_TABLES
     return BYTES if reader == "store" else OF_TEXT
-
-
-def _commands(reader: str) -> tuple[str, ...]:
-    return {
-        "vehicle": (*_VEHICLE_COMMANDS, *_SURFACE_COMMANDS),
-        "gains": _GAINS_COMMANDS,
-        "mapping": _MAPPING_COMMANDS,
-        "log": _LOG_COMMANDS,
-    }.get(reader, ())
