@@ -19,8 +19,8 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes and signals of POSIX")
 
 # One process has loaded everything; each run is a copy of it, which is cheap. A run is killed by a signal
-# that nothing can catch: as soon as it asks the system for the so-and-so-many-th change of a file, or after so
-# many seconds.
+# that nothing can catch: as soon as it asks the system for a change of a file, counted from its beginning, or
+# after so many seconds.
 DRIVER = """
 import ctypes, json, os, shutil, signal, sys, tempfile
 from contextlib import redirect_stdout
@@ -210,7 +210,7 @@ def test_a_fitted_vehicle_is_old_or_new(case: Path, driver: Driver) -> None:
     whole, old = driver.run(case, words), before(case)
     assert whole.code == 0
     assert whole.after["usv.toml"] != old["usv.toml"]
-    for at in moments(whole.count, 4, seed=2):
+    for at in moments(whole.count, 3, seed=2):
         killed = driver.run(case, words, [words], at=at)
         assert killed.code == KILLED, at
         assert not half_written(killed.after, old, whole.after), at
