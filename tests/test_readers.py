@@ -87,6 +87,51 @@ def test_any_damage_is_read_or_refused_in_one_line(
     _read_damaged(name, seed, tmp_path, capfd)
 
 
+HUGE = b"9" * 400
+# What was once taken, or ended in a traceback: the word that is replaced, and what stands there instead.
+ODD = [
+    ("snapshot", b"-0.1", HUGE),
+    ("snapshot", b"7.5", b"1e400"),
+    ("snapshot", b'"gain": 2.0', b'"gain": "much"'),
+    ("snapshot", b'"holds"', b"[]"),
+    ("diagnosis", b'"error_before": 9.0', b'"error_before": 1e400'),
+    ("diagnosis", b'"prior": null', b'"prior": ' + HUGE),
+    ("diagnosis for a plan", b'"value": ', b'"value": 1e400'),
+    ("MSH", b"$Nodes", b"$Noodles"),
+    ("MSH", b"2 1 0 0", b"2 1 0 x"),
+]
+
+
+@pytest.mark.parametrize(("name", "word", "odd"), ODD)
+def test_values_that_cannot_be_are_refused(
+    name: str, word: bytes, odd: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    sound, path = originals()[name][0], tmp_path / f"odd{READERS[name].suffix}"
+    assert word in sound
+    path.write_bytes(sound.replace(word, odd, 1))
+    assert refusal(READERS[name], path)
+    assert capfd.readouterr() == ("", "")  # a library has nothing to say beside it
+
+
+@pytest.mark.parametrize(
+    ("word", "odd"),
+    [
+        (b'"added_mass"', b"1e400"),
+        (b'"added_mass"', b"{}"),
+        (b'"name": "x"', b'"name": [0]'),
+        (b'"box-hull"', b'"\\u001b[2J"'),
+        (b'"model.c":', b'"\\u202e":'),
+        (b"0.5063900411009399", HUGE),
+    ],
+)
+def test_generated_code_with_an_odd_manifest_is_stale(word: bytes, odd: bytes, tmp_path: Path) -> None:
+    sound, path = originals()["manifest"][0], tmp_path / "manifest.json"
+    assert word in sound
+    path.write_bytes(sound.replace(word, odd, 1))
+    report = READERS["manifest"].read(path)
+    assert any("generate" in line for line in report.changes)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
 @settings(one_folder, max_examples=1000)
