@@ -21,9 +21,7 @@ _GAINED = 0.1  # share of the misfit that a drift must explain
 
 
 def command_drift(at: Dynamics) -> Finding | None:
-    """Tell whether the time from command to motion grows or shrinks along the logs.
-
-    None where it does not, and where commands are missing that other times would need.
+    """Tell whether the time from command to motion grows or shrinks along the logs; None where it does not.
 
     A constant delay is an effect of its own (actuation_delay); a delay that drifts is one of the clocks.
     """
@@ -53,7 +51,10 @@ def command_drift(at: Dynamics) -> Finding | None:
 
 
 def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float] | None:
-    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave."""
+    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
+
+    None where a command that is missing would come into the data.
+    """
     here, moved = (_residual(at, _later(*s)) for s in (shift, shift + np.array([small, 0.0])))
     if here is None or moved is None:
         return None
@@ -65,7 +66,6 @@ def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float
 
 
 def _residual(at: Dynamics, undo: Undo) -> Array | None:
-    """None where a gap in the commands has come to lie among the samples that are used."""
     data = at.undone(undo)
     return None if data is None else whitened(at.fit.model.linearise(data, at.fit.p), at.fit.whitening).r
 
