@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11) and "undertow needs Python 3.11 or newer: make PYTHON=python3.12")
 
-.PHONY: demo test bench docs clean
+.PHONY: demo test test-all check-fuzz bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/undertow demo
@@ -19,6 +19,14 @@ test: $(VENV)/.installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m pytest -q -n $(WORKERS)
+
+# With the tests that are marked slow.
+test-all: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -q -n $(WORKERS) -m "slow or not slow"
+
+# Ten thousand damaged files: FUZZ="--seed 7 --count 500", FUZZ="--case 0:4711 --keep DIR".
+check-fuzz: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.fuzz --jobs $(WORKERS) $(FUZZ)
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m benchmarks.speed --out docs/results.md

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import logging
 import os
+import shutil
 import stat
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +25,7 @@ from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.codegen.rollout import rollout_source
 
 SOURCE = "double undertow_test_answer(void);\ndouble undertow_test_answer(void) { return 42; }\n"
+SEEN = SOURCE.replace("double", '__attribute__((visibility("default"))) double', 1)
 posix = pytest.mark.skipif(sys.platform == "win32", reason="permission bits of POSIX")
 
 
@@ -202,6 +205,150 @@ def test_a_link_in_place_of_the_folder_is_refused(own_cache: Path, caplog: pytes
 def test_a_cache_that_cannot_be_made_is_replaced(own_cache: Path, caplog: pytest.LogCaptureFixture) -> None:
     own_cache.parent.write_text("a file where a folder should be")
     assert _private("cannot be used", caplog) != own_cache
+
+
+@posix
+def test_a_folder_that_really_belongs_to_somebody_else_is_refused(
+    own_cache: Path, c_compiler: Compiler, caplog: pytest.LogCaptureFixture
+) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can give a folder away")
+    own_cache.mkdir(parents=True, mode=0o700)
+    os.chown(own_cache, OTHER, OTHER)
+    folder = _private(f"belongs to user {OTHER}", caplog)
+    assert library_for(SOURCE, c_compiler).parent == folder
+    assert not list(own_cache.iterdir())
+
+
+@posix
+def test_a_link_on_the_way_is_followed_once(own_cache: Path, c_compiler: Compiler) -> None:
+    """A cache on another disk is all right, and who moves the link afterwards has moved nothing."""
+    link, there = own_cache.parent, own_cache.parent.with_name("another-disk")
+    there.mkdir(mode=0o700)
+    link.symlink_to(there)
+    folder = cache_folder()
+    assert folder == there / "undertow"
+    link.unlink()
+    link.symlink_to("/nowhere")
+    assert library_for(SOURCE, c_compiler, folder).parent == there / "undertow"
+
+
+@posix
+def test_a_link_to_where_everybody_can_write_is_refused(
+    own_cache: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The folder that the link names is ours, but one above it could be replaced."""
+    everybody = own_cache.parent.with_name("scratch")
+    (everybody / "mine").mkdir(parents=True, mode=0o700)
+    everybody.chmod(0o777)
+    own_cache.parent.symlink_to(everybody / "mine")
+    assert _private("everybody can write", caplog) != everybody / "mine" / "undertow"
+
+
+@posix
+def test_a_link_to_itself_is_refused(own_cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+    own_cache.parent.symlink_to(own_cache.parent)
+    _private("cannot be used", caplog)
+
+
+@posix
+@pytest.mark.parametrize("home", [None, "somewhere"])
+def test_a_user_without_a_home_has_a_private_folder(
+    home: str | None, own_cache: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("HOME")
+    if home is not None:
+        monkeypatch.setenv("HOME", home)
+    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
+    _private("no home", caplog)
+
+
+@posix
+def test_without_any_place_for_compiled_code_one_line_says_what_to_do(
+    own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own_cache.parent.write_text("a file where a folder should be")
+    monkeypatch.setattr("tempfile.tempdir", str(own_cache))
+    with pytest.raises(UndertowError, match=r"no temporary folder .*XDG_CACHE_HOME or TMPDIR"):
+        cache_folder()
+
+
+OTHER = 54321  # a user that there is not
+AS_ANOTHER = f"""
+import ctypes, os, sys
+from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import find_compiler
+compiler = find_compiler()
+if os.getuid() == 0:  # to whom nothing is write-protected
+    os.setgroups([]), os.setgid({OTHER}), os.setuid({OTHER})
+for _ in range(2):
+    library = library_for(sys.argv[1], compiler)
+loaded = ctypes.CDLL(str(library))
+loaded.undertow_test_answer.restype = ctypes.c_double
+print(library.parent, loaded.undertow_test_answer())
+"""
+
+
+@posix
+def test_a_home_that_is_write_protected_costs_one_line(c_compiler: Compiler) -> None:
+    """Also where the user is root, who becomes somebody else before the cache is asked for."""
+    with tempfile.TemporaryDirectory() as name:  # the folders of pytest are for their owner alone
+        home, temporary = Path(name, "home"), Path(name, "tmp")
+        home.mkdir(mode=0o555)
+        temporary.mkdir()
+        for path, mode in ((Path(name), 0o755), (home, 0o555), (temporary, 0o1777)):
+            path.chmod(mode)
+        done = _python(AS_ANOTHER, SEEN, HOME=str(home), XDG_CACHE_HOME="", TMPDIR=str(temporary))
+        assert done.stdout.startswith(str(temporary))
+        assert done.stdout.endswith(" 42.0\n")
+        (line,) = done.stderr.splitlines()
+        assert f"cache folder '{home}/.cache/undertow' cannot be used (Permission denied)" in line
+        assert not [*home.iterdir(), *temporary.iterdir()]  # the private folder has gone again
+
+
+# --- processes ------------------------------------------------------------------------------------
+
+# A compiler that begins when two processes have called it: they do build at the same time.
+TOGETHER = """#!/bin/sh
+[ "$1" = --version ] && exec cc "$@"
+touch "$MEETING/$$"
+turns=0
+while [ "$(ls "$MEETING" | wc -l)" -lt 2 ] && [ $turns -lt 20000 ]; do turns=$((turns + 1)); done
+exec cc "$@"
+"""
+BUILD = """
+import ctypes, sys
+from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import find_compiler
+library = library_for(sys.argv[1], find_compiler())
+print(library)
+loaded = ctypes.CDLL(str(library))
+loaded.undertow_test_answer.restype = ctypes.c_double
+assert loaded.undertow_test_answer() == 42.0
+"""
+
+
+@posix
+def test_two_processes_build_the_same_at_once(
+    c_compiler: Compiler, own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("no command cc on this machine")
+    script, meeting = tmp_path / "cc-together", tmp_path / "meeting"
+    script.write_text(TOGETHER)
+    script.chmod(0o755)
+    meeting.mkdir()
+    monkeypatch.setenv("UNDERTOW_CC", str(script))
+    with ThreadPoolExecutor(2) as pool:
+        done = [pool.submit(_python, BUILD, SEEN, MEETING=str(meeting)) for _ in range(2)]
+    assert len(list(meeting.iterdir())) == 2
+    libraries = {Path(one.result().stdout.strip()) for one in done}
+    (manifest,) = own_cache.glob("*.json")
+    kept = own_cache / f"{manifest.stem}-{json.loads(manifest.read_text())['library'][:16]}.so"
+    assert kept in libraries
+    assert {*own_cache.iterdir()} == {manifest, *libraries}
+    assert _python(BUILD, SEEN, MEETING=str(tmp_path / "nowhere")).stdout.strip() == str(kept)
 
 
 # --- symbols ------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -127,6 +128,55 @@ def test_what_is_no_address_is_refused_once_and_for_all(
         pass
     gc.collect()
     assert not complaints
+
+
+def _sockets(dask_worker: Any = None, dask_scheduler: Any = None) -> set[str]:
+    """Addresses on which this process listens for connections, by the system itself."""
+    process = pytest.importorskip("psutil").Process()
+    return {c.laddr.ip for c in process.net_connections(kind="inet") if c.status == "LISTEN"}
+
+
+def _listening(doing: OnDask) -> set[str]:
+    """Addresses on which scheduler, page, nannies and workers listen."""
+    client = doing.client
+    workers, nannies = client.run(_sockets), client.run(_sockets, nanny=True)
+    here = client.run_on_scheduler(_sockets)  # scheduler, its page and the nannies: this process
+    assert workers
+    return here.union(*workers.values(), *nannies.values())
+
+
+def test_nobody_outside_this_machine_reaches_the_cluster(cluster: OnDask) -> None:
+    """Dask runs whatever it is sent by anybody who can connect."""
+    assert _listening(cluster) == {"127.0.0.1"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only on Linux every address of 127/8 is this machine")
+def test_a_cluster_listens_elsewhere_only_where_it_is_told_to() -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")
+    with engine(workers=1, listen="127.0.0.2") as doing:
+        assert doing.client.scheduler.address.startswith("tcp://127.0.0.2:")
+        assert "127.0.0.2" in _listening(doing)
+        assert _listening(doing) <= {"127.0.0.1", "127.0.0.2"}
+
+
+@pytest.mark.parametrize("address", ["192.0.2.77", "no such place", "", "::1", "127.0.0.1:80", "é" * 300])
+def test_an_address_that_this_machine_does_not_have_is_refused(address: str) -> None:
+    with (
+        pytest.raises(UndertowError, match=r"cannot listen on .*--listen"),
+        engine(workers=1, listen=address),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("options", "why"), [({"workers": 0}, "--workers 0"), ({"scheduler": "x"}, "--sched")]
+)
+def test_to_listen_is_for_a_cluster_of_this_machine(options: dict[str, Any], why: str) -> None:
+    with (
+        pytest.raises(UndertowError, match=f"--listen 127.0.0.1 .*{why}"),
+        engine(**options, listen="127.0.0.1"),
+    ):
+        pass
 
 
 class _Future:

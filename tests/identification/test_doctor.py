@@ -310,6 +310,15 @@ def test_clocks_that_drift_apart(auv: Case) -> None:
     assert found.evidence["drift"] == pytest.approx(0.5, abs=0.06)
 
 
+def test_clocks_are_not_judged_where_commands_are_missing(auv: Case) -> None:
+    """At another time, the gap would lie among samples that are used."""
+    columns = broken.late(0.1, drift=0.5)(*auv.runs.values())
+    gap = np.where((columns["t"] > 8.0) & (columns["t"] < 8.2), np.nan, 0.0)
+    patchy = {n: c + gap if n.startswith("f") else c for n, c in columns.items()}
+    result = examine(vehicle_of(auv), [run_of("patchy", patchy)]).result
+    assert not [f for f in result.findings if f.text.startswith("commands and motion are on two clocks")]
+
+
 def test_commands_on_a_clock_of_their_own(auv: Case) -> None:
     (columns,) = auv.runs.values()
     t = columns["t"]

@@ -21,3 +21,5 @@ def talk(verbose: bool) -> None:
         logger.removeHandler(handler)
     logger.addHandler(_ToStderr())
     logger.setLevel(logging.INFO if verbose else logging.WARNING)
+    # It says in several lines where it keeps its list of fonts when the home cannot be written.
+    logging.getLogger("matplotlib").setLevel(logging.WARNING if verbose else logging.ERROR)

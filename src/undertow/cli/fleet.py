@@ -29,9 +29,16 @@ _WORKERS = typer.Option(
 _PATIENCE = typer.Option(
     "--patience", metavar="SECONDS", min=1.0, help="Give up what is left when no worker answers for so long."
 )
+_LISTEN = typer.Option(
+    "--listen",
+    metavar="ADDRESS",
+    help="Address of this machine that its cluster listens on; whoever reaches it can run code here.",
+    show_default="127.0.0.1, for this machine alone",
+)
 SchedulerOption = Annotated[str | None, _SCHEDULER]
 WorkersOption = Annotated[int | None, _WORKERS]
 PatienceOption = Annotated[float, _PATIENCE]
+ListenOption = Annotated[str | None, _LISTEN]
 _FLEET_VEHICLE = typer.Argument(
     metavar="VEHICLE", help="Vehicle file or bundled vehicle; {vehicle} in a path stands for each name."
 )
@@ -63,6 +70,7 @@ def diagnose(
     daily: Annotated[list[str] | None, _DAILY] = None,
     passes: Annotated[int, _PASSES] = 1,
     patience: PatienceOption = 900.0,
+    listen: ListenOption = None,
     map: MapOption = None,
     effects: EffectsOption = None,
     fill: FillOption = None,
@@ -87,7 +95,7 @@ def diagnose(
     from undertow.cli._fleet import diagnosed
     from undertow.fleet.engine import engine
 
-    with engine(scheduler, workers, patience) as doing:
+    with engine(scheduler, workers, patience, listen) as doing:
         return diagnosed(doing, vehicle, logs, out, daily, passes, map, effects, fill)
 
 
@@ -113,6 +121,7 @@ def rollouts(
     scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
     patience: PatienceOption = 900.0,
+    listen: ListenOption = None,
     map: MapOption = None,
     effects: EffectsOption = None,
     fill: FillOption = None,
@@ -134,5 +143,5 @@ def rollouts(
     from undertow.cli._rollouts import rolled
     from undertow.fleet.engine import engine
 
-    with engine(scheduler, workers, patience) as doing:
+    with engine(scheduler, workers, patience, listen) as doing:
         return rolled(doing, vehicle, logs, count, horizon, coverage, seed, out, map, effects, fill)

@@ -144,9 +144,18 @@ def noted(question: str, find_out: Callable[[], str]) -> str:
 
 
 def cache_folder() -> Path:
-    """The user's own folder for compiled libraries, or a private temporary one if that is not safe."""
-    wanted = _user_cache() / "undertow"
-    reason = _unsafe(wanted)
+    """The user's own folder for compiled libraries, or a private temporary one if that is not safe.
+
+    Links on the way to it are followed first, so that what is checked is what is used.
+
+    Raises
+    ------
+    UndertowError
+        If not even a temporary folder can be made.
+    """
+    place = _user_cache()
+    wanted = Path(os.path.realpath(place), "undertow")
+    reason = _unsafe(wanted) if place.is_absolute() else "has no place of its own, as the user has no home"
     if reason is None:
         return wanted
     return _private_folder(f"cache folder '{wanted}' {reason}")
@@ -154,8 +163,8 @@ def cache_folder() -> Path:
 
 def _user_cache() -> Path:
     configured = os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
-    # The XDG specification has relative paths ignored.
-    return Path(configured) if os.path.isabs(configured) else Path.home() / ".cache"
+    # The XDG specification has relative paths ignored. Without a home this one is relative, too.
+    return Path(configured if os.path.isabs(configured) else os.path.expanduser("~/.cache"))
 
 
 def _unsafe(folder: Path) -> str | None:
@@ -191,7 +200,13 @@ def _replaceable(parent: Path) -> str | None:
 
 @cache
 def _private_folder(reason: str) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="undertow-"))
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="undertow-"))
+    except OSError as error:
+        raise UndertowError(
+            f"{reason}, and no temporary folder can be made ({error.strerror}): set XDG_CACHE_HOME or TMPDIR "
+            "to a folder of your own"
+        ) from error
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     _LOG.warning("%s: compiled code is kept in a private folder for this run only", reason)
     return folder

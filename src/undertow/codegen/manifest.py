@@ -11,11 +11,13 @@ from math import isclose, isfinite
 from typing import Any
 
 import casadi as ca
+from pydantic import TypeAdapter
 
 import undertow
 from undertow.errors import UndertowError
 from undertow.model.parameter import bare_name
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.vehicle_schema import Printable
 
 from .functions import Functions
 
@@ -43,8 +45,8 @@ class Entry:
         Value of a parameter in the vehicle file, SI and SNAME signs.
     """
 
-    name: str
-    unit: str
+    name: Printable
+    unit: Printable
     value: float | None = None
 
 
@@ -69,14 +71,14 @@ class Manifest:
         whatever way it is written, and do not change when a parameter moves to another place in p.
     """
 
-    vehicle: str
-    effects: tuple[str, ...]
+    vehicle: Printable
+    effects: tuple[Printable, ...]
     states: tuple[Entry, ...]
     inputs: tuple[Entry, ...]
     parameters: tuple[Entry, ...]
     input_delay: float
-    output_delay: Mapping[str, float]
-    rows: Mapping[str, tuple[float, ...]]
+    output_delay: Mapping[Printable, float]
+    rows: Mapping[Printable, tuple[float, ...]]
 
     def to_json(self, files: Mapping[str, str], compiler: str) -> str:
         """Text of the manifest file.
@@ -106,24 +108,11 @@ class Manifest:
             content = json.loads(text)
             if content["schema"] != SCHEMA:
                 raise UndertowError(f"schema '{content['schema']}' is not {SCHEMA}: generate the code again")
-            return cls._from_table(content), {str(k): str(v) for k, v in content["files"].items()}
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            # Code from before sensors could be late has none that are.
+            found = TypeAdapter(cls).validate_python({"output_delay": {}, **content})
+            return found, TypeAdapter(dict[Printable, str]).validate_python(content["files"])
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise UndertowError(f"not a manifest of generated code ({error}): generate it again") from error
-
-    @classmethod
-    def _from_table(cls, content: dict[str, Any]) -> Manifest:
-        lists = {k: tuple(_entry(e) for e in content[k]) for k in ("states", "inputs", "parameters")}
-        rows = {str(k): tuple(map(float, v)) for k, v in content["rows"].items()}
-        # Code from before sensors could be late has none that are.
-        late = {str(k): float(v) for k, v in content.get("output_delay", {}).items()}
-        delay = float(content["input_delay"])
-        effects = tuple(content["effects"])
-        return cls(content["vehicle"], effects, **lists, input_delay=delay, output_delay=late, rows=rows)
-
-
-def _entry(table: dict[str, Any]) -> Entry:
-    value = table["value"]
-    return Entry(table["name"], table["unit"], None if value is None else float(value))
 
 
 def _in_json(content: Any) -> Any:

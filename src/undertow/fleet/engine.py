@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ from undertow.errors import UndertowError
 INSTALL = 'pip install "undertow[fleet]"'
 #: Seconds without any answer after which what is left is given up.
 PATIENCE = 900.0
+#: Where a cluster of this machine can be reached. Dask runs whatever code it is sent, so nobody outside can.
+LISTEN = "127.0.0.1"
 # Seconds that a scheduler has for an answer, and a cluster without a single worker for getting one.
 _REACH, _WORKERLESS = 10.0, 30.0
 # Tasks for each worker that wait at the scheduler: few, so that it does not grow with the fleet.
@@ -148,7 +151,10 @@ def _told(error: Exception) -> str:
 
 @contextmanager
 def engine(
-    scheduler: str | None = None, workers: int | None = None, patience: float = PATIENCE
+    scheduler: str | None = None,
+    workers: int | None = None,
+    patience: float = PATIENCE,
+    listen: str | None = None,
 ) -> Iterator[Engine]:
     """Something that does the work.
 
@@ -160,12 +166,19 @@ def engine(
         Processes of that cluster, by default one for each processor; 0 works in this process, without Dask.
     patience : float
         Seconds without any answer after which what is left is given up.
+    listen : str, optional
+        Address of this machine at which that cluster can be reached, by default by this machine alone; its
+        page of numbers is for this machine in any case.
 
     Raises
     ------
     UndertowError
-        If Dask is not installed, or the scheduler does not answer.
+        If Dask is not installed, the scheduler does not answer, this machine does not have the address, or
+        there is no cluster that could listen.
     """
+    if listen is not None and (workers == 0 or scheduler is not None):
+        other = "--workers 0 starts none" if scheduler is None else "--scheduler names another one"
+        raise UndertowError(f"--listen {listen} is for a cluster of this machine, and {other}: leave one out")
     if workers == 0 and scheduler is None:
         yield Here()
         return
@@ -174,12 +187,12 @@ def engine(
             f"a fleet is worked through by Dask, which is not installed: {INSTALL}, or give --workers 0 to "
             "work in this process"
         )
-    with _client(scheduler, workers) as client:
+    with _client(scheduler, workers, LISTEN if listen is None else listen) as client:
         yield OnDask(client, patience)
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+def _client(scheduler: str | None, workers: int | None, listen: str) -> Iterator[Any]:
     import dask
     import distributed  # noqa: F401  # first: it adds settings, which would go when ours are put back
 
@@ -190,7 +203,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     }
     with dask.config.set(settings):
         if scheduler is None:
-            with _local(workers) as cluster, _connected(cluster, "of this machine") as client:
+            with _local(workers, listen) as cluster, _connected(cluster, "of this machine") as client:
                 yield client
         else:
             with _connected(scheduler, f"at '{scheduler}'") as client:
@@ -198,20 +211,22 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 
 @contextmanager
-def _local(workers: int | None) -> Iterator[Any]:
+def _local(workers: int | None, listen: str) -> Iterator[Any]:
     import logging
 
     from distributed import LocalCluster
 
+    _check_own(listen)
     count = workers or os.cpu_count() or 1
     try:
         cluster = LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             processes=True,
+            host=listen,
             dashboard_address=None,
             # Dask opens its page even so, by default at a port that another cluster of this machine may have.
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            scheduler_kwargs={"dashboard_address": f"{LISTEN}:0"},
             silence_logs=logging.CRITICAL,
         )
     except (OSError, RuntimeError, TimeoutError) as error:
@@ -242,6 +257,19 @@ def _connected(address: Any, where: str) -> Iterator[Any]:
         yield client
     finally:
         client.close(timeout=_REACH)
+
+
+def _check_own(address: str) -> None:
+    """Refuse to listen at what is no address of this machine; an empty one would be every address."""
+    try:
+        with socket.socket() as probe:
+            probe.bind((address or " ", 0))
+    except (OSError, UnicodeError, TypeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UndertowError(
+            f"this machine cannot listen on '{address}' ({reason.lower()}): give one of its own IPv4 "
+            f"addresses, or leave --listen out for {LISTEN}"
+        ) from error
 
 
 def _check_address(address: Any) -> None:

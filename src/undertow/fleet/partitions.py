@@ -121,7 +121,7 @@ def _said_inside(path: Path, mapping: Mapping) -> dict[str, Any]:
         if clock in columns:
             said["time"] = _clock(table.select(clock).head(1).collect().item(), mapping)
         return said
-    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         raise UndertowError(f"{path} cannot be read: {str(error).splitlines()[0]}") from error
 
 

@@ -36,6 +36,7 @@ def _printable(text: object) -> object:
 
 
 Identifier = Annotated[StrictStr, BeforeValidator(_identifier)]
+Printable = Annotated[StrictStr, BeforeValidator(_printable)]
 
 
 class Table(BaseModel):
@@ -80,7 +81,7 @@ class VehicleTable(Table):
     """The whole file."""
 
     schema_: Annotated[Literal["undertow/vehicle/1"], Field(alias="schema")]
-    name: Annotated[StrictStr, Field(min_length=1, max_length=80), BeforeValidator(_printable)]
+    name: Annotated[Printable, Field(min_length=1, max_length=80)]
     description: StrictStr = ""
     source: StrictStr = ""
     degrees_of_freedom: Annotated[list[Literal[DOFS]], Field(min_length=1)]  # type: ignore[valid-type]

@@ -6,9 +6,10 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isclose
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, TypeAdapter
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
@@ -25,7 +26,8 @@ SCHEMA = "undertow/update/1"
 STABLE, UNSTABLE, NOT_LINEAR = "stable", "unstable", "no linear form"
 _SAME = 1e-9
 
-Pole = tuple[float, float, list[str]]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Pole = tuple[Number, Number, list[str]]
 Verdicts = Callable[[GainSet], Mapping[str, tuple[str, float | None]]]
 
 
@@ -52,9 +54,9 @@ class Snapshot:
     vehicle: str
     gains: list[str] = field(default_factory=list)
     at: list[str] = field(default_factory=list)
-    parameters: dict[str, tuple[float, str]] = field(default_factory=dict)
+    parameters: dict[str, tuple[Number, str]] = field(default_factory=dict)
     poles: dict[str, list[Pole]] = field(default_factory=dict)
-    margins: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    margins: dict[str, dict[str, Number | None]] = field(default_factory=dict)
     verdicts: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> str:
@@ -74,13 +76,8 @@ class Snapshot:
             content = json.loads(text)
             if content.pop("schema") != SCHEMA:
                 raise UndertowError("it is of another version")
-            found = cls(**content)
-            found.poles = {
-                k: [(float(a), float(b), list(s)) for a, b, s in v] for k, v in found.poles.items()
-            }
-            found.parameters = {k: (float(v), str(unit)) for k, (v, unit) in found.parameters.items()}
-            return found
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            return TypeAdapter(cls).validate_python(content)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise UndertowError(f"it cannot be read ({error})") from error
 
 

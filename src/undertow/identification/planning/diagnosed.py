@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, lookup
@@ -17,6 +17,8 @@ _MOST = 3
 
 
 class _Estimate(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+
     name: str
     value: float
 

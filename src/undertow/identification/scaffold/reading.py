@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -32,4 +33,15 @@ def read_diagnosis(path: Path) -> Diagnosis:
         raise UndertowError(f"'{path}' is no diagnosis ({why}): {_HOW}") from error
     if diagnosis.schema_id != SCHEMA:
         raise UndertowError(f"'{path}' has the schema '{diagnosis.schema_id}', not '{SCHEMA}': {_HOW}")
+    if not _finite(diagnosis.model_dump()):
+        raise UndertowError(f"'{path}' is no diagnosis (a number in it is infinite or none): {_HOW}")
     return diagnosis
+
+
+def _finite(content: object) -> bool:
+    """Whether every number in what a file holds is one; JSON has 1e400."""
+    if isinstance(content, dict):
+        return all(map(_finite, content.values()))
+    if isinstance(content, list | tuple):
+        return all(map(_finite, content))
+    return not isinstance(content, float) or math.isfinite(content)

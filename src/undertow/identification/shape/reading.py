@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -189,7 +191,8 @@ def _msh(path: Path) -> tuple[Array, Faces]:
     except ImportError as error:
         raise UndertowError(f"{path}: MSH files need meshio: {INSTALL}, or export the hull as STL") from error
     try:
-        content = meshio.read(path)
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # it prints beside what it raises
+            content = meshio.read(path)
     except (SystemExit, Exception) as error:  # meshio leaves the program where it cannot read a file
         raise UndertowError(f"{path}: meshio cannot read it ({error}): export the hull as STL") from error
     cells = [block.data for block in content.cells if block.type in ("triangle", "quad")]
