@@ -139,6 +139,7 @@ def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str
     yield "id", "is an identifier of its own", _id_complaints(cls, known)
     yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
     yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
+    yield "taken", "what it takes from other effects can be told there", _taken_complaints(cls, known)
     yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
     yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
     yield "claims", "claims about power do not contradict each other", _claim_complaints(cls)
@@ -176,6 +177,25 @@ def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
         for beside in ids:
             if beside not in known:
                 yield f"{what} '{beside}', which is no known effect: correct the id"
+
+
+def _keys(effect: Effect) -> dict[str, str]:
+    """Units of all keys that the table of an effect may have."""
+    return {p.name: p.unit for p in effect.parameters} | effect.file_units()
+
+
+def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    own = _keys(cls.specimen())
+    for taken in cls.taken:
+        key = taken.key
+        if taken.owner not in known:
+            yield f"'{key}' is taken from '{taken.owner}', which is no known effect: correct the id"
+            continue
+        units = {"rho": "kg/m^3", "g": "m/s^2", **_keys(known[taken.owner].specimen())}
+        for unknown in sorted({key, *taken.unless} - own.keys()):
+            yield f"taken names '{unknown}', which is no key of the effect's table: correct it"
+        for unknown in sorted({str(x) for f in taken.formulas for x in f.free_symbols} - units.keys()):
+            yield f"'{key}' is taken from '{unknown}', no key of '{taken.owner}': correct the formula"
 
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 
 import sympy as sm
 
-from .parameter import Parameter, declared
+from .parameter import Parameter, Taken, declared
 from .symbols import Signals, column, spelled_out
 
 
@@ -38,6 +38,8 @@ class Effect(abc.ABC):
     weighed : bool
         True where the values come from scales and drawings, and what may be wrong with them is an effect of
         its own (water in the hull, net buoyancy, a shifted centre of buoyancy).
+    taken : tuple of Taken
+        Keys of its table that are another effect's to tell: the mass of one is the weight of the other.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     """
@@ -50,6 +52,7 @@ class Effect(abc.ABC):
     shares: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
     weighed: ClassVar[bool] = False
+    taken: ClassVar[tuple[Taken, ...]] = ()
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
         self.thrusters = tuple(thrusters)
@@ -88,6 +91,19 @@ class Effect(abc.ABC):
     def file_units(cls) -> dict[str, str]:
         """Units of the keys that `from_file` accepts besides the parameters."""
         return {}
+
+    @classmethod
+    def settled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+        """The same physics as `values`, which a fit found, with what a file takes from elsewhere in them.
+
+        Parameters
+        ----------
+        values : mapping
+            Parameters by name; one that is missing was found to be zero.
+        taken : mapping
+            What other tables of the file tell, by key.
+        """
+        return dict(values)
 
     @property
     def states(self) -> tuple[str, ...]:

@@ -54,9 +54,9 @@ def _log_names(history: Mapping[str, object]) -> str:
 def append_history(document: Any, vehicle: Vehicle, entry: Mapping[str, object], signs: str) -> None:
     """Append a ``[[history]]`` table; see `save_vehicle` for what it may hold."""
     entry = dict(entry)
-    covariance = entry.pop("covariance", None)
+    covariance = entry.get("covariance")
     plain = _plain(entry)
-    if isinstance(covariance, Mapping):
+    if isinstance(covariance, Mapping) and {"parameters", "matrix"} <= covariance.keys():
         plain["covariance"] = _covariance(vehicle, covariance, signs)
     histories = array_of_tables(document, "history")
     if isinstance(histories, AoT):

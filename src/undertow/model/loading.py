@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import logging
 import math
-import re
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -16,10 +16,13 @@ from .effect import Effect
 from .parameter import Parameter, printed
 from .plausibility import check_vehicle
 from .symbols import DOFS
-from .units import to_si
+from .taken import Statements
+from .units import si_of
 from .vehicle import Thruster, Value, Vehicle
 from .vehicle_schema import ParameterTable, ThrusterTable, VehicleTable
 from .vehicle_toml import read_vehicle_table
+
+_LOG = logging.getLogger(__name__)
 
 
 def bundled_vehicles() -> dict[str, Path]:
@@ -51,9 +54,12 @@ def load_vehicle(
     table = read_vehicle_table(path)
     known = _known_effects(table, path, list(effect_files), trust_effects)
     try:
-        return vehicle_from_table(table, known)
+        vehicle, remarks = _vehicle_and_remarks(table, known)
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
+    for line in remarks:
+        _LOG.warning("%s: %s", path, line)
+    return vehicle
 
 
 def resolve_vehicle(source: str | Path) -> Path:
@@ -91,13 +97,28 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
 
 
 def vehicle_from_table(table: VehicleTable, known: Catalogue) -> Vehicle:
-    """Build the vehicle that a validated file describes."""
+    """Build the vehicle that a validated file describes.
+
+    Raises
+    ------
+    UndertowError
+        If it holds a value that cannot be.
+    """
+    return _vehicle_and_remarks(table, known)[0]
+
+
+def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle, list[str]]:
     thrusters = tuple(_thruster(t) for t in table.thrusters)
     names = tuple(t.name for t in thrusters)
     effects = tuple(_chosen(effect_id, known)(names) for effect_id in table.effects)
-    values: dict[str, Value] = {}
+    environment = {
+        "rho": si_of("water_density", table.water_density, "kg/m^3"),
+        "g": si_of("gravity", table.gravity, "m/s^2"),
+    }
+    statements = Statements(effects, table.effects, environment, table.signs)
+    tables, values = statements.completed(), dict[str, Value]()
     for effect in effects:
-        values |= _effect_values(effect, table.effects[effect.id], table.signs)
+        values |= _effect_values(effect, tables[effect.id], table.signs)
     vehicle = Vehicle(
         name=table.name,
         degrees_of_freedom=tuple(d for d in DOFS if d in table.degrees_of_freedom),
@@ -106,13 +127,10 @@ def vehicle_from_table(table: VehicleTable, known: Catalogue) -> Vehicle:
         thrusters=thrusters,
         force_channels=tuple(table.generalised_forces),
         signs=table.signs,
-        environment={
-            "rho": si_of("water_density", table.water_density, "kg/m^3"),
-            "g": si_of("gravity", table.gravity, "m/s^2"),
-        },
+        environment=environment,
     )
     check_vehicle(vehicle)
-    return vehicle
+    return vehicle, list(statements.differing())
 
 
 def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:
@@ -196,22 +214,6 @@ def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
 
 def _as_table(entry: Any) -> ParameterTable:
     return entry if isinstance(entry, ParameterTable) else ParameterTable(value=entry)
-
-
-def si_of(place: str, raw: Any, unit: str) -> float:
-    """A quantity in SI; what is counted in commands may be written as a plain number or in "command"."""
-    texts = [unit, _without_command(unit)] if isinstance(raw, str) else [_without_command(unit)]
-    for text in dict.fromkeys(texts):
-        try:
-            return to_si(raw, text)
-        except UndertowError as error:
-            complaint = error
-    raise UndertowError(f"{place}: {complaint}") from complaint
-
-
-def _without_command(unit: str) -> str:
-    plain = re.sub(r"\s*/\s*command|\bcommand\b\s*", "", unit).strip()
-    return f"1{plain}" if plain.startswith("/") else plain or "1"
 
 
 def _parameter_values(owner: str, parameter: Parameter, entry: Any, signs: str) -> dict[str, Value]:

@@ -211,6 +211,40 @@ class Place:
 Declaration = Parameter | DerivativeMatrix | Place
 
 
+@dataclass(frozen=True)
+class Taken:
+    """A quantity that another effect's table tells as well, so that a file need not say it twice.
+
+    Attributes
+    ----------
+    key : str
+        The quantity in the effect's own table.
+    owner : str
+        Id of the other effect.
+    formulas : tuple of Expr
+        The quantity in keys of the owner's table, `rho` and `g`; the first counts whose keys are all stated.
+    unit : str
+        SI unit of the quantity.
+    unless : tuple of str
+        Keys of the effect's own table that say all that this one would.
+    rounding : float
+        Relative difference up to which a value of the effect's own is the same one, rounded.
+    most : float
+        Largest ratio of the two, either way, unless the file says ``override = true``.
+    only_where_silent : bool
+        True for the way back: the owner has the first word, and is asked only about what it leaves open.
+    """
+
+    key: str
+    owner: str
+    formulas: tuple[sm.Expr, ...]
+    unit: str
+    unless: tuple[str, ...] = ()
+    rounding: float = 1e-3
+    most: float = inf
+    only_where_silent: bool = False
+
+
 def declared(owner: type) -> Iterable[Declaration]:
     """Parameter declarations of an effect class, base classes first, in the order written."""
     found: dict[str, Declaration] = {}

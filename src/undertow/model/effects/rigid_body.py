@@ -7,15 +7,16 @@ import sympy as sm
 from undertow.errors import UndertowError
 from undertow.model.effect import Wrench
 from undertow.model.kinematics import inertia_matrix, inertia_tensor
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
+from undertow.model.parameter import Parameter, Taken
+from undertow.model.symbols import Signals, symbol
 
 
 class RigidBody(Wrench):
     """Inertia of the vehicle and of all it carries, in base parameters (mass, static moments, inertia).
 
     The static moments `m x_g` and the inertia about the body origin enter linearly; a vehicle file may give
-    the centre of gravity `x_g`, `y_g`, `z_g` instead.
+    the centre of gravity `x_g`, `y_g`, `z_g` instead. A coordinate that only `restoring` states
+    holds here, too.
     """
 
     id = "rigid_body"
@@ -23,6 +24,11 @@ class RigidBody(Wrench):
     weighed = True
     reference = "Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 3"
     signature = "acceleration answers a change of force by another amount than the mass says"
+
+    taken = tuple(
+        Taken(f"{a}_g", "restoring", (symbol(f"{a}_g"),), "m", unless=(f"m{a}_g",), only_where_silent=True)
+        for a in "xyz"
+    )
 
     m = Parameter("kg", "mass", (0, float("inf")), required=True)
     mx_g = Parameter("kg m", "mass times x of the centre of gravity", default=0.0)
