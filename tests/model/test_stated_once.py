@@ -141,7 +141,7 @@ def test_a_weight_beyond_two_per_cent_of_m_g_is_warned_of(
     assert not warned or f"W = {weight:g} N, but g m = 112.815 N" in caplog.text
 
 
-@pytest.mark.parametrize("weight", [50.0, 240.0, 11.5])
+@pytest.mark.parametrize("weight", [20.0, 50.0, 240.0])
 def test_a_weight_far_from_m_g_is_refused(weight: float, load: Load) -> None:
     with pytest.raises(UndertowError, match=rf"W = {weight:g} N, but g m = 112.815 N.*factor of 2"):
         load(restoring=f"W = {weight}\nB = {weight}")
@@ -207,7 +207,7 @@ def test_a_refitted_mass_leaves_the_weight_and_moment_as_they_were(
     load: Load, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     vehicle = load("z_g = 0.08")
-    moved = vehicle.with_values({"m": Value(13.0), "mz_g": Value(13.0 * 0.08)})
+    moved = vehicle.with_values({"m": Value(13.0, True), "mz_g": Value(13.0 * 0.08, True)})
     again, tables = _saved(moved, tmp_path)
     assert tables["restoring"]["W"]["override"] is True
     assert again.values["W"].value == pytest.approx(112.815)

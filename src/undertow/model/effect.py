@@ -4,13 +4,33 @@ from __future__ import annotations
 
 import abc
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import sympy as sm
 
-from .parameter import Parameter, Taken, declared
+from .parameter import Limits, Parameter, Taken, declared
 from .symbols import Signals, column, spelled_out
+
+
+@dataclass(frozen=True)
+class Bulk:
+    """How large a vehicle is, as its mass and inertia tell.
+
+    Attributes
+    ----------
+    mass : float
+        kg.
+    length : float
+        Edge of a cube of water of this mass, m.
+    gyration : float
+        Largest radius of gyration that the file tells, m; zero where it tells none.
+    """
+
+    mass: float
+    length: float
+    gyration: float
 
 
 class Effect(abc.ABC):
@@ -104,6 +124,29 @@ class Effect(abc.ABC):
             What other tables of the file tell, by key.
         """
         return dict(values)
+
+    @classmethod
+    def impossible(
+        cls, values: Mapping[str, float], limits: Limits, moved: Set[str] = frozenset()
+    ) -> Iterator[str]:
+        """One line for each thing in the values of a vehicle that no body in water can have.
+
+        Parameters
+        ----------
+        values : mapping
+            Parameters that the vehicle states and uses, of all its effects, with `rho` and `g`.
+        limits : Limits
+            What numbers can be.
+        moved : set of str
+            Parameters that a fit may have moved, to make up for something that the model lacks: a file must
+            be able to say so.
+        """
+        yield from ()
+
+    @classmethod
+    def bulk(cls, values: Mapping[str, float]) -> Bulk | None:
+        """How large a vehicle with these values is; None where the effect does not tell."""
+        return None
 
     @property
     def states(self) -> tuple[str, ...]:

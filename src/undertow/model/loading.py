@@ -121,7 +121,7 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle
         values |= _effect_values(effect, tables[effect.id], table.signs)
     vehicle = Vehicle(
         name=table.name,
-        degrees_of_freedom=tuple(d for d in DOFS if d in table.degrees_of_freedom),
+        degrees_of_freedom=tuple(sorted(table.degrees_of_freedom, key=DOFS.index)),
         effects=effects,
         values=values,
         thrusters=thrusters,
@@ -219,6 +219,7 @@ def _as_table(entry: Any) -> ParameterTable:
 def _parameter_values(owner: str, parameter: Parameter, entry: Any, signs: str) -> dict[str, Value]:
     table = _as_table(entry)
     given = {k: getattr(table, k) for k in ("value", "forward", "backward") if getattr(table, k) is not None}
+    _refuse_idle_sigmas(f"[effects.{owner}] {parameter.name}", table, len(given))
     if set(given) == {"value"}:
         return {parameter.name: _value(owner, parameter, parameter.name, given["value"], table, signs)}
     if set(given) != {"forward", "backward"}:
@@ -236,6 +237,16 @@ def _parameter_values(owner: str, parameter: Parameter, entry: Any, signs: str) 
         )
         for way, raw in given.items()
     }
+
+
+def _refuse_idle_sigmas(place: str, table: ParameterTable, values: int) -> None:
+    """A standard deviation that another one makes idle, or that belongs to a value that is not there."""
+    own = [s for s in (table.sigma_forward, table.sigma_backward) if s is not None]
+    if own and (values < 2 or (len(own) == 2 and table.sigma is not None)):
+        raise UndertowError(
+            f"{place} has a sigma that holds for nothing: give 'sigma', or with 'forward' and 'backward' "
+            f"'sigma_forward' and 'sigma_backward'"
+        )
 
 
 def _value(owner: str, parameter: Parameter, name: str, raw: Any, table: ParameterTable, signs: str) -> Value:
@@ -270,9 +281,9 @@ def _check_bounds(
 
 def _thruster(table: ThrusterTable) -> Thruster:
     place = f"thruster '{table.name}'"
-    if (table.wrench is None) == (table.position is None or table.direction is None):
-        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction'")
     given = table.wrench is not None
+    if {table.position is not None, table.direction is not None} != {not given}:
+        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
     wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")

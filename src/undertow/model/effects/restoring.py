@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Set
 from math import inf
 
 import sympy as sm
 
 from undertow.model.effect import Wrench
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter, Taken
+from undertow.model.parameter import Limits, Parameter, Taken
 from undertow.model.symbols import Signals, symbol
 
 _ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
@@ -42,9 +42,9 @@ class Restoring(Wrench):
 
     W = Parameter("N", "weight", (0, inf), required=True)
     B = Parameter("N", "buoyancy", (0, inf), required=True)
-    S_x = Parameter("N m", "static moment x_g W - x_b B", default=0.0)
-    S_y = Parameter("N m", "static moment y_g W - y_b B", default=0.0)
-    S_z = Parameter("N m", "static moment z_g W - z_b B", default=0.0)
+    S_x = Parameter("N m", "static moment x_g W - x_b B", default=0.0, arm_of="W")
+    S_y = Parameter("N m", "static moment y_g W - y_b B", default=0.0, arm_of="W")
+    S_z = Parameter("N m", "static moment z_g W - z_b B", default=0.0, arm_of="W")
 
     def wrench(self, s: Signals) -> sm.Matrix:
         down = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, 1])
@@ -71,3 +71,19 @@ class Restoring(Wrench):
             return dict(values)
         lift = values.get("B", 0.0) - values.get("W", 0.0)
         return {**values, "W": taken["W"], "B": taken["W"] + lift}
+
+    @classmethod
+    def impossible(
+        cls, values: Mapping[str, float], limits: Limits, moved: Set[str] = frozenset()
+    ) -> Iterator[str]:
+        weight, most = values.get("W", 0.0), limits.buoyancy
+        if weight <= 0:
+            yield f"W = {weight:g} N cannot be: every vehicle has a weight; remove it, so that it is m g"
+            return
+        others = {"m g": values.get("m", weight / values["g"]) * values["g"], "B": values.get("B", 0.0)}
+        for name, force in others.items():
+            if not weight / most <= force <= weight * most:
+                yield (
+                    f"{name} = {force:g} N does not go with W = {weight:g} N (possible: {weight / most:.3g} "
+                    f"to {weight * most:.3g} N): correct one of them; 1 kg weighs 9.81 N"
+                )
