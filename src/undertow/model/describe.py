@@ -147,7 +147,7 @@ def _note(p: Parameter) -> ParameterNote:
         low=low,
         high=high,
         linear=p.linear,
-        required=p.required,
+        required=p.must_be_given,
         default=p.default,
         directional=p.motion is not None,
         about=p.about,

@@ -132,6 +132,12 @@ class Parameter:
         return self.default is not None and self.default != self.neutral
 
     @property
+    def must_be_given(self) -> bool:
+        """Whether a vehicle file has to state it: nothing that could stand in for it is a possible value."""
+        low, high = self.bounds
+        return self.required or not low <= self.unsaid <= high
+
+    @property
     def unsaid(self) -> float:
         """Value where nothing gives one: the default, else that at which the effect is absent, else zero."""
         return next((v for v in (self.default, self.neutral) if v is not None), 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import hypot, inf, isfinite
 
 import sympy as sm
@@ -33,12 +33,14 @@ def check_vehicle(vehicle: Vehicle, limits: Limits | None = None) -> None:
     UndertowError
         If a known force acts on a motion that the vehicle does not have, a value is missing that no vehicle
         lacks, a number is beyond what is found in water, a place is far off the vehicle, an effect finds its
-        own values impossible, or the mass matrix is not positive definite at the values of the file.
+        own values impossible, equations have no finite value, or the mass matrix is not positive definite at
+        the values of the file.
     """
     chosen = limits or Limits()
     _check_environment(vehicle, chosen)
     _check_forces(vehicle)
     _check_complete(vehicle)
+    _check_defined(vehicle)
     for complaint in _complaints(vehicle, chosen):
         raise UndertowError(complaint)
     _check_inertia(vehicle)
@@ -179,12 +181,54 @@ def _check_forces(vehicle: Vehicle) -> None:
 def _check_complete(vehicle: Vehicle) -> None:
     for name in vehicle.parameter_names:
         parameter = vehicle.declared_parameters.get(name)
-        if parameter is not None and parameter.required and name not in vehicle.values:
+        if parameter is not None and parameter.must_be_given and name not in vehicle.values:
             raise UndertowError(
                 f"{_table(vehicle, name)} lacks {name} ({parameter.about}): give it in {parameter.unit}"
+                f"{_between(parameter.bounds)}"
             )
     if not vehicle.mass_matrix.free_symbols:
         raise UndertowError("the vehicle has no inertia: add [effects.rigid_body]")
+
+
+def _between(bounds: Range) -> str:
+    told = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
+    return f", {' '.join(told)}" if told else ""
+
+
+# Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.
+_CREEPING = (0.0, 0.1, -0.1)
+
+
+def _check_defined(vehicle: Vehicle) -> None:
+    """Refuse equations without a value: a division by a zero, the root of a velocity that turns negative."""
+    known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
+    for what, part in _stated(vehicle):
+        for speed in _CREEPING:
+            at = known | dict.fromkeys(vehicle.composition.nu, sm.Float(speed))
+            if not all(isfinite(_number(row, at)) for row in part):
+                moving = f"with all velocities at {speed:g}" if speed else "at rest"
+                raise UndertowError(
+                    f"{what} of vehicle '{vehicle.name}' has no finite value {moving}: look for a parameter "
+                    f"of zero that is divided by, or try 'undertow effects check' on an effect of your own"
+                )
+
+
+def _stated(vehicle: Vehicle) -> Iterator[tuple[str, sm.Matrix]]:
+    c = vehicle.composition
+    output, rates, _ = c.chain
+    yield from ((f"the force of {effect.id}", wrench) for effect, wrench in c.wrenches.items())
+    yield "what reaches the thrusters", output
+    states = {**rates, **c.wrench_states}
+    yield from ((f"the rate of {state}", sm.Matrix([rate])) for state, rate in states.items())
+    yield from ((f"the reported {what}", m) for what, m in zip(("pose", "velocity"), c.reported, strict=True))
+
+
+def _number(expression: sm.Expr, known: Mapping[sm.Symbol, sm.Expr]) -> float:
+    zero = sm.Float(0)
+    try:
+        return float(expression.xreplace({x: known.get(x, zero) for x in expression.free_symbols}))
+    except TypeError:  # complex infinity, or a complex number
+        return inf
 
 
 def _check_inertia(vehicle: Vehicle) -> None:
