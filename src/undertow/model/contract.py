@@ -13,7 +13,7 @@ from . import laws
 from .catalogue import Catalogue, catalogue
 from .dimensions import dimension
 from .effect import KINDS, Effect, Wrench
-from .parameter import Parameter
+from .parameter import WAYS, Parameter
 from .statement import Statement, statement_of
 from .symbols import signal_units, signals
 
@@ -200,15 +200,13 @@ def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     specimen = cls.specimen()
-    names = [*(p.name for p in specimen.parameters), *specimen.states]
+    names = _names(specimen)
     taken = _taken_names(cls, known)
     for name in names:
         if not _NAME.fullmatch(name):
             yield f"'{name}' is no identifier: use letters, digits and underscores"
         elif name in taken:
             yield f"'{name}' is taken by {taken[name]}: choose another name"
-        elif name.endswith(("_forward", "_backward")):
-            yield f"'{name}' ends like one half of a sign-dependent parameter: choose another name"
         elif names.count(name) > 1:
             yield f"'{name}' is declared twice: rename one"
     s = signals(specimen.thrusters)
@@ -217,13 +215,19 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"
 
 
+def _names(specimen: Effect) -> list[str]:
+    """Names of parameters, with both directions of those that may differ, and of states."""
+    parameters = specimen.parameters
+    sides = (f"{p.name}_{way}" for p in parameters for way in WAYS if p.motion is not None)
+    return [*(p.name for p in parameters), *sides, *specimen.states]
+
+
 def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
     taken = {str(x): "a signal" for x in signal_units(signals())}
     for other in known.values():
         if other is not cls and other.id != getattr(cls, "id", None):
             specimen = other.specimen()
-            names = [*(p.name for p in specimen.parameters), *specimen.states]
-            taken |= dict.fromkeys(names, f"effect '{other.id}'")
+            taken |= dict.fromkeys(_names(specimen), f"effect '{other.id}'")
     return taken
 
 

@@ -6,12 +6,18 @@ import abc
 import copy
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import sympy as sm
 
 from .parameter import Limits, Parameter, Taken, declared
 from .symbols import Signals, column, spelled_out
+
+
+@lru_cache(maxsize=1024)
+def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+    return tuple(p for d in declared(cls) for p in d.expand(thrusters))
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,7 @@ class Effect(abc.ABC):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The scalar parameters of this effect on its vehicle."""
-        return tuple(p for d in declared(type(self)) for p in d.expand(self.thrusters))
+        return _parameters_of(type(self), self.thrusters)
 
     @classmethod
     def from_file(cls, entries: dict[str, float]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from tomlkit.items import AoT
 
 from undertow.errors import UndertowError
 
-from .parameter import bare_name, printed
+from .parameter import printed
 from .tomltext import array_of_tables, safe
 from .vehicle import Vehicle
 
@@ -114,9 +114,7 @@ def _covariance(vehicle: Vehicle, told: Mapping[str, Any], signs: str) -> dict[s
 
 
 def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
-    bare = bare_name(name)
-    parameter = vehicle.declared_parameters.get(name) or vehicle.declared_parameters[bare]
-    return printed(parameter, 1.0, signs)
+    return printed(vehicle.declaration(name), 1.0, signs)
 
 
 def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:

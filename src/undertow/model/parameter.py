@@ -317,11 +317,6 @@ def declared(owner: type) -> Iterable[Declaration]:
     return found.values()
 
 
-def bare_name(name: str) -> str:
-    """Name of a parameter without the direction that one of its values may be for."""
-    return name.removesuffix("_forward").removesuffix("_backward")
-
-
 def printed(parameter: Parameter, value: float, signs: str) -> float:
     """A value in SNAME signs as a file or a table of the convention `signs` has it, and the way back as well.
 

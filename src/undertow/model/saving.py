@@ -30,7 +30,6 @@ from .vehicle_schema import VehicleTable
 from .vehicle_toml import read_vehicle_table
 
 _ROUND_TRIP = 1e-9
-_WAYS = ("forward", "backward")
 
 
 def save_vehicle(
@@ -147,17 +146,11 @@ def _write_effect(
     taken = stated.taken(effect)
     told = _told_otherwise(table, effect, vehicle, taken)
     for parameter in effect.parameters:
-        values = _values_of(parameter, vehicle)
+        values = vehicle.values_of(parameter)
         if values and parameter.name not in told:
             wanted = _wanted(parameter, values, stated.signs)
             wanted = replace(wanted, override=parameter.name in taken)
             _write(table, parameter.name, wanted, f"[effects.{effect.id}] {parameter.name}", history)
-
-
-def _values_of(parameter: Parameter, vehicle: Vehicle) -> dict[str, Value]:
-    """Values of a parameter by the key that they have in its table."""
-    names = {"value": parameter.name} | {way: f"{parameter.name}_{way}" for way in _WAYS}
-    return {key: vehicle.values[name] for key, name in names.items() if name in vehicle.values}
 
 
 def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:

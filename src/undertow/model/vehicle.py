@@ -182,7 +182,7 @@ class Vehicle:
     @cached_property
     def composition(self) -> Composition:
         """The effects put together, symbolically."""
-        split = {name: (symbol(f"{name}_forward"), symbol(f"{name}_backward")) for name in self._directional}
+        split = {name: tuple(symbol(f"{name}_{way}") for way in WAYS) for name in self._directional}
         return Composition(
             self.all_effects,
             self.dof_indices,
@@ -211,9 +211,24 @@ class Vehicle:
 
     def parameter_of(self, name: str) -> Parameter | None:
         """The declaration behind the name of a value, which may be for one direction; None without any."""
-        if name in self.sides:
-            return self.sides[name][0]
-        return self.declared_parameters.get(name)
+        known = name in self.sides or name in self.declared_parameters
+        return self.declaration(name) if known else None
+
+    def declaration(self, name: str) -> Parameter:
+        """The declaration behind the name of a value that the vehicle has.
+
+        Raises
+        ------
+        KeyError
+            If none of its effects declares it.
+        """
+        return self.sides[name][0] if name in self.sides else self.declared_parameters[name]
+
+    def values_of(self, parameter: Parameter) -> dict[str, Value]:
+        """What the vehicle states of a parameter: its "value", or "forward" and "backward"; or nothing."""
+        ways = {f"{parameter.name}_{way}": way for way in WAYS if parameter.motion is not None}
+        named = {parameter.name: "value"} | ways
+        return {key: self.values[name] for name, key in named.items() if name in self.values}
 
     def value_of(self, name: str) -> Value:
         """Value of a parameter; thrust per command is its thruster's, what is unsaid the effect's."""
