@@ -97,7 +97,7 @@ IMPOSSIBLE = [
     ("z_g = 0.01", "I_xy = 0.14", "products of inertia"),
     # weight and buoyancy
     ("W = 73.6", "W = 7.5", r"m g = 73.575 N does not go with W = 7.5 N \(possible: 0.938 to 60 N\)"),
-    ("W = 73.6", "W = 200.0", r"W = 200 N, but g m = 73.575 N by \[effects.rigid_body\].*factor of 2"),
+    ("W = 73.6", "W = 200.0", r"W = 200 N, but m g = 73.575 N by \[effects.rigid_body\].*factor of 2"),
     ("W = 73.6", "W = 0.0", "W = 0 N cannot be"),
     ("W = 73.6", "W = { value = 7360.0, override = true }", "m g = 73.575 N does not go with W = 7360 N"),
     ("B = 75.0", "B = 750.0", r"B = 750 N does not go with W = 73.6 N \(possible: 9.2 to 589 N\)"),

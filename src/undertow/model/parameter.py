@@ -295,6 +295,8 @@ class Taken:
         Relative difference up to which a value of the effect's own is the same one, rounded.
     most : float
         Largest ratio of the two, either way, unless the file says ``override = true``.
+    words : str
+        The formula as people write it; the key where it is empty.
     only_where_silent : bool
         True for the way back: the owner has the first word, and is asked only about what it leaves open.
     """
@@ -306,6 +308,7 @@ class Taken:
     unless: tuple[str, ...] = ()
     rounding: float = 1e-3
     most: float = inf
+    words: str = ""
     only_where_silent: bool = False
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import isclose
+from math import inf, isclose
 from typing import Any
 
 import sympy as sm
@@ -111,16 +111,22 @@ class Statements:
             return
         value = si_of(place, raw, taken.unit)
         if not isclose(value, told, rel_tol=taken.rounding, abs_tol=_NOTHING):
-            yield _differs(place, value, told, taken)
+            fitted = bool(field_of(entry, "estimate")) or self._fitted(taken)
+            yield _differs(place, value, told, taken, most=inf if fitted else taken.most)
+
+    def _fitted(self, taken: Taken) -> bool:
+        """Whether a fit may have moved what the owner tells; what it found must fit into a file."""
+        names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
+        owner = self.tables.get(taken.owner, {})
+        return any(field_of(owner[n], "estimate") for n in names & owner.keys())
 
 
-def _differs(place: str, value: float, told: float, taken: Taken) -> str:
-    formula = str(taken.formulas[-1]).replace("*", " ")
-    other = f"{formula} = {told:g} {taken.unit} by [effects.{taken.owner}]"
+def _differs(place: str, value: float, told: float, taken: Taken, most: float) -> str:
+    other = f"{taken.words or taken.key} = {told:g} {taken.unit} by [effects.{taken.owner}]"
     line = f"{place} = {value:g} {taken.unit}, but {other}"
     how = "remove it to use the latter, or write { value = ..., override = true } if both are meant"
-    if max(abs(value), abs(told)) > taken.most * min(abs(value), abs(told)):
-        raise UndertowError(f"{line}: no vehicle has both (limit: a factor of {taken.most:g}); {how}")
+    if max(abs(value), abs(told)) > most * min(abs(value), abs(told)):
+        raise UndertowError(f"{line}: no vehicle has both (limit: a factor of {most:g}); {how}")
     return f"{line}: {how}"
 
 

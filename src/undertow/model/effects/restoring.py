@@ -36,7 +36,7 @@ class Restoring(Wrench):
 
     # Scales and drawings agree to a per cent or two; a factor of two is no tolerance of either.
     taken = (
-        Taken("W", "rigid_body", (symbol("m") * symbol("g"),), "N", rounding=0.02, most=2.0),
+        Taken("W", "rigid_body", (symbol("m") * symbol("g"),), "N", rounding=0.02, most=2.0, words="m g"),
         *(_centre(axis) for axis in "xyz"),
     )
 
