@@ -71,12 +71,13 @@ def rigid_body_table(vehicle: Vehicle) -> Table:
 
 
 def restoring_table(vehicle: Vehicle) -> Table:
-    """Weight and buoyancy (N) and their centres (m); nothing for a vehicle that neither heaves nor tilts."""
+    """Buoyancy (N) and its centre (m); nothing for a vehicle that neither heaves nor tilts.
+
+    Weight and centre of gravity are those of the rigid body.
+    """
     if not {2, 3, 4} & set(vehicle.dofs):
         return {"absent": True}
-    centres = {f"{axis}_{which}": float(r[i]) for which, r in (("g", vehicle.r_g), ("b", vehicle.r_b))
-               for i, axis in enumerate("xyz")}  # fmt: skip
-    return {"W": vehicle.weight, "B": vehicle.weight, **centres}
+    return {"B": vehicle.weight} | {f"{a}_b": float(r) for a, r in zip("xyz", vehicle.r_b, strict=True)}
 
 
 def vehicle_table(vehicle: Vehicle, effects: dict[str, Table]) -> Table:

@@ -36,7 +36,7 @@ def converted(name: str, entry: dict[str, Any]) -> dict[str, Any]:
         name: _guesses(entry[name]) for name in ("linear_damping", "quadratic_damping") if entry.get(name)
     }
     if {"heave", "roll", "pitch"} & set(motions):
-        effects["restoring"] = _restoring(entry["restoring"], entry["rigid_body"]["r_G"])
+        effects["restoring"] = _restoring(entry["restoring"])
     return {
         "schema": "undertow/vehicle/1",
         "name": name,
@@ -69,8 +69,8 @@ def _centre(which: str, place: list[float]) -> dict[str, float]:
     return {f"{axis}_{which}": float(value) for axis, value in zip("xyz", place, strict=True)}
 
 
-def _restoring(entry: dict[str, Any], r_g: list[float]) -> dict[str, float]:
-    return {"W": entry["weight_N"], "B": entry["buoyancy_N"]} | _centre("g", r_g) | _centre("b", entry["r_B"])
+def _restoring(entry: dict[str, Any]) -> dict[str, float]:
+    return {"W": entry["weight_N"], "B": entry["buoyancy_N"]} | _centre("b", entry["r_B"])
 
 
 def _guesses(values: dict[str, float]) -> dict[str, Any]:

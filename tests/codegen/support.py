@@ -97,7 +97,7 @@ def _plausible(vehicle: Vehicle, name: str, rng: random.Random) -> float:
     known = {"m": (20, 30), "I_x": (6, 9), "I_y": (6, 9), "I_z": (6, 9), "rho": (990, 1030), "g": (9.7, 9.9)}
     if name in known:
         return rng.uniform(*known[name])
-    low, high = vehicle.declared_parameters[name.removesuffix("_forward").removesuffix("_backward")].bounds
+    low, high = vehicle.declaration(name).bounds
     if low == 0:
         return rng.uniform(0.1, min(high, 0.9))
     return rng.uniform(max(low, -0.9), min(high, 0.9) if high > 0 else -0.1)

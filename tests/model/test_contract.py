@@ -230,7 +230,7 @@ BROKEN = [
     ("share", '("added_mass",)', '("added_mas",)', "requires", "'added_mas', which is no known effect"),
     ("tank", "tank_m", "I_z", "names", "'I_z' is taken by effect 'rigid_body'"),
     ("keel", "C_keel", "w", "names", "'w' is taken by a signal"),
-    ("keel", "C_keel", "C_forward", "names", "sign-dependent"),
+    ("keel", "C_keel", "X_u_forward", "names", "'X_u_forward' is taken by effect 'linear_damping'"),
     ("sluggish", 'f"slow_{n}"', '"slow"', "names", "'slow' is declared twice"),
     ("keel", "(0, 5)", "(5, 0)", "bounds", "bounds of 'C_keel' are 5 to 0"),
     ("keel", "default=0.1", "default=-0.1", "bounds", "default -0.1 of 'keel_area' is outside"),

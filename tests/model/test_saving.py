@@ -312,6 +312,7 @@ def test_values_come_back_whatever_they_are(
     m, x_u, ahead, astern, n_r, thrust = numbers
     new = {
         "m": Value(m, True, m / 3),
+        "I_z": Value(0.15 * m * (m / 1000) ** (2 / 3)),
         "X_u": Value(-x_u, True, x_u / 7),
         "Y_v_forward": Value(-ahead, True, ahead),
         "Y_v_backward": Value(-astern, True, astern),

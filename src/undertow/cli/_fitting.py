@@ -25,7 +25,7 @@ from undertow.identification.weak.constraints import follower_errors, followers,
 from undertow.identification.weak.data import channel_noise
 from undertow.identification.weak.estimated import NOTHING_SAID
 from undertow.identification.weak.fit import free_parameters
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 
 
@@ -146,7 +146,7 @@ def _tied(done: Refit) -> list[str]:
     values, errors = followers(fit.model, fit.values), follower_errors(fit.model, fit.standard_errors)
     lines = []
     for name, value in values.items():
-        shown = printed(vehicle.declared_parameters[bare_name(name)], value, vehicle.signs)
+        shown = printed(vehicle.declaration(name), value, vehicle.signs)
         lines.append(
             f"{name} = {shown:.5g} ± {errors[name]:.2g}, tied to {fit.model.functions.equal[name][0]}"
         )

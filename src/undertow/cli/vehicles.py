@@ -84,18 +84,16 @@ def _parameters(vehicle: Vehicle, effect: Any) -> Iterator[dict[str, Any]]:
     from undertow.model.parameter import printed
 
     for p in effect.parameters:
-        for suffix in ("", "_forward", "_backward"):
-            value = vehicle.values.get(p.name + suffix)
-            if value is not None:
-                yield {
-                    "name": p.name + suffix,
-                    "value": printed(p, value.value, vehicle.signs),
-                    "unit": short_unit(p.unit),
-                    "sigma": value.sigma,
-                    "estimate": value.estimate,
-                    "assumed": value.assumed,
-                    "source": value.source,
-                }
+        for way, value in vehicle.values_of(p).items():
+            yield {
+                "name": p.name if way == "value" else f"{p.name}_{way}",
+                "value": printed(p, value.value, vehicle.signs),
+                "unit": short_unit(p.unit),
+                "sigma": value.sigma,
+                "estimate": value.estimate,
+                "assumed": value.assumed,
+                "source": value.source,
+            }
 
 
 # --- printing -------------------------------------------------------------------------------------

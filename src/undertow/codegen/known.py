@@ -98,7 +98,7 @@ def _question(vehicle: Vehicle, equal: Mapping[str, tuple[str, float]]) -> str |
             vehicle.degrees_of_freedom,
             [(t.name, [repr(float(v)) for v in t.wrench]) for t in vehicle.thrusters],
             vehicle.force_channels,
-            [n for n in vehicle.values if n.endswith(("_forward", "_backward"))],
+            [n for n in vehicle.values if n in vehicle.sides],
             {name: (other, repr(float(factor))) for name, (other, factor) in sorted(equal.items())},
         ]
     )

@@ -15,7 +15,6 @@ from pydantic import TypeAdapter
 
 import undertow
 from undertow.errors import UndertowError
-from undertow.model.parameter import bare_name
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.vehicle_schema import Printable
 
@@ -173,9 +172,7 @@ def _state_unit(functions: Functions, name: str) -> str:
 
 
 def _parameter_unit(functions: Functions, name: str) -> str:
-    declared = functions.vehicle.declared_parameters
-    plain = bare_name(name)
-    found = declared.get(name) or declared.get(plain)
+    found = functions.vehicle.parameter_of(name)
     return found.unit if found else _UNITS.get(name, "")
 
 

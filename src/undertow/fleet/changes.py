@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from undertow.identification.weak.step import prior_of
-from undertow.model.parameter import bare_name
 
 from .combine import Day, Prior, Solved, choosing, joined, no_prior, solve
 from .panel import Panel
@@ -159,7 +158,7 @@ class Changes:
         owned = {p.name for e in self.panel.vehicle.effects if e.id in wanted for p in e.parameters}
         found: dict[str, Array] = {}
         for name in self.panel.free:
-            if bare_name(name) in owned:
+            if self.panel.vehicle.declaration(name).name in owned:
                 row = found.setdefault(name[0], np.zeros(len(self.names)))
                 row[self.names.index(name)] = self.panel.vehicle.value_of(name).value
         return [Direction(kind, _MOTIONS[n], row) for n, row in found.items() if n in _MOTIONS and row.any()]

@@ -18,7 +18,6 @@ from undertow.identification.logs import Mapping, read_log, velocities_from_pose
 from undertow.identification.logs.mapping import CommandPolicy
 from undertow.identification.weak.residual import WeakModel
 from undertow.model.loading import load_vehicle
-from undertow.model.parameter import bare_name
 from undertow.model.vehicle import Vehicle
 
 from .engine import Engine, Failure
@@ -145,8 +144,7 @@ def drawn(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[A
 
 
 def _inside(vehicle: Vehicle, name: str, value: float) -> float:
-    declared = vehicle.declared_parameters
-    low, high = (declared.get(name) or declared[bare_name(name)]).bounds
+    low, high = vehicle.declaration(name).bounds
     return float(min(max(value, low), high))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from undertow.identification.weak.step import bounds_of
 from undertow.model.dimensions import short_unit
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import printed
 
 from .changes import Change, Changes, Span, chance, shift, trend
 from .combine import Day, Solved, by_month, choosing, joined, no_prior, solve
@@ -105,7 +105,7 @@ def _fitted(changes: Changes, days: Sequence[Day], beside: Sequence[str] = ()) -
 
 def _parameter(panel: Panel, place: int, solved: Solved) -> Parameter:
     name, vehicle = panel.free[place], panel.vehicle
-    declared = vehicle.declared_parameters[bare_name(name)]
+    declared = vehicle.declaration(name)
     error = float(solved.errors[place])
     unit = short_unit(declared.unit)
     if not np.isfinite(error):

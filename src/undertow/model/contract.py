@@ -13,7 +13,7 @@ from . import laws
 from .catalogue import Catalogue, catalogue
 from .dimensions import dimension
 from .effect import KINDS, Effect, Wrench
-from .parameter import Parameter
+from .parameter import WAYS, Parameter
 from .statement import Statement, statement_of
 from .symbols import signal_units, signals
 
@@ -139,6 +139,7 @@ def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str
     yield "id", "is an identifier of its own", _id_complaints(cls, known)
     yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
     yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
+    yield "taken", "what it takes from other effects can be told there", _taken_complaints(cls, known)
     yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
     yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
     yield "claims", "claims about power do not contradict each other", _claim_complaints(cls)
@@ -178,17 +179,34 @@ def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
                 yield f"{what} '{beside}', which is no known effect: correct the id"
 
 
+def _keys(effect: Effect) -> dict[str, str]:
+    """Units of all keys that the table of an effect may have."""
+    return {p.name: p.unit for p in effect.parameters} | effect.file_units()
+
+
+def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+    own = _keys(cls.specimen())
+    for taken in cls.taken:
+        key = taken.key
+        if taken.owner not in known:
+            yield f"'{key}' is taken from '{taken.owner}', which is no known effect: correct the id"
+            continue
+        units = {"rho": "kg/m^3", "g": "m/s^2", **_keys(known[taken.owner].specimen())}
+        for unknown in sorted({key, *taken.unless} - own.keys()):
+            yield f"taken names '{unknown}', which is no key of the effect's table: correct it"
+        for unknown in sorted({str(x) for f in taken.formulas for x in f.free_symbols} - units.keys()):
+            yield f"'{key}' is taken from '{unknown}', no key of '{taken.owner}': correct the formula"
+
+
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     specimen = cls.specimen()
-    names = [*(p.name for p in specimen.parameters), *specimen.states]
+    names = _names(specimen)
     taken = _taken_names(cls, known)
     for name in names:
         if not _NAME.fullmatch(name):
             yield f"'{name}' is no identifier: use letters, digits and underscores"
         elif name in taken:
             yield f"'{name}' is taken by {taken[name]}: choose another name"
-        elif name.endswith(("_forward", "_backward")):
-            yield f"'{name}' ends like one half of a sign-dependent parameter: choose another name"
         elif names.count(name) > 1:
             yield f"'{name}' is declared twice: rename one"
     s = signals(specimen.thrusters)
@@ -197,13 +215,19 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"
 
 
+def _names(specimen: Effect) -> list[str]:
+    """Names of parameters, with both directions of those that may differ, and of states."""
+    parameters = specimen.parameters
+    sides = (f"{p.name}_{way}" for p in parameters for way in WAYS if p.motion is not None)
+    return [*(p.name for p in parameters), *sides, *specimen.states]
+
+
 def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
     taken = {str(x): "a signal" for x in signal_units(signals())}
     for other in known.values():
         if other is not cls and other.id != getattr(cls, "id", None):
             specimen = other.specimen()
-            names = [*(p.name for p in specimen.parameters), *specimen.states]
-            taken |= dict.fromkeys(names, f"effect '{other.id}'")
+            taken |= dict.fromkeys(_names(specimen), f"effect '{other.id}'")
     return taken
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -117,7 +117,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
         details=" ".join(details.split()),
         equations=tuple(_equations(statement)),
         legend=dict(_legend(statement)),
-        parameters=tuple(_note(p) for p in _as_declared(cls)),
+        parameters=tuple(_note(p, {t.key for t in cls.taken}) for p in _as_declared(cls)),
         also_in_files=cls.file_units(),
         requires=cls.requires,
         shares=cls.shares,
@@ -139,7 +139,7 @@ def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
             yield from declaration.expand(())
 
 
-def _note(p: Parameter) -> ParameterNote:
+def _note(p: Parameter, told_elsewhere: Set[str]) -> ParameterNote:
     low, high = (None if math.isinf(b) else b for b in p.bounds)
     return ParameterNote(
         name=p.name,
@@ -147,7 +147,7 @@ def _note(p: Parameter) -> ParameterNote:
         low=low,
         high=high,
         linear=p.linear,
-        required=p.required,
+        required=p.must_be_given and p.name not in told_elsewhere,
         default=p.default,
         directional=p.motion is not None,
         about=p.about,

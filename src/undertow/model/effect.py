@@ -4,13 +4,39 @@ from __future__ import annotations
 
 import abc
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import sympy as sm
 
-from .parameter import Parameter, declared
+from .parameter import Limits, Parameter, Taken, declared
 from .symbols import Signals, column, spelled_out
+
+
+@lru_cache(maxsize=1024)
+def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+    return tuple(p for d in declared(cls) for p in d.expand(thrusters))
+
+
+@dataclass(frozen=True)
+class Bulk:
+    """How large a vehicle is, as its mass and inertia tell.
+
+    Attributes
+    ----------
+    mass : float
+        kg.
+    length : float
+        Edge of a cube of water of this mass, m.
+    gyration : float
+        Largest radius of gyration that the file tells, m; zero where it tells none.
+    """
+
+    mass: float
+    length: float
+    gyration: float
 
 
 class Effect(abc.ABC):
@@ -38,6 +64,8 @@ class Effect(abc.ABC):
     weighed : bool
         True where the values come from scales and drawings, and what may be wrong with them is an effect of
         its own (water in the hull, net buoyancy, a shifted centre of buoyancy).
+    taken : tuple of Taken
+        Keys of its table that are another effect's to tell: the mass of one is the weight of the other.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     """
@@ -50,6 +78,7 @@ class Effect(abc.ABC):
     shares: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
     weighed: ClassVar[bool] = False
+    taken: ClassVar[tuple[Taken, ...]] = ()
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
         self.thrusters = tuple(thrusters)
@@ -77,7 +106,7 @@ class Effect(abc.ABC):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The scalar parameters of this effect on its vehicle."""
-        return tuple(p for d in declared(type(self)) for p in d.expand(self.thrusters))
+        return _parameters_of(type(self), self.thrusters)
 
     @classmethod
     def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
@@ -88,6 +117,42 @@ class Effect(abc.ABC):
     def file_units(cls) -> dict[str, str]:
         """Units of the keys that `from_file` accepts besides the parameters."""
         return {}
+
+    @classmethod
+    def settled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+        """The same physics as `values`, which a fit found, with what a file takes from elsewhere in them.
+
+        Parameters
+        ----------
+        values : mapping
+            Parameters by name; one that is missing was found to be zero.
+        taken : mapping
+            What other tables of the file tell, by key.
+        """
+        return dict(values)
+
+    @classmethod
+    def impossible(
+        cls, values: Mapping[str, float], limits: Limits, moved: Set[str] = frozenset()
+    ) -> Iterator[str]:
+        """One line for each thing in the values of a vehicle that no body in water can have.
+
+        Parameters
+        ----------
+        values : mapping
+            Parameters that the vehicle states and uses, of all its effects, with `rho` and `g`.
+        limits : Limits
+            What numbers can be.
+        moved : set of str
+            Parameters that a fit may have moved, to make up for something that the model lacks: a file must
+            be able to say so.
+        """
+        yield from ()
+
+    @classmethod
+    def bulk(cls, values: Mapping[str, float]) -> Bulk | None:
+        """How large a vehicle with these values is; None where the effect does not tell."""
+        return None
 
     @property
     def states(self) -> tuple[str, ...]:

@@ -11,15 +11,14 @@ from typing import Any
 import tomlkit
 from tomlkit.items import InlineTable
 
-from .loading import si_of
 from .tomltext import safe
-from .units import si_unit, unit_of
+from .units import si_of, si_unit, unit_of
 
 # Ten significant digits are written, which is half of this at worst.
 _SAME = 1e-9
 _ORDER = (
     *("value", "forward", "backward", "assumed", "estimate"),
-    *("sigma", "sigma_forward", "sigma_backward", "allow_sign", "source"),
+    *("sigma", "sigma_forward", "sigma_backward", "allow_sign", "override", "source"),
 )
 # Files say "kg m^2" where an effect declares "N m/((rad/s)^2)".
 _RADIANS = re.compile(r"/rad(\^\d)?")
@@ -38,6 +37,8 @@ class Wanted:
         Standard deviations by the same keys.
     unit : str
         SI unit of the parameter.
+    override : bool
+        Whether it has to say that another table tells something else.
     """
 
     numbers: Mapping[str, float]
@@ -45,6 +46,7 @@ class Wanted:
     unit: str
     estimate: bool = False
     assumed: bool = False
+    override: bool = False
     source: str = ""
 
     def fitted(self, source: str) -> Wanted:
@@ -97,7 +99,8 @@ def _changed_fields(old: Mapping[str, Any], wanted: Wanted, place: str) -> dict[
     sigmas = {k: v for k, v in written.items() if k not in numbers}
     source = {"source": wanted.source} if wanted.source else {}
     assumed = {"assumed": True if wanted.assumed else None} if wanted.assumed or "assumed" in old else {}
-    return gone | numbers | told | sigmas | source | assumed
+    override = {"override": True} if wanted.override else {}
+    return gone | numbers | told | sigmas | source | assumed | override
 
 
 def _fields(raw: Any) -> dict[str, Any]:

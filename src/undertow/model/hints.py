@@ -38,7 +38,7 @@ def diagonal_entries(effect: Effect) -> dict[int, str]:
 
 
 def _given(vehicle: Vehicle, name: str) -> bool:
-    return name in vehicle.values or f"{name}_forward" in vehicle.values
+    return bool(vehicle.values_of(vehicle.declared_parameters[name]))
 
 
 def _missing_entries(vehicle: Vehicle) -> Iterator[str]:

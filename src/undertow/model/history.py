@@ -12,7 +12,7 @@ from tomlkit.items import AoT
 
 from undertow.errors import UndertowError
 
-from .parameter import bare_name, printed
+from .parameter import printed
 from .tomltext import array_of_tables, safe
 from .vehicle import Vehicle
 
@@ -54,9 +54,9 @@ def _log_names(history: Mapping[str, object]) -> str:
 def append_history(document: Any, vehicle: Vehicle, entry: Mapping[str, object], signs: str) -> None:
     """Append a ``[[history]]`` table; see `save_vehicle` for what it may hold."""
     entry = dict(entry)
-    covariance = entry.pop("covariance", None)
+    covariance = entry.get("covariance")
     plain = _plain(entry)
-    if isinstance(covariance, Mapping):
+    if isinstance(covariance, Mapping) and {"parameters", "matrix"} <= covariance.keys():
         plain["covariance"] = _covariance(vehicle, covariance, signs)
     histories = array_of_tables(document, "history")
     if isinstance(histories, AoT):
@@ -114,9 +114,7 @@ def _covariance(vehicle: Vehicle, told: Mapping[str, Any], signs: str) -> dict[s
 
 
 def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
-    bare = bare_name(name)
-    parameter = vehicle.declared_parameters.get(name) or vehicle.declared_parameters[bare]
-    return printed(parameter, 1.0, signs)
+    return printed(vehicle.declaration(name), 1.0, signs)
 
 
 def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import sqrt
+
 import sympy as sm
 
 
@@ -100,3 +103,15 @@ def coriolis(inertia: sm.Matrix, nu: sm.Matrix) -> sm.Matrix:
     upper = sm.Matrix.hstack(sm.zeros(3), -skew(linear))
     lower = sm.Matrix.hstack(-skew(linear), -skew(angular))
     return sm.Matrix.vstack(upper, lower)
+
+
+def failing_pivot(rows: Sequence[Sequence[float]], shift: float = 0.0) -> int | None:
+    """Row at which Cholesky's factorisation of a symmetric matrix, plus `shift` on its diagonal, fails."""
+    factor = [[0.0] * len(rows) for _ in rows]
+    for i in range(len(rows)):
+        for j in range(i + 1):
+            rest = rows[i][j] + shift * (i == j) - sum(factor[i][k] * factor[j][k] for k in range(j))
+            if i == j and not rest > 0:
+                return i
+            factor[i][j] = sqrt(rest) if i == j else rest / factor[j][j]
+    return None

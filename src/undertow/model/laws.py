@@ -11,7 +11,7 @@ from undertow.errors import UndertowError
 
 from .dimensions import require_unit
 from .effect import Wrench
-from .kinematics import pose_jacobian
+from .kinematics import failing_pivot, pose_jacobian
 from .parameter import Parameter
 from .probing import Probe, bent_row, compiled, nonzero_row
 from .statement import Statement
@@ -222,18 +222,6 @@ def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _ROUN
     """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
     trace = sum(abs(rows[i][i]) for i in range(len(rows)))
     return failing_pivot(rows, margin * trace or margin) is None
-
-
-def failing_pivot(rows: Sequence[Sequence[float]], shift: float = 0.0) -> int | None:
-    """Row at which Cholesky's factorisation of a symmetric matrix, plus `shift` on its diagonal, fails."""
-    factor = [[0.0] * len(rows) for _ in rows]
-    for i in range(len(rows)):
-        for j in range(i + 1):
-            rest = rows[i][j] + shift * (i == j) - sum(factor[i][k] * factor[j][k] for k in range(j))
-            if i == j and not rest > 0:
-                return i
-            factor[i][j] = math.sqrt(rest) if i == j else rest / factor[j][j]
-    return None
 
 
 # --- energy -------------------------------------------------------------------------------------

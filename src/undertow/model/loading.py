@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import logging
 import math
-import re
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -16,10 +16,13 @@ from .effect import Effect
 from .parameter import Parameter, printed
 from .plausibility import check_vehicle
 from .symbols import DOFS
-from .units import to_si
+from .taken import Statements
+from .units import si_of
 from .vehicle import Thruster, Value, Vehicle
 from .vehicle_schema import ParameterTable, ThrusterTable, VehicleTable
 from .vehicle_toml import read_vehicle_table
+
+_LOG = logging.getLogger(__name__)
 
 
 def bundled_vehicles() -> dict[str, Path]:
@@ -51,9 +54,12 @@ def load_vehicle(
     table = read_vehicle_table(path)
     known = _known_effects(table, path, list(effect_files), trust_effects)
     try:
-        return vehicle_from_table(table, known)
+        vehicle, remarks = _vehicle_and_remarks(table, known)
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
+    for line in remarks:
+        _LOG.warning("%s: %s", path, line)
+    return vehicle
 
 
 def resolve_vehicle(source: str | Path) -> Path:
@@ -91,28 +97,40 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
 
 
 def vehicle_from_table(table: VehicleTable, known: Catalogue) -> Vehicle:
-    """Build the vehicle that a validated file describes."""
+    """Build the vehicle that a validated file describes.
+
+    Raises
+    ------
+    UndertowError
+        If it holds a value that cannot be.
+    """
+    return _vehicle_and_remarks(table, known)[0]
+
+
+def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle, list[str]]:
     thrusters = tuple(_thruster(t) for t in table.thrusters)
     names = tuple(t.name for t in thrusters)
     effects = tuple(_chosen(effect_id, known)(names) for effect_id in table.effects)
-    values: dict[str, Value] = {}
+    environment = {
+        "rho": si_of("water_density", table.water_density, "kg/m^3"),
+        "g": si_of("gravity", table.gravity, "m/s^2"),
+    }
+    statements = Statements(effects, table.effects, environment, table.signs)
+    tables, values = statements.completed(), dict[str, Value]()
     for effect in effects:
-        values |= _effect_values(effect, table.effects[effect.id], table.signs)
+        values |= _effect_values(effect, tables[effect.id], table.signs)
     vehicle = Vehicle(
         name=table.name,
-        degrees_of_freedom=tuple(d for d in DOFS if d in table.degrees_of_freedom),
+        degrees_of_freedom=tuple(sorted(table.degrees_of_freedom, key=DOFS.index)),
         effects=effects,
         values=values,
         thrusters=thrusters,
         force_channels=tuple(table.generalised_forces),
         signs=table.signs,
-        environment={
-            "rho": si_of("water_density", table.water_density, "kg/m^3"),
-            "g": si_of("gravity", table.gravity, "m/s^2"),
-        },
+        environment=environment,
     )
     check_vehicle(vehicle)
-    return vehicle
+    return vehicle, list(statements.differing())
 
 
 def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:
@@ -198,25 +216,10 @@ def _as_table(entry: Any) -> ParameterTable:
     return entry if isinstance(entry, ParameterTable) else ParameterTable(value=entry)
 
 
-def si_of(place: str, raw: Any, unit: str) -> float:
-    """A quantity in SI; what is counted in commands may be written as a plain number or in "command"."""
-    texts = [unit, _without_command(unit)] if isinstance(raw, str) else [_without_command(unit)]
-    for text in dict.fromkeys(texts):
-        try:
-            return to_si(raw, text)
-        except UndertowError as error:
-            complaint = error
-    raise UndertowError(f"{place}: {complaint}") from complaint
-
-
-def _without_command(unit: str) -> str:
-    plain = re.sub(r"\s*/\s*command|\bcommand\b\s*", "", unit).strip()
-    return f"1{plain}" if plain.startswith("/") else plain or "1"
-
-
 def _parameter_values(owner: str, parameter: Parameter, entry: Any, signs: str) -> dict[str, Value]:
     table = _as_table(entry)
     given = {k: getattr(table, k) for k in ("value", "forward", "backward") if getattr(table, k) is not None}
+    _refuse_idle_sigmas(f"[effects.{owner}] {parameter.name}", table, len(given))
     if set(given) == {"value"}:
         return {parameter.name: _value(owner, parameter, parameter.name, given["value"], table, signs)}
     if set(given) != {"forward", "backward"}:
@@ -234,6 +237,16 @@ def _parameter_values(owner: str, parameter: Parameter, entry: Any, signs: str) 
         )
         for way, raw in given.items()
     }
+
+
+def _refuse_idle_sigmas(place: str, table: ParameterTable, values: int) -> None:
+    """A standard deviation that another one makes idle, or that belongs to a value that is not there."""
+    own = [s for s in (table.sigma_forward, table.sigma_backward) if s is not None]
+    if own and (values < 2 or (len(own) == 2 and table.sigma is not None)):
+        raise UndertowError(
+            f"{place} has a sigma that holds for nothing: give 'sigma', or with 'forward' and 'backward' "
+            f"'sigma_forward' and 'sigma_backward'"
+        )
 
 
 def _value(owner: str, parameter: Parameter, name: str, raw: Any, table: ParameterTable, signs: str) -> Value:
@@ -268,9 +281,9 @@ def _check_bounds(
 
 def _thruster(table: ThrusterTable) -> Thruster:
     place = f"thruster '{table.name}'"
-    if (table.wrench is None) == (table.position is None or table.direction is None):
-        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction'")
     given = table.wrench is not None
+    if {table.position is not None, table.direction is not None} != {not given}:
+        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
     wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")

@@ -15,6 +15,58 @@ if TYPE_CHECKING:
     from .effect import Effect
 
 
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the numbers of a vehicle in water can be: beyond it a unit or a digit is wrong.
+
+    Attributes
+    ----------
+    gravity : (float, float)
+        m/s^2; on the surface of the Earth it lies between 9.76 and 9.84.
+    water_density : (float, float)
+        kg/m^3: hot fresh water has 958, the Dead Sea 1240.
+    mass : (float, float)
+        kg: from a milligram to ten times the largest ship.
+    command : (float, float)
+        Limit of a command, in whatever unit it has: counts, rpm, N or shares.
+    thrust : (float, float)
+        Thrust per command, N; the largest propellers give some 10^7 N, per count it may be little.
+    sigma : (float, float)
+        Standard deviations, whose squares are still numbers.
+    largest : float
+        Magnitude of any number in SI: the quadratic yaw damping of the largest ship is some 10^13 N m s^2.
+    acceleration : float
+        m/s^2, by the thrust of one thruster at its limit, or at a command of one; a torpedo has 100.
+    gyration : (float, float)
+        Radius of gyration by the length of the displacement: a rod with L/D = 100 has 0.08 and 6.7.
+    rounding : float
+        Share by which moments of inertia may miss what a body can have: tables have two or three digits.
+    buoyancy : float
+        Largest ratio of buoyancy to weight, either way. An empty hull may have a displacement of several
+        times its weight; newtons taken for kilograms are off by 9.81.
+    farthest : float
+        Places aboard, by the length of the vehicle's displacement (a cube of water as heavy as it) or its
+        radius of gyration, whichever is larger. The ends of a glider with L/D = 20 are at 4 of them; a
+        length in cm or mm taken for m is off by 100.
+    """
+
+    gravity: Range = (9.7, 9.9)
+    water_density: Range = (900.0, 1300.0)
+    mass: Range = (1e-6, 1e10)
+    command: Range = (1e-9, 1e12)
+    thrust: Range = (1e-12, 1e12)
+    sigma: Range = (1e-30, 1e30)
+    largest: float = 1e18
+    acceleration: float = 1e4
+    gyration: Range = (0.02, 30.0)
+    rounding: float = 0.02
+    buoyancy: float = 8.0
+    farthest: float = 20.0
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One number of an effect; declared as a class attribute, read on an instance as its symbol.
@@ -44,6 +96,9 @@ class Parameter:
         True for a derivative that tables print as a positive magnitude (added mass and damping).
     alone : bool
         False for a parameter that is no sign of the effect without the others (a constant part).
+    arm_of : str
+        For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
+        force where it is that times a length; empty for all others.
     """
 
     unit: str
@@ -57,6 +112,7 @@ class Parameter:
     neutral: float | None = 0.0
     on_left_side: bool = False
     alone: bool = True
+    arm_of: str = ""
     name: str = field(default="", kw_only=True)
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -74,6 +130,12 @@ class Parameter:
     def assumed(self) -> bool:
         """Whether the declaration has a value of its own for it, other than that of no effect."""
         return self.default is not None and self.default != self.neutral
+
+    @property
+    def must_be_given(self) -> bool:
+        """Whether a vehicle file has to state it: nothing that could stand in for it is a possible value."""
+        low, high = self.bounds
+        return self.required or not low <= self.unsaid <= high
 
     @property
     def unsaid(self) -> float:
@@ -99,6 +161,7 @@ class PerThruster(Parameter):
         )
 
 
+WAYS = ("forward", "backward")
 DIAGONAL = tuple((i, i) for i in range(6))
 OFF_DIAGONAL = tuple((i, j) for i in range(6) for j in range(6) if i != j)
 UPPER_TRIANGLE = tuple((i, j) for i in range(6) for j in range(i + 1, 6))
@@ -202,6 +265,7 @@ class Place:
                 linear=False,
                 starts=(0.0,),
                 neutral=None,
+                arm_of="1" if self.axes == "body" else "",
                 name=f"{axis}_{self.name}",
             )
             for axis, way in zip("xyz", _WAYS[self.axes], strict=True)
@@ -211,17 +275,49 @@ class Place:
 Declaration = Parameter | DerivativeMatrix | Place
 
 
+@dataclass(frozen=True)
+class Taken:
+    """A quantity that another effect's table tells as well, so that a file need not say it twice.
+
+    Attributes
+    ----------
+    key : str
+        The quantity in the effect's own table.
+    owner : str
+        Id of the other effect.
+    formulas : tuple of Expr
+        The quantity in keys of the owner's table, `rho` and `g`; the first counts whose keys are all stated.
+    unit : str
+        SI unit of the quantity.
+    unless : tuple of str
+        Keys of the effect's own table that say all that this one would.
+    rounding : float
+        Relative difference up to which a value of the effect's own is the same one, rounded.
+    most : float
+        Largest ratio of the two, either way, unless the file says ``override = true``.
+    words : str
+        The formula as people write it; the key where it is empty.
+    only_where_silent : bool
+        True for the way back: the owner has the first word, and is asked only about what it leaves open.
+    """
+
+    key: str
+    owner: str
+    formulas: tuple[sm.Expr, ...]
+    unit: str
+    unless: tuple[str, ...] = ()
+    rounding: float = 1e-3
+    most: float = inf
+    words: str = ""
+    only_where_silent: bool = False
+
+
 def declared(owner: type) -> Iterable[Declaration]:
     """Parameter declarations of an effect class, base classes first, in the order written."""
     found: dict[str, Declaration] = {}
     for cls in reversed(owner.__mro__):
         found.update({k: v for k, v in vars(cls).items() if isinstance(v, Declaration)})
     return found.values()
-
-
-def bare_name(name: str) -> str:
-    """Name of a parameter without the direction that one of its values may be for."""
-    return name.removesuffix("_forward").removesuffix("_backward")
 
 
 def printed(parameter: Parameter, value: float, signs: str) -> float:

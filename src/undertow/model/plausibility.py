@@ -2,49 +2,171 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from math import hypot, inf, isfinite
+
 import sympy as sm
 
 from undertow.errors import UndertowError
 
-from .laws import failing_pivot
-from .symbols import DOFS, FORCE, POSE, VELOCITY, symbol
-from .vehicle import Vehicle
+from .effect import Bulk
+from .kinematics import failing_pivot
+from .parameter import Limits, Range
+from .symbols import DOFS, FORCE, symbol
+from .vehicle import Thruster, Value, Vehicle
 
-CHANNELS = {"t", *POSE, *VELOCITY, *(f"tau_{f}" for f in FORCE)}
 _ROUNDING = 1e-12
 
 
-def check_vehicle(vehicle: Vehicle) -> None:
+def check_vehicle(vehicle: Vehicle, limits: Limits | None = None) -> None:
     """Refuse a vehicle that cannot be.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        From a file or made in a program.
+    limits : Limits, optional
+        What its numbers can be.
 
     Raises
     ------
     UndertowError
-        If thrusters share a name with another or with a log channel, a known force acts on a motion that the
-        vehicle does not have, a value is missing that no vehicle lacks, density or gravity are not
-        positive, or the mass matrix is not positive definite at the values of the file.
+        If a known force acts on a motion that the vehicle does not have, a value is missing that no vehicle
+        lacks, a number is beyond what is found in water, a place is far off the vehicle, an effect finds its
+        own values impossible, equations have no finite value, or the mass matrix is not positive definite at
+        the values of the file.
     """
-    _check_names(vehicle)
-    _check_environment(vehicle)
+    chosen = limits or Limits()
+    _check_environment(vehicle, chosen)
     _check_forces(vehicle)
     _check_complete(vehicle)
+    _check_defined(vehicle)
+    for complaint in _complaints(vehicle, chosen):
+        raise UndertowError(complaint)
     _check_inertia(vehicle)
 
 
-def _check_names(vehicle: Vehicle) -> None:
-    names = [t.name for t in vehicle.thrusters]
-    for name in names:
-        if names.count(name) > 1:
-            raise UndertowError(f"two thrusters are called '{name}': rename one")
-        if name in CHANNELS:
-            raise UndertowError(f"thruster '{name}' has the name of a measured channel: rename it")
+def _complaints(vehicle: Vehicle, limits: Limits) -> Iterator[str]:
+    bulk = _bulk(vehicle)
+    yield from _numbers(vehicle, limits)
+    yield from _effects(vehicle, limits)
+    yield from _thrusters(vehicle, bulk, limits)
+    if bulk is not None:
+        yield from _places(vehicle, bulk, limits)
 
 
-def _check_environment(vehicle: Vehicle) -> None:
-    for key, name in (("water_density", "rho"), ("gravity", "g")):
-        value = vehicle.environment[name]
-        if value <= 0:
-            raise UndertowError(f"{key} = {value:g} cannot be: give a positive value")
+def _bulk(vehicle: Vehicle) -> Bulk | None:
+    known = _known(vehicle)
+    return next((b for e in vehicle.effects if (b := e.bulk(known)) is not None), None)
+
+
+def _known(vehicle: Vehicle) -> dict[str, float]:
+    """What the file states and the equations use, and water and gravity; SI and SNAME signs."""
+    used = set(vehicle.parameter_names)
+    stated = {n: v.value for n, v in vehicle.values.items() if n in used or v.value != 0.0}
+    return stated | dict(vehicle.environment)
+
+
+_HINTS = {"water_density": "1 g/cm^3 is 1000 kg/m^3", "gravity": "981 cm/s^2 is 9.81 m/s^2"}
+
+
+def _check_environment(vehicle: Vehicle, limits: Limits) -> None:
+    for key, name, unit in (("water_density", "rho", "kg/m^3"), ("gravity", "g", "m/s^2")):
+        value, (low, high) = vehicle.environment[name], getattr(limits, key)
+        if not low <= value <= high:
+            raise UndertowError(
+                f"{key} = {value:g} {unit} cannot be (possible: {low:g} to {high:g}): correct the number or "
+                f"its unit; {_HINTS[key]}"
+            )
+
+
+# --- numbers --------------------------------------------------------------------------------------
+def _numbers(vehicle: Vehicle, limits: Limits) -> Iterator[str]:
+    for name, value in vehicle.values.items():
+        yield from _out_of(_place(vehicle, name), value.value, (0.0, limits.largest))
+        yield from _sigma(_place(vehicle, name), value, limits)
+
+
+def _place(vehicle: Vehicle, name: str) -> str:
+    return f"{_table(vehicle, name)} {name}"
+
+
+def _table(vehicle: Vehicle, name: str) -> str:
+    parameter = vehicle.parameter_of(name)
+    owners = (e.id for e in vehicle.effects if parameter in e.parameters)
+    return f"[effects.{next(owners, 'none')}]"
+
+
+def _out_of(place: str, value: float, limits: Range, unit: str = "") -> Iterator[str]:
+    low, high = limits
+    if not (isfinite(value) and low <= abs(value) <= high):
+        yield (
+            f"{place} = {f'{value:g} {unit}'.strip()} cannot be (possible: {low:g} to {high:g} in size): "
+            f"correct the number or its unit"
+        )
+
+
+def _sigma(place: str, value: Value, limits: Limits) -> Iterator[str]:
+    # None: not stated. A fit to data without noise finds zero, one to no data infinity.
+    if value.sigma is not None and 0 < value.sigma < inf:
+        yield from _out_of(f"{place} sigma", value.sigma, limits.sigma)
+
+
+# --- thrusters ------------------------------------------------------------------------------------
+def _thrusters(vehicle: Vehicle, bulk: Bulk | None, limits: Limits) -> Iterator[str]:
+    for thruster in vehicle.thrusters:
+        place, thrust = f"thruster '{thruster.name}'", thruster.thrust_per_command
+        # Rounding leaves 1e-17 where a cosine is zero, so it is the largest entry that cannot be small.
+        yield from _out_of(f"{place} wrench, its largest entry", max(thruster.wrench, key=abs), limits.thrust)
+        if thrust.value:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
+            yield from _out_of(f"{place} thrust_per_command", thrust.value, limits.thrust, "N")
+        yield from _sigma(f"{place} thrust_per_command", thrust, limits)
+        if thruster.limit is not None:
+            yield from _out_of(f"{place} limit", thruster.limit, limits.command)
+        if bulk is not None:
+            yield from _pushed(thruster, bulk.mass, limits)
+
+
+def _pushed(thruster: Thruster, mass: float, limits: Limits) -> Iterator[str]:
+    command = 1.0 if thruster.limit is None else thruster.limit
+    force = hypot(*thruster.wrench[:3]) * thruster.thrust_per_command.value * command
+    if force / mass > limits.acceleration and not thruster.thrust_per_command.estimate:
+        yield (
+            f"thruster '{thruster.name}' pushes with {force:g} N at a command of {command:g}, which is "
+            f"{force / mass:.3g} m/s^2 for {mass:g} kg (possible: up to {limits.acceleration:g}): correct "
+            f"its wrench, thrust_per_command or limit"
+        )
+
+
+# --- effects and places ---------------------------------------------------------------------------
+def _effects(vehicle: Vehicle, limits: Limits) -> Iterator[str]:
+    known, moved = _known(vehicle), {n for n, v in vehicle.values.items() if v.estimate}
+    for effect in vehicle.effects:
+        for complaint in effect.impossible(known, limits, moved):
+            yield f"[effects.{effect.id}] {complaint}"
+
+
+def _places(vehicle: Vehicle, bulk: Bulk, limits: Limits) -> Iterator[str]:
+    size = max(bulk.length, bulk.gyration)
+    for place, arm in _arms(vehicle):
+        if abs(arm) > limits.farthest * size:
+            yield (
+                f"{place} is {abs(arm):.3g} m off the body origin of a vehicle of {bulk.mass:g} kg (limit "
+                f"{limits.farthest * size:.3g} m): lengths are in m, or have a unit, such as '160 mm'"
+            )
+
+
+def _arms(vehicle: Vehicle) -> Iterator[tuple[str, float]]:
+    """Distances from the body origin that the file states, m; a fitted one may be anywhere."""
+    for thruster in vehicle.thrusters:
+        force, moment = hypot(*thruster.wrench[:3]), hypot(*thruster.wrench[3:])
+        if force:
+            yield f"thruster '{thruster.name}'", moment / force
+    for name, value in vehicle.values.items():
+        of = getattr(vehicle.parameter_of(name), "arm_of", "")
+        whole = 1.0 if of == "1" else vehicle.value_of(of).value if of else 0.0
+        if whole and not value.estimate:
+            yield _place(vehicle, name), value.value / whole
 
 
 def _check_forces(vehicle: Vehicle) -> None:
@@ -59,13 +181,54 @@ def _check_forces(vehicle: Vehicle) -> None:
 def _check_complete(vehicle: Vehicle) -> None:
     for name in vehicle.parameter_names:
         parameter = vehicle.declared_parameters.get(name)
-        if parameter is not None and parameter.required and name not in vehicle.values:
-            owner = next(e.id for e in vehicle.effects if any(p.name == name for p in e.parameters))
+        if parameter is not None and parameter.must_be_given and name not in vehicle.values:
             raise UndertowError(
-                f"[effects.{owner}] lacks {name} ({parameter.about}): give it in {parameter.unit}"
+                f"{_table(vehicle, name)} lacks {name} ({parameter.about}): give it in {parameter.unit}"
+                f"{_between(parameter.bounds)}"
             )
     if not vehicle.mass_matrix.free_symbols:
         raise UndertowError("the vehicle has no inertia: add [effects.rigid_body]")
+
+
+def _between(bounds: Range) -> str:
+    told = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
+    return f", {' '.join(told)}" if told else ""
+
+
+# Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.
+_CREEPING = (0.0, 0.1, -0.1)
+
+
+def _check_defined(vehicle: Vehicle) -> None:
+    """Refuse equations without a value: a division by a zero, the root of a velocity that turns negative."""
+    known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
+    for what, part in _stated(vehicle):
+        for speed in _CREEPING:
+            at = known | dict.fromkeys(vehicle.composition.nu, sm.Float(speed))
+            if not all(isfinite(_number(row, at)) for row in part):
+                moving = f"with all velocities at {speed:g}" if speed else "at rest"
+                raise UndertowError(
+                    f"{what} of vehicle '{vehicle.name}' has no finite value {moving}: look for a parameter "
+                    f"of zero that is divided by, or try 'undertow effects check' on an effect of your own"
+                )
+
+
+def _stated(vehicle: Vehicle) -> Iterator[tuple[str, sm.Matrix]]:
+    c = vehicle.composition
+    output, rates, _ = c.chain
+    yield from ((f"the force of {effect.id}", wrench) for effect, wrench in c.wrenches.items())
+    yield "what reaches the thrusters", output
+    states = {**rates, **c.wrench_states}
+    yield from ((f"the rate of {state}", sm.Matrix([rate])) for state, rate in states.items())
+    yield from ((f"the reported {what}", m) for what, m in zip(("pose", "velocity"), c.reported, strict=True))
+
+
+def _number(expression: sm.Expr, known: Mapping[sm.Symbol, sm.Expr]) -> float:
+    zero = sm.Float(0)
+    try:
+        return float(expression.xreplace({x: known.get(x, zero) for x in expression.free_symbols}))
+    except TypeError:  # complex infinity, or a complex number
+        return inf
 
 
 def _check_inertia(vehicle: Vehicle) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from math import inf, isclose
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,16 @@ from undertow.files import write_whole
 from .effect import Effect
 from .entries import Wanted, stated, update_entry
 from .history import append_history, fit_source, source_before
-from .loading import resolve_vehicle, si_of, vehicle_from_table
+from .loading import resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
+from .taken import Statements
 from .tomltext import append, append_table
+from .units import si_of
 from .vehicle import Value, Vehicle
 from .vehicle_schema import VehicleTable
 from .vehicle_toml import read_vehicle_table
 
 _ROUND_TRIP = 1e-9
-_WAYS = ("forward", "backward")
 
 
 def save_vehicle(
@@ -59,6 +61,7 @@ def save_vehicle(
         If the template cannot be read or does not fit the vehicle, or `out` cannot be written.
     """
     path = resolve_vehicle(template)
+    vehicle = _settled(vehicle, path)
     if out != path and out.exists() and out.samefile(path):
         raise UndertowError(
             f"'{out}' is the file {path} itself: choose another name, or give that path to replace it"
@@ -66,6 +69,19 @@ def save_vehicle(
     text = _text(vehicle, path, history)
     _check(text, vehicle, path)
     write_whole(out, text)
+
+
+def _settled(vehicle: Vehicle, path: Path) -> Vehicle:
+    """The same vehicle, in whose new effects what a fit cannot show is what the file tells elsewhere."""
+    table = read_vehicle_table(path)
+    stated = Statements(vehicle.effects, table.effects, vehicle.environment, table.signs)
+    for effect in (e for e in vehicle.effects if e.id not in table.effects):
+        own = {p.name: vehicle.value_of(p.name) for p in effect.parameters if p.name in vehicle.values}
+        old = {n: v.value for n, v in own.items()}
+        new = effect.settled(old, stated.taken(effect))
+        changed = {n: v for n, v in new.items() if old.get(n) != v}
+        vehicle = vehicle.with_values({n: replace(own.get(n, Value(v)), value=v) for n, v in changed.items()})
+    return vehicle
 
 
 def _text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None) -> str:
@@ -115,29 +131,26 @@ def _write_effects(document: Any, vehicle: Vehicle, signs: str, history: Mapping
     for gone in [i for i in tables if i not in {e.id for e in vehicle.effects}]:
         tables.remove(gone)
     for effect in vehicle.effects:
-        if effect.id not in document["effects"]:
+        if effect.id not in tables:
             new = tomlkit.inline_table() if isinstance(tables, InlineTable) else tomlkit.table()
-            _write_effect(new, effect, vehicle, signs, history)
             append_table(document, "effects", effect.id, new)
-        else:
-            _write_effect(document["effects"][effect.id], effect, vehicle, signs, history)
+    # Twice: what an effect takes from one that comes later is known only when that one is written.
+    for effect in (*vehicle.effects, *vehicle.effects):
+        stated = Statements(vehicle.effects, document["effects"], vehicle.environment, signs)
+        _write_effect(document["effects"][effect.id], effect, vehicle, stated, history)
 
 
 def _write_effect(
-    table: Any, effect: Effect, vehicle: Vehicle, signs: str, history: Mapping[str, object] | None
+    table: Any, effect: Effect, vehicle: Vehicle, stated: Statements, history: Mapping[str, object] | None
 ) -> None:
-    told = _told_otherwise(table, effect, vehicle)
+    taken = stated.taken(effect)
+    told = _told_otherwise(table, effect, vehicle, taken)
     for parameter in effect.parameters:
-        values = _values_of(parameter, vehicle)
+        values = vehicle.values_of(parameter)
         if values and parameter.name not in told:
-            wanted = _wanted(parameter, values, signs)
+            wanted = _wanted(parameter, values, stated.signs)
+            wanted = replace(wanted, override=parameter.name in taken)
             _write(table, parameter.name, wanted, f"[effects.{effect.id}] {parameter.name}", history)
-
-
-def _values_of(parameter: Parameter, vehicle: Vehicle) -> dict[str, Value]:
-    """Values of a parameter by the key that they have in its table."""
-    names = {"value": parameter.name} | {way: f"{parameter.name}_{way}" for way in _WAYS}
-    return {key: vehicle.values[name] for key, name in names.items() if name in vehicle.values}
 
 
 def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
@@ -170,18 +183,22 @@ def _write(table: Any, key: str, wanted: Wanted, place: str, history: Mapping[st
         append(table, key, entry)
 
 
-def _told_otherwise(table: Any, effect: Effect, vehicle: Vehicle) -> set[str]:
+def _told_otherwise(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapping[str, float]) -> set[str]:
     """Parameters that the file rightly tells by other keys (`x_g` for `mx_g`); wrong keys are taken out."""
     units = effect.file_units()
     place = f"[effects.{effect.id}]"
     raw = {k: v if not isinstance(v, Mapping) else v["value"] for k, v in table.items() if k in units}
-    aliases = {k: si_of(f"{place} {k}", v, units[k]) for k, v in raw.items()}
-    direct = {p.name: vehicle.value_of(p.name).value for p in effect.parameters if p.name in table}
-    told = {n: v for n, v in effect.from_file(direct | aliases).items() if n not in table} if aliases else {}
+    own = {k: si_of(f"{place} {k}", v, units[k]) for k, v in raw.items()}
+    aliases = own | {k: v for k, v in taken.items() if k in units}
+    known = {*table, *taken}
+    direct = {p.name: vehicle.value_of(p.name).value for p in effect.parameters if p.name in known}
+    found = effect.from_file(direct | aliases) if aliases else {}
+    told = {n: v for n, v in found.items() if n not in known}
+    told |= {k: v for k, v in taken.items() if k not in units}
     wrong = {n for n, v in told.items() if not _still(vehicle.value_of(n), v)}
-    for key in aliases:
+    for key in own:
         moved = effect.from_file(direct | aliases | {key: aliases[key] + 1.0})
-        touched = {n for n in told if moved.get(n) != told[n]}
+        touched = {n for n in told if n in found and moved.get(n) != found[n]}
         if touched & wrong:
             wrong |= touched
             table.remove(key)
@@ -205,7 +222,7 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
         value = thruster.thrust_per_command
         sigmas = _sigmas({"value": value})
         wanted = Wanted(
-            {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, value.source
+            {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, source=value.source
         )
         place = f"thruster '{thruster.name}' thrust_per_command"
         if "thrust_per_command" in tables[thruster.name] or wanted.differs(1.0, place):

@@ -14,6 +14,8 @@ VELOCITY = ("u", "v", "w", "p", "q", "r")
 FORCE = ("X", "Y", "Z", "K", "M", "N")
 FORCE_UNITS = ("N",) * 3 + ("N m",) * 3
 VELOCITY_UNITS = ("m/s",) * 3 + ("rad/s",) * 3
+# Columns of a log that mean the same for every vehicle: nothing of a vehicle's own may be called so.
+CHANNELS = frozenset({"t", *POSE, *VELOCITY, *(f"{v}_dot" for v in VELOCITY), *(f"tau_{f}" for f in FORCE)})
 # No vehicle in water moves or turns faster, and no water flows faster: m/s and rad/s.
 FASTEST = 100.0
 

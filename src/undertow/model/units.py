@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from undertow.errors import UndertowError
 
@@ -65,6 +65,22 @@ def to_si(value: str | float, unit: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise UndertowError(f"{value!r} is not a quantity: write a number or a text such as '1.5 {unit}'")
     return _finite(value, value, unit)
+
+
+def si_of(place: str, raw: Any, unit: str) -> float:
+    """A quantity in SI; what is counted in commands may be written as a plain number or in "command"."""
+    texts = [unit, _without_command(unit)] if isinstance(raw, str) else [_without_command(unit)]
+    for text in dict.fromkeys(texts):
+        try:
+            return to_si(raw, text)
+        except UndertowError as error:
+            complaint = error
+    raise UndertowError(f"{place}: {complaint}") from complaint
+
+
+def _without_command(unit: str) -> str:
+    plain = re.sub(r"\s*/\s*command|\bcommand\b\s*", "", unit).strip()
+    return f"1{plain}" if plain.startswith("/") else plain or "1"
 
 
 def unit_of(value: str) -> str:

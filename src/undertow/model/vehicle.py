@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,8 +14,8 @@ from .composition import Composition
 from .effect import Effect
 from .effects.generalised_force import GeneralisedForce
 from .effects.thrusters import Thrusters
-from .parameter import Parameter
-from .symbols import DOFS, POSE, VELOCITY, symbol
+from .parameter import WAYS, Parameter
+from .symbols import CHANNELS, DOFS, POSE, VELOCITY, symbol
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,14 @@ class Thruster:
     limit: float | None = None
 
 
+def _refuse_twice(names: Iterable[str], complaint: str) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise UndertowError(complaint.format(name))
+        seen.add(name)
+
+
 def _table_of(effect_id: str) -> str:
     """What a vehicle file brings an effect in by."""
     return {Thrusters.id: "[[thrusters]]"}.get(effect_id, f"[effects.{effect_id}]")
@@ -102,7 +110,24 @@ class Vehicle:
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
 
     def __post_init__(self) -> None:
+        self._check_names()
         self._check_requirements()
+
+    def _check_names(self) -> None:
+        _refuse_twice(self.degrees_of_freedom, "degrees_of_freedom has '{}' twice: keep one")
+        _refuse_twice(self.force_channels, "generalised_forces has '{}' twice: keep one")
+        thrusters = [t.name for t in self.thrusters]
+        _refuse_twice(thrusters, "two thrusters are called '{}': rename one")
+        for name in CHANNELS.intersection(thrusters):
+            raise UndertowError(f"thruster '{name}' has the name of a measured channel: rename it")
+        _refuse_twice(self._quantities(), "two quantities of the vehicle are called '{}': rename one")
+
+    def _quantities(self) -> Iterator[str]:
+        """Names of states and parameters, and of both directions of those that may differ."""
+        for effect in self.effects:
+            yield from effect.states
+            for p in effect.parameters:
+                yield from (p.name, *(f"{p.name}_{way}" for way in WAYS if p.motion is not None))
 
     def _check_requirements(self) -> None:
         for effect in self.effects:
@@ -157,7 +182,7 @@ class Vehicle:
     @cached_property
     def composition(self) -> Composition:
         """The effects put together, symbolically."""
-        split = {name: (symbol(f"{name}_forward"), symbol(f"{name}_backward")) for name in self._directional}
+        split = {name: tuple(symbol(f"{name}_{way}") for way in WAYS) for name in self._directional}
         return Composition(
             self.all_effects,
             self.dof_indices,
@@ -168,12 +193,42 @@ class Vehicle:
 
     @cached_property
     def _directional(self) -> tuple[str, ...]:
-        return tuple(n.removesuffix("_forward") for n in self.values if n.endswith("_forward"))
+        given = (self.sides[n] for n in self.values if n in self.sides)
+        return tuple(parameter.name for parameter, way in given if way == "forward")
 
     @cached_property
     def declared_parameters(self) -> dict[str, Parameter]:
         """Every scalar parameter that the effects of the vehicle declare, by name."""
         return {p.name: p for e in self.all_effects for p in e.parameters}
+
+    @cached_property
+    def sides(self) -> dict[str, tuple[Parameter, str]]:
+        """Parameter and direction, "forward" or "backward", of every name that a value for one may have."""
+        declared = self.declared_parameters
+        split = [p for p in declared.values() if p.motion is not None]
+        named = {f"{p.name}_{way}": (p, way) for p in split for way in WAYS}
+        return {name: side for name, side in named.items() if name not in declared}
+
+    def parameter_of(self, name: str) -> Parameter | None:
+        """The declaration behind the name of a value, which may be for one direction; None without any."""
+        known = name in self.sides or name in self.declared_parameters
+        return self.declaration(name) if known else None
+
+    def declaration(self, name: str) -> Parameter:
+        """The declaration behind the name of a value that the vehicle has.
+
+        Raises
+        ------
+        KeyError
+            If none of its effects declares it.
+        """
+        return self.sides[name][0] if name in self.sides else self.declared_parameters[name]
+
+    def values_of(self, parameter: Parameter) -> dict[str, Value]:
+        """What the vehicle states of a parameter: its "value", or "forward" and "backward"; or nothing."""
+        ways = {f"{parameter.name}_{way}": way for way in WAYS if parameter.motion is not None}
+        named = {parameter.name: "value"} | ways
+        return {key: self.values[name] for name, key in named.items() if name in self.values}
 
     def value_of(self, name: str) -> Value:
         """Value of a parameter; thrust per command is its thruster's, what is unsaid the effect's."""

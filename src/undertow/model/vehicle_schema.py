@@ -58,6 +58,7 @@ class ParameterTable(Table):
     source: StrictStr = ""
     assumed: StrictBool = False
     allow_sign: StrictBool = False
+    override: StrictBool = False
 
     def one_way(self, way: str) -> ParameterTable:
         """What the table says about the value `forward` or `backward`; its sigma may be its own."""

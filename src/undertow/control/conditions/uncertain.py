@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 
 from .case import SignSet
@@ -161,8 +161,7 @@ class Uncertainty:
         return np.array([self._bounds(n) for n in one.names]).reshape(-1, 2)
 
     def _bounds(self, name: str) -> tuple[float, float]:
-        declared = self.vehicle.declared_parameters
-        parameter = declared.get(name) or declared.get(bare_name(name))
+        parameter = self.vehicle.parameter_of(name)
         return parameter.bounds if parameter else (-np.inf, np.inf)
 
     def _range(
@@ -178,12 +177,11 @@ class Uncertainty:
 
     def _stated(self, theta: Array, one: SignSet) -> dict[str, float]:
         """The parameters that differ from the file's, as the file would write them."""
-        declared, signs = self.vehicle.declared_parameters, self.vehicle.signs
+        signs = self.vehicle.signs
         told = {}
         for name, value, own in zip(one.names, theta, one.theta, strict=True):
             if abs(value - own) > 1e-9 * max(abs(own), 1e-9):
-                parameter = declared.get(name) or declared[bare_name(name)]
-                told[name] = printed(parameter, float(value), signs)
+                told[name] = printed(self.vehicle.declaration(name), float(value), signs)
         return told
 
 

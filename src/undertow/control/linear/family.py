@@ -14,7 +14,6 @@ from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
 from undertow.model.history import last_covariance
 from undertow.model.loading import resolve_vehicle
-from undertow.model.parameter import bare_name
 from undertow.model.vehicle import Vehicle
 from undertow.model.vehicle_toml import read_vehicle_table
 
@@ -283,26 +282,22 @@ class _Maker:
         return Member(name, inside, tuple(modes(system)), system, loop)
 
     def _inside(self, name: str, value: float) -> float:
-        declared = self.vehicle.declared_parameters
-        low, high = (declared.get(name) or declared[bare_name(name)]).bounds
+        low, high = self.vehicle.declaration(name).bounds
         return min(max(value, low), high)
 
     def _parameters(self, values: Mapping[str, float]) -> Array:
         """The vector p; a value of one direction stands for both where the trim has chosen it."""
         names, p = self._numeric.functions.parameter_names, self._numeric.p.copy()
         for name, value in values.items():
-            way = self._trim.direction.get(motion_of(self.vehicle, name) or "") if _split(name) else None
-            for other in [name] if way is None else _both_ways(name, way):
+            split = name in self.vehicle.sides
+            way = self._trim.direction.get(motion_of(self.vehicle, name) or "") if split else None
+            for other in [name] if way is None else _both_ways(self.vehicle, name, way):
                 p[names.index(other)] = value
         return p
 
 
-def _split(name: str) -> bool:
-    """Whether a parameter is for one direction of motion."""
-    return name != bare_name(name)
-
-
-def _both_ways(name: str, way: int) -> list[str]:
+def _both_ways(vehicle: Vehicle, name: str, way: int) -> list[str]:
     """What a parameter of one direction stands for when `way` is the direction taken for both."""
-    chosen = name.endswith("_forward" if way > 0 else "_backward")
-    return [f"{bare_name(name)}_forward", f"{bare_name(name)}_backward"] if chosen else []
+    parameter, own = vehicle.sides[name]
+    chosen = own == ("forward" if way > 0 else "backward")
+    return [n for n, (p, _) in vehicle.sides.items() if p is parameter] if chosen else []

@@ -16,7 +16,6 @@ from undertow.codegen.manifest import dead_time, describe, output_delay
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
-from undertow.model.parameter import bare_name
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Value, Vehicle
 
@@ -146,20 +145,21 @@ def in_direction(vehicle: Vehicle, direction: Mapping[str, int]) -> Vehicle:
     chosen = {}
     for name in vehicle.values:
         motion = motion_of(vehicle, name) or ""
-        if motion in direction and name != bare_name(name):
-            chosen[name] = vehicle.values[f"{bare_name(name)}_{_WAYS[direction[motion]]}"]
+        if motion in direction and name in vehicle.sides:
+            parameter, _ = vehicle.sides[name]
+            chosen[name] = vehicle.values[f"{parameter.name}_{_WAYS[direction[motion]]}"]
     return vehicle.with_values(chosen)
 
 
 def reversing(vehicle: Vehicle) -> tuple[str, ...]:
     """Velocities whose sign chooses among the parameters of the vehicle."""
-    found = {motion_of(vehicle, name) for name in vehicle.values if name != bare_name(name)}
+    found = {motion_of(vehicle, name) for name in vehicle.values if name in vehicle.sides}
     return tuple(v for v in vehicle.velocity_names if v in found)
 
 
 def motion_of(vehicle: Vehicle, name: str) -> str | None:
     """The velocity whose sign chooses between this parameter and its other direction."""
-    declared = vehicle.declared_parameters.get(bare_name(name))
+    declared = vehicle.parameter_of(name)
     return None if declared is None or declared.motion is None else VELOCITY[declared.motion]
 
 

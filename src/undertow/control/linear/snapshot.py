@@ -13,7 +13,7 @@ from pydantic import Field, TypeAdapter
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 
 from .analysis import Margins, Mode, modes
@@ -126,7 +126,7 @@ def snapshot(
 def _parameters(vehicle: Vehicle) -> dict[str, tuple[float, str]]:
     found = {}
     for name in vehicle.parameter_names:
-        declared = vehicle.declared_parameters.get(name) or vehicle.declared_parameters.get(bare_name(name))
+        declared = vehicle.parameter_of(name)
         value = vehicle.value_of(name).value
         shown = value if declared is None else printed(declared, value, vehicle.signs)
         found[name] = (float(shown), declared.unit if declared else "")

@@ -88,7 +88,8 @@ def residual_forces(model: Vehicle | Functions, runs: Sequence[Run], data: WeakD
     Raises
     ------
     UndertowError
-        If a channel is missing, or no stretch without gaps is long enough.
+        If a channel is missing, no stretch without gaps is long enough, or the model has no finite force
+        somewhere in the logs.
     """
     functions = model if isinstance(model, Functions) else Functions(model)
     data = prepare(runs, functions.vehicle) if data is None else data
@@ -109,6 +110,7 @@ class _Evaluation:
         self._memory = Memory(functions, (), self._points.measured, self._points.true_motion)
 
     def forces(self) -> Forces:
+        self._weak.require_defined(self.data, self.p)
         parts = self._weak.linearise(self.data, self.p)
         noise = self._weak.whitening(self.data, self.p)
         white = self._by_segment(-whitened(parts, noise).r)

@@ -10,7 +10,7 @@ from itertools import product
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement
-from undertow.model.parameter import Parameter, bare_name
+from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Value, Vehicle
 
 from ..weak.fit import free_parameters
@@ -45,7 +45,8 @@ class Candidate:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters that the effect adds to the equations and that have to be found."""
-        known = {bare_name(n) for n in self.base.values}
+        stated = (self.base.parameter_of(n) for n in self.base.values)
+        known = {p.name for p in stated if p is not None}
         names = set(self.vehicle.parameter_names)
         own = next(e for e in self.vehicle.effects if e.id == self.id).parameters
         return tuple(p for p in own if p.name in names and p.name not in known and self._open(p))

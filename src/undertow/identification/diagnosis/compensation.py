@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import printed
 from undertow.model.plausibility import check_vehicle
 from undertow.model.vehicle import Vehicle
 
@@ -123,14 +123,14 @@ def _many_times(value: float, stated: float) -> bool:
 
 def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
     """The physical bound that a value lies on or beyond, or None."""
-    low, high = vehicle.declared_parameters[bare_name(name)].bounds
+    low, high = vehicle.declaration(name).bounds
     slack = _ON_BOUND * max(abs(vehicle.value_of(name).value), abs(value))
     return low if value <= low + slack else high if value >= high - slack else None
 
 
 # --- words ------------------------------------------------------------------------------------
 def _line(vehicle: Vehicle, pushed: _Pushed, leading: Sequence[Relief], alike: Sequence[str]) -> str:
-    bare = bare_name(pushed.name)
+    bare = vehicle.declaration(pushed.name).name
     owner = next(e.id for e in vehicle.all_effects if any(p.name == bare for p in e.parameters))
     line = f"{owner.replace('_', ' ')}: {pushed.name} {_where(vehicle, pushed)}"
     helping = [h for h in leading if _comes_back(pushed, h)]
@@ -159,7 +159,7 @@ def _where(vehicle: Vehicle, pushed: _Pushed) -> str:
 
 def _number(vehicle: Vehicle, name: str, value: float) -> str:
     """A value in the sign convention of the vehicle file."""
-    return f"{printed(vehicle.declared_parameters[bare_name(name)], value, vehicle.signs):.3g}"
+    return f"{printed(vehicle.declaration(name), value, vehicle.signs):.3g}"
 
 
 def _comes_back(pushed: _Pushed, helper: Relief) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from undertow.model.parameter import Parameter, bare_name, printed
+from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 
 from ..fitted import Fitted
@@ -18,12 +18,11 @@ def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
 def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
     vehicle = fit.model.functions.vehicle
-    bare = bare_name(name)
-    parameter = vehicle.declared_parameters[bare]
+    parameter = vehicle.declaration(name)
     prior = stated.values.get(name)
     return Estimate(
         name=name,
-        effect=_owner(vehicle, bare),
+        effect=_owner(vehicle, parameter.name),
         value=printed(parameter, fit.values[name], stated.signs),
         standard_error=_known(fit.standard_errors[name]),
         unit=_unit(parameter),

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.model.parameter import bare_name
 from undertow.model.vehicle import Vehicle
 
 from ..fitted import MORE_THAN_CHANCE
@@ -109,15 +108,15 @@ def _fixed(bench: Bench) -> tuple[str, ...]:
     """Fixed values that the file states and no effect stands for: all but what is weighed and measured."""
     vehicle = bench.base.model.functions.vehicle
     own = {p.name for e in vehicle.all_effects if not (e.weighed or e.built_in) for p in e.parameters}
-    return tuple(n for n in _held(bench) if bare_name(n) in own and n in vehicle.values)
+    return tuple(n for n in _held(bench) if n in vehicle.values and vehicle.declaration(n).name in own)
 
 
 def _held(bench: Bench) -> tuple[str, ...]:
     """All values of the equations that a fit may not change."""
     model = bench.base.model
     names = model.functions.parameter_names
-    declared = model.functions.vehicle.declared_parameters
-    held = (n for n in names if n not in model.free and bare_name(n) in declared)
+    vehicle = model.functions.vehicle
+    held = (n for n in names if n not in model.free and vehicle.parameter_of(n) is not None)
     return tuple(n for n in held if np.isfinite(bench.base.p[names.index(n)]))
 
 

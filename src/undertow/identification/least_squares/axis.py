@@ -17,7 +17,6 @@ from ..logs import Run
 from ..logs.checks import constant_channels
 
 Direction = Literal["forward", "backward", "both"]
-WAYS = ("forward", "backward")
 # Share of the way in the lesser direction from which a log is one of both directions.
 _BOTH_WAYS = 0.05
 
@@ -123,18 +122,16 @@ def _without_actuation(vehicle: Vehicle) -> tuple[Effect, ...]:
 
 def _split(vehicle: Vehicle) -> bool:
     """Whether a parameter of this motion has a value for each direction."""
-    return any(n.endswith(WAYS) for n in vehicle.parameter_names)
+    return any(n in vehicle.sides for n in vehicle.parameter_names)
 
 
 def _one_way(vehicle: Vehicle, direction: str) -> Vehicle:
     """The vehicle with the values of one direction for both."""
     values: dict[str, Value] = {}
     for name, value in vehicle.values.items():
-        bare, _, way = name.rpartition("_")
-        if way not in WAYS:
-            values[name] = value
-        elif way == direction:
-            values[bare] = value
+        parameter, way = vehicle.sides.get(name, (None, direction))
+        if way == direction:
+            values[name if parameter is None else parameter.name] = value
     return replace(vehicle, values=values)
 
 

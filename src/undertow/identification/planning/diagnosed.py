@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, lookup
-from undertow.model.parameter import Parameter, bare_name, printed
+from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 
 from .rivals import AND, NONE, RivalSpec, parts_of
@@ -120,20 +120,11 @@ def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[R
 
 def _spec(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue, effect: str) -> RivalSpec:
     parts = [*diagnosed.settled, *parts_of(effect)]
-    declared = dict(vehicle.declared_parameters)
     for part in parts:
-        declared |= vehicle.with_effect(lookup(part, known), {}).declared_parameters
+        vehicle = vehicle.with_effect(lookup(part, known), {})
     values = {
-        name: printed(_bare(declared, name), value, diagnosed.signs)
+        name: printed(parameter, value, diagnosed.signs)
         for name, value in diagnosed.values(effect).items()
-        if _has(declared, name)
+        if (parameter := vehicle.parameter_of(name)) is not None
     }
     return RivalSpec(AND.join(parts) if parts else NONE, values)
-
-
-def _has(declared: dict[str, Parameter], name: str) -> bool:
-    return name in declared or bare_name(name) in declared
-
-
-def _bare(declared: dict[str, Parameter], name: str) -> Parameter:
-    return declared.get(name) or declared[bare_name(name)]

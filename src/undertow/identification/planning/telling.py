@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.model.parameter import Parameter, bare_name, printed
+from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 
 from .flight import Flight
@@ -79,7 +79,7 @@ def table_of(known: Knowledge, stated: Vehicle, after: Array, hopeless: list[lis
 
 def parameter_of(vehicle: Vehicle, name: str) -> Parameter:
     """The declaration of a parameter, which may have a value for each direction."""
-    return vehicle.declared_parameters[bare_name(name)]
+    return vehicle.declaration(name)
 
 
 def _known(vehicle: Vehicle, signs: str, name: str, now: float, then: float, lost: bool) -> Known:

@@ -189,7 +189,8 @@ def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[Ta
     yield Table("linear_damping", list(_linear_drag(mesh, drag, wish)))
     yield Table("quadratic_damping", list(_quadratic_drag(drag, wish)))
     if {"heave", "roll", "pitch"} & set(wish.degrees_of_freedom):
-        yield Table("restoring", list(_restoring(mesh, wish)))
+        told = ("Weight and centre of gravity are those of rigid_body.",)
+        yield Table("restoring", list(_restoring(mesh, wish)), told)
 
 
 def _rigid_body(mesh: Mesh, wish: Wish) -> Iterator[str]:
@@ -268,14 +269,12 @@ def _quadratic_drag(drag: Drag, wish: Wish) -> Iterator[str]:
 def _restoring(mesh: Mesh, wish: Wish) -> Iterator[str]:
     volume = mesh.volume if wish.volume is None else wish.volume
     buoyancy = wish.density * GRAVITY * volume
-    yield _entry("W", wish.mass * GRAVITY, "N", source="mass times gravity")
     told = "volume of the hull" if wish.volume is None else "volume as stated"
     source = f"{told}, {volume:.5g} m^3, times density and gravity"
     yield _entry("B", buoyancy, "N", sigma=_BUOYANCY_SHARE * buoyancy, estimate=True, source=source)
     centre = np.where(np.abs(mesh.centroid) > _NOTHING * mesh.extents.max(), mesh.centroid, 0.0)
-    for point, place, source in (("g", wish.cg, "as stated"), ("b", centre, "centre of volume of the hull")):
-        for axis, arm in zip("xyz", place, strict=True):
-            yield _entry(f"{axis}_{point}", float(arm), "m", source=source)
+    for axis, arm in zip("xyz", centre, strict=True):
+        yield _entry(f"{axis}_b", float(arm), "m", source="centre of volume of the hull")
 
 
 # --- text -----------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.model.parameter import bare_name, printed
+from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 
 from .estimated import estimated
@@ -146,8 +146,8 @@ def _read(text: str) -> tuple[str, str, float]:
 
 def _sign(name: str, vehicle: Vehicle) -> float:
     """Sign of a parameter inside, where it is positive in the vehicle's file."""
-    declared = vehicle.declared_parameters
-    return printed(declared[bare_name(name)], 1.0, vehicle.signs) if bare_name(name) in declared else 1.0
+    parameter = vehicle.parameter_of(name)
+    return 1.0 if parameter is None else printed(parameter, 1.0, vehicle.signs)
 
 
 def followers(model: WeakModel, values: Mapping[str, float]) -> dict[str, float]:

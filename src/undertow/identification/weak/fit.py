@@ -138,11 +138,17 @@ def fit_weak(
         Share of the sum of squares that a step has to promise for another to follow.
     constraints : Constraints
         What else is asked of the parameters of a vehicle; a WeakModel brings its own.
+
+    Raises
+    ------
+    UndertowError
+        If the model has no finite force somewhere in the logs, and no noise model is given.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = _started(model.functions.vehicle, start or {})
     if whitening is not None and disturbance is not None:
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
+    model.require_defined(data, p)
     disturbance = first_guess(model, data, p)
     loud = disturbed(model.whitening(data, p), disturbance, data)
     return settled(_solved(model, p, data, loud, disturbance, max_iterations))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
 
 from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
@@ -100,6 +101,23 @@ class WeakModel:
                 array.setflags(write=False)  # others will be handed the same
             known = self._known[id(data)] = _At(data, p.copy(), parts)
         return list(known.parts)
+
+    def require_defined(self, data: WeakData, p: Array) -> None:
+        """Refuse a model that has no value somewhere along the logs: all that is told of it would have none.
+
+        Raises
+        ------
+        UndertowError
+            If the residual or its derivative is not finite; run and time are named.
+        """
+        for part, s in zip(self.linearise(data, p), data.segments, strict=True):
+            if not (np.isfinite(part.r).all() and np.isfinite(part.J).all()):
+                name, run = self.functions.vehicle.name, data.runs[s.run].name
+                raise UndertowError(
+                    f"vehicle '{name}' has no finite force somewhere in run '{run}' from {s.t[0]:.4g} to "
+                    f"{s.t[-1]:.4g} s: an effect is not defined in that motion, or a value is too large; "
+                    f"'undertow effects check' tries an effect of your own"
+                )
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
         driven = self._driven(data, p)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
 from undertow.errors import UndertowError
-from undertow.model.parameter import Parameter, bare_name
+from undertow.model.parameter import Parameter
 
 from .limits import Cut
 from .residual import Linearised, WeakModel
@@ -56,7 +56,7 @@ def _joint_bounds(model: WeakModel, name: str) -> tuple[float, float]:
 
 def _bounds(model: WeakModel, name: str) -> tuple[float, float]:
     vehicle = model.functions.vehicle
-    low, high = vehicle.declared_parameters[bare_name(name)].bounds
+    low, high = vehicle.declaration(name).bounds
     value = vehicle.value_of(name).value
     # A value that the user allowed against its sign keeps its freedom.
     return (min(low, value) if value else low, max(high, value) if value else high)
@@ -122,8 +122,8 @@ def reach_of(model: WeakModel) -> Array:
 
     Where the data hardly feel one, a place far off say, the linearised problem would send it to its bound.
     """
-    declared = model.functions.vehicle.declared_parameters
-    return np.array([_reach(declared[bare_name(n)]) for n in model.free])
+    vehicle = model.functions.vehicle
+    return np.array([_reach(vehicle.declaration(n)) for n in model.free])
 
 
 def _reach(parameter: Parameter) -> float:

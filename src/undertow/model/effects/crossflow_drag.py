@@ -41,7 +41,13 @@ class CrossflowDrag(Wrench):
         neutral=None,
     )
     x_cross = Parameter(
-        "m", "middle of the length, forward", (-100.0, 100.0), linear=False, starts=(0.0,), neutral=None
+        "m",
+        "middle of the length, forward",
+        (-100.0, 100.0),
+        linear=False,
+        starts=(0.0,),
+        neutral=None,
+        arm_of="1",
     )
 
     @classmethod

@@ -26,9 +26,9 @@ class EntrainedWater(Wrench):
     signature = "all accelerations are too large by the same mass, while weight and buoyancy are right"
 
     m_w = Parameter("kg", "mass of the water", (0, inf))
-    mx_w = Parameter("kg m", "mass of the water times x of its centre")
-    my_w = Parameter("kg m", "mass of the water times y of its centre")
-    mz_w = Parameter("kg m", "mass of the water times z of its centre")
+    mx_w = Parameter("kg m", "mass of the water times x of its centre", arm_of="m_w")
+    my_w = Parameter("kg m", "mass of the water times y of its centre", arm_of="m_w")
+    mz_w = Parameter("kg m", "mass of the water times z of its centre", arm_of="m_w")
     I_xw = Parameter("kg m^2", "its roll inertia about the body origin", (0, inf))
     I_yw = Parameter("kg m^2", "its pitch inertia about the body origin", (0, inf))
     I_zw = Parameter("kg m^2", "its yaw inertia about the body origin", (0, inf))

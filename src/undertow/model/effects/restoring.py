@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Set
 from math import inf
 
 import sympy as sm
 
 from undertow.model.effect import Wrench
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
+from undertow.model.parameter import Limits, Parameter, Taken
+from undertow.model.symbols import Signals, symbol
 
 _ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
+
+
+def _centre(axis: str) -> Taken:
+    stated, moment = symbol(f"{axis}_g"), symbol(f"m{axis}_g")
+    return Taken(f"{axis}_g", "rigid_body", (stated, moment / symbol("m")), "m", unless=(f"S_{axis}",))
 
 
 class Restoring(Wrench):
     """Weight and buoyancy at their centres: net force and righting moment.
 
     Inside, the moment is stated by the static moments `S_x` = x_g W - x_b B and so on, which is all that
-    motion can show; a vehicle file gives `x_g` ... `z_b`.
+    motion can show; a vehicle file gives `x_b` ... `z_b`. The weight, m g, and the centre of gravity are
+    those of `rigid_body` unless the table states others.
     """
 
     id = "restoring"
@@ -27,11 +34,17 @@ class Restoring(Wrench):
     reference = "Fossen (2021), chapter 4 (restoring forces of submerged vehicles)"
     signature = "roll and pitch do not swing back to level, or with the wrong period"
 
+    # Scales and drawings agree to a per cent or two; a factor of two is no tolerance of either.
+    taken = (
+        Taken("W", "rigid_body", (symbol("m") * symbol("g"),), "N", rounding=0.02, most=2.0, words="m g"),
+        *(_centre(axis) for axis in "xyz"),
+    )
+
     W = Parameter("N", "weight", (0, inf), required=True)
     B = Parameter("N", "buoyancy", (0, inf), required=True)
-    S_x = Parameter("N m", "static moment x_g W - x_b B", default=0.0)
-    S_y = Parameter("N m", "static moment y_g W - y_b B", default=0.0)
-    S_z = Parameter("N m", "static moment z_g W - z_b B", default=0.0)
+    S_x = Parameter("N m", "static moment x_g W - x_b B", default=0.0, arm_of="W")
+    S_y = Parameter("N m", "static moment y_g W - y_b B", default=0.0, arm_of="W")
+    S_z = Parameter("N m", "static moment z_g W - z_b B", default=0.0, arm_of="W")
 
     def wrench(self, s: Signals) -> sm.Matrix:
         down = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, 1])
@@ -50,3 +63,27 @@ class Restoring(Wrench):
             if f"{axis}_g" in entries or f"{axis}_b" in entries:
                 base[f"S_{axis}"] = weight_arm * entries.get("W", 0.0) - buoyancy_arm * entries.get("B", 0.0)
         return base
+
+    @classmethod
+    def settled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+        """Motion shows W - B alone: the weight is what the mass says, the buoyancy what is left."""
+        if "W" not in taken:
+            return dict(values)
+        lift = values.get("B", 0.0) - values.get("W", 0.0)
+        return {**values, "W": taken["W"], "B": taken["W"] + lift}
+
+    @classmethod
+    def impossible(
+        cls, values: Mapping[str, float], limits: Limits, moved: Set[str] = frozenset()
+    ) -> Iterator[str]:
+        weight, most = values.get("W", 0.0), limits.buoyancy
+        if weight <= 0:
+            yield f"W = {weight:g} N cannot be: every vehicle has a weight; remove it, so that it is m g"
+            return
+        others = {"m g": values.get("m", weight / values["g"]) * values["g"], "B": values.get("B", 0.0)}
+        for name, force in others.items():
+            if not weight / most <= force <= weight * most:
+                yield (
+                    f"{name} = {force:g} N does not go with W = {weight:g} N (possible: {weight / most:.3g} "
+                    f"to {weight * most:.3g} N): correct one of them; 1 kg weighs 9.81 N"
+                )

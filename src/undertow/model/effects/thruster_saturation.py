@@ -25,7 +25,7 @@ class ThrusterSaturation(Actuation):
     saturation_limit = Parameter(
         "command",
         "largest magnitude of a command that has an effect",
-        (0, inf),
+        (1e-9, inf),  # an effect without a limit has none, not one of zero
         linear=False,
         starts=(0.3, 0.5, 0.75, 1.0),
         required=True,

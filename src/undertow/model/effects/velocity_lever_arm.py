@@ -18,9 +18,9 @@ class VelocityLeverArm(Measurement):
     signature = "measured velocity disagrees with the position's rate in turns, by yaw rate times a length"
     stage = 10
 
-    x_s = Parameter("m", "sensor position, forward", linear=False, starts=(0.0,))
-    y_s = Parameter("m", "sensor position, to starboard", linear=False, starts=(0.0,))
-    z_s = Parameter("m", "sensor position, down", linear=False, starts=(0.0,))
+    x_s = Parameter("m", "sensor position, forward", linear=False, starts=(0.0,), arm_of="1")
+    y_s = Parameter("m", "sensor position, to starboard", linear=False, starts=(0.0,), arm_of="1")
+    z_s = Parameter("m", "sensor position, down", linear=False, starts=(0.0,), arm_of="1")
 
     def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
         arm = sm.Matrix([self.x_s, self.y_s, self.z_s])

@@ -33,8 +33,12 @@ class Wind(Wrench):
     wind_aspect = Parameter(
         "1", "beam wind over bow wind", (0.05, 50), linear=False, starts=(1, 4), neutral=None
     )
-    x_wind = Parameter("m", "where it acts, forward", (-200, 200), linear=False, starts=(0,), neutral=None)
-    z_wind = Parameter("m", "where it acts, down", (-100, 10), linear=False, starts=(0,), neutral=None)
+    x_wind = Parameter(
+        "m", "where it acts, forward", (-200, 200), linear=False, starts=(0,), neutral=None, arm_of="1"
+    )
+    z_wind = Parameter(
+        "m", "where it acts, down", (-100, 10), linear=False, starts=(0,), neutral=None, arm_of="1"
+    )
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:
