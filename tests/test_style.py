@@ -13,7 +13,7 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "undertow"
 
-MEDIAN, MOST, LONGEST, MODULE = 8, 25, 60, 300
+MEDIAN, MOST, LONGEST, MODULE = 8, 25, 60, 600
 FORBIDDEN_CALLS = {"eval", "exec", "builtins.eval", "builtins.exec", "os.system"}
 STRING_READERS = {"sympify", "parse_expr"}  # SymPy evaluates text as Python
 FORBIDDEN_MODULES = {"pickle", "dill", "cloudpickle", "marshal", "shelve"}
