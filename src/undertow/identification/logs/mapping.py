@@ -87,14 +87,15 @@ class Time(_Strict):
     disorder : "refuse" or "drop"
         What to do with rows whose time is not later than that of every row before.
     every : int
-        Only every so many-th row is used: for pose logged much faster than the vehicle moves.
+        Only every so many-th row is used, at most every 10^6-th: for pose logged much faster than the vehicle
+        moves.
     """
 
     column: str = "t"
     unit: str = "s"
     offset: float = 0.0
     disorder: Literal["refuse", "drop"] = "refuse"
-    every: int = Field(default=1, ge=1)
+    every: int = Field(default=1, ge=1, le=1_000_000)
 
 
 class Frames(_Strict):
