@@ -29,7 +29,10 @@ def command_drift(at: Dynamics) -> Finding | None:
     found, error = np.zeros(2), np.full(2, np.inf)
     start = left = float(np.sum(at.fit.at.r**2))
     for _ in range(_ROUNDS):
-        change, error, left = _step(at, found, 2 * step)
+        stepped = _step(at, found, 2 * step)
+        if stepped is None:
+            return None
+        change, error, left = stepped
         found = found + np.clip(change, -1.0, 1.0)
         if np.all(np.abs(change) < 0.2 * step):
             break
@@ -47,9 +50,14 @@ def command_drift(at: Dynamics) -> Finding | None:
     )
 
 
-def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float]:
-    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave."""
+def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float] | None:
+    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
+
+    None where a command that is missing would come into the data.
+    """
     here, moved = (_residual(at, _later(*s)) for s in (shift, shift + np.array([small, 0.0])))
+    if here is None or moved is None:
+        return None
     late = (moved - here) / small
     table = np.column_stack([at.fit.at.J, late, late * _along(at)])
     rows = len(at.data.rows)
@@ -57,10 +65,9 @@ def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float
     return value[-2:], error[-2:], float(np.sum((here + table @ value) ** 2))
 
 
-def _residual(at: Dynamics, undo: Undo) -> Array:
+def _residual(at: Dynamics, undo: Undo) -> Array | None:
     data = at.undone(undo)
-    assert data is not None
-    return whitened(at.fit.model.linearise(data, at.fit.p), at.fit.whitening).r
+    return None if data is None else whitened(at.fit.model.linearise(data, at.fit.p), at.fit.whitening).r
 
 
 def _along(at: Dynamics) -> Array:

@@ -113,17 +113,13 @@ def run_of_table(
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     table, t, notes = _time(table, mapping, where, origin)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
+        read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
+        channels = _turned(read, mapping, where)
     run = Run(
         name=path.name.split(".")[0],
         t=t,
-        channels=_turned(
-            {
-                column.channel: _values(table, name, column, mapping, where)
-                for name, column in sources.items()
-            },
-            mapping,
-            where,
-        ),
+        channels=channels,
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         mapping=mapping,
@@ -191,13 +187,14 @@ def _time(
         notes += (
             [f"time counts from the first sample, {_shown(start)} {spec.unit} in the file"] if start else []
         )
+    t = t + spec.offset
     if spec.disorder == "drop":
         later = checks.in_order(t)
         notes += checks.disorder(t, later)
         table, t = table.filter(later), t[later]
     notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
     checks.check_time(t, spec.column, where)
-    return table, t + spec.offset, notes
+    return table, t, notes
 
 
 def _shown(number: Origin) -> str:
