@@ -243,6 +243,58 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert done.returncode == 1
 
 
+def _program(
+    words: str, closed: str = "", prelude: str = "import sys", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run the program in a shell that closes streams before."""
+    code = f"{prelude}; from undertow.cli.main import main; raise SystemExit(main())"
+    shell = f'exec "$0" -c "$1" {words} {closed}'
+    command = ["/bin/sh", "-c", shell, sys.executable, code]
+    env = {**_environment(), **environment}
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(("words", "code"), [("--version", 0), ("effects show lift", 0), ("nothing", 2)])
+def test_streams_that_were_closed(closed: str, words: str, code: int) -> None:
+    done = _program(words, closed)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == (code == 2 and "2>" not in closed)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+def test_a_file_does_not_take_the_place_of_a_stream_that_was_closed(tmp_path: Path) -> None:
+    path = tmp_path / "usv.json"
+    code = f"f = open({str(path)!r}, 'w'); import os; os.write(1, b'astray'); f.write('whole')"
+    (tmp_path / "zz.py").write_text(f'"""Writes."""\ndef zz():\n    {code}\n')
+    prelude = f"import undertow.cli; undertow.cli.__path__.append('{tmp_path}')"
+    assert _program("zz", "<&- >&-", prelude).returncode == 0
+    assert path.read_text() == "whole"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+def test_what_a_terminal_cannot_show_is_written_in_ascii(tmp_path: Path) -> None:
+    text = "λmin(K_V) ≤ 2 m², Σ τ → 3° ± ½ │ 漢 \udcff"
+    (tmp_path / "zz.py").write_text(f'"""Prints."""\ndef zz():\n    print({text!a})\n')
+    prelude = f"import undertow.cli; undertow.cli.__path__.append('{tmp_path}')"
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii", "PYTHONCOERCECLOCALE": "0"}
+    done = _program("zz", prelude=prelude, **plain)
+    told = "lambdamin(K_V) <= 2 m^2, Sigma tau -> 3 deg +/- 12 | \\u6f22 \\udcff\n"
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", told)
+    assert _program("zz", prelude=prelude, PYTHONUTF8="1").stdout == text.replace("\udcff", "\\udcff") + "\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+def test_warnings_of_python_are_for_those_who_ask(tmp_path: Path) -> None:
+    body = "import warnings; warnings.warn('overflow encountered', RuntimeWarning)"
+    (tmp_path / "zz.py").write_text(f'"""Warns."""\ndef zz():\n    {body}\n')
+    prelude = f"import undertow.cli; undertow.cli.__path__.append('{tmp_path}')"
+    assert _program("zz", prelude=prelude).stderr == ""
+    assert "overflow encountered" in _program("zz", prelude=prelude, PYTHONWARNINGS="default").stderr
+
+
 # what is going on ------------------------------------------------------------------------------------------
 
 _TALKING = "import logging; log = logging.getLogger('undertow.zz'); log.info('step'); log.warning('odd')"

@@ -1,16 +1,22 @@
-"""Writing files whole or not at all, and hashing them."""
+"""Reading small files within limits, writing files whole or not at all, and hashing them."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
 import os
+import re
 import secrets
+import shutil
 import stat
-from collections.abc import Iterable
-from contextlib import suppress
+import tomllib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
 from undertow.errors import UndertowError
 
@@ -22,6 +28,168 @@ _REMEDIES = {
     errno.EROFS: "choose a folder you may write to",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
+
+
+# --- reading ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TextLimits:
+    """What a file of statements (vehicle, gains, mapping, diagnosis) may be before it is parsed.
+
+    Attributes
+    ----------
+    size : int
+        Bytes. The largest honest one, a vehicle of 60 effects with its history, has a twentieth of it.
+    depth : int
+        Parts of a dotted key, and brackets within each other. A parser needs time in the square of the first
+        and stack for the second; an honest file has four.
+    dotted_keys : int
+        Keys and headings with dots: tomlkit, which keeps comments, takes time in the square of their number
+        (1 s for these).
+    integer : int
+        Largest magnitude of an integer, that of 64 bits, which TOML promises.
+    """
+
+    size: int = 2_000_000
+    depth: int = 32
+    dotted_keys: int = 4_000
+    integer: int = 2**63
+
+
+STATEMENTS = TextLimits()
+RESULTS = TextLimits(size=100_000_000)
+"""Results that undertow wrote itself hold samples: the JSON of a diagnosis of ten long logs has 5 MB."""
+
+# A string that does not end is taken to the end of the text: a parser gives up there as well.
+_QUOTED = re.compile(
+    r""" \"{3}(?:[^"\\]++|\\.|"(?!""))*+"{0,5} | '{3}(?:[^']++|'(?!''))*+'{0,5}
+       | "(?:[^"\\\n]++|\\.)*+"? | '[^'\n]*+'? | \#[^\n]*+ """,
+    re.DOTALL | re.VERBOSE,
+)
+_DECIMAL = re.compile(r"(?<![\w.-])[+-]?\d+\.\d+(?:[eE][+-]?\d+)?(?![\w.])")
+_DOTTED = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++)+")
+_BRACKET = re.compile(r"[\[\]{}]")
+
+
+def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STATEMENTS) -> str:
+    """Read a text file (UTF-8) that is no longer than such a file may be.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        What it is called in messages, such as "vehicle file".
+    limits
+        What it may be.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is too large or is not UTF-8.
+    """
+    try:
+        with open(path, "rb") as stream:
+            data = stream.read(limits.size + 1)  # a device or a pipe tells no size
+    except (OSError, ValueError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or str(error)
+        raise UndertowError(f"{path}: cannot be read: {reason}: give the path of a readable file") from error
+    if len(data) > limits.size:
+        size = max(len(data), os.stat(path).st_size)
+        raise UndertowError(
+            f"{path}: {size} bytes are too many for a {kind} (limit {limits.size}): check that it is one"
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UndertowError(
+            f"{path}: not UTF-8 text (byte {error.start} is 0x{data[error.start]:02x}): save it as UTF-8"
+        ) from error
+
+
+def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
+    """Read a TOML file; what would make a parser work for minutes is refused before it is parsed.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is too large, has keys or values nested too deeply, is no TOML, or has an
+        integer of more than 64 bits.
+    """
+    text, where = read_text(path, kind), os.fspath(path)
+    _refuse_depth(text, where, kind, STATEMENTS)
+    try:
+        content = tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError; integers of thousands of digits; days that are none
+        told = str(error).partition("; use sys.")[0]  # the remedy of Python is for programmers
+        raise UndertowError(f"{where}: not valid TOML: {told}") from error
+    _refuse_integers(content, "", where, STATEMENTS.integer)
+    return content
+
+
+def read_json(path: str | os.PathLike[str], kind: str, limits: TextLimits = RESULTS) -> str:
+    """Read the text of a JSON file of reasonable size and depth; what it holds is for the caller to check.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is too large, is not UTF-8 or is nested too deeply.
+    """
+    text = read_text(path, kind, limits)
+    if _depth(_QUOTED.sub("_", text)) > limits.depth:
+        raise UndertowError(_too_deep(os.fspath(path), kind, limits))
+    return text
+
+
+def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:
+    bare = _DECIMAL.sub("0", _QUOTED.sub("_", text))
+    dots = [key.count(".") for key in _DOTTED.findall(bare)]
+    if max(dots, default=0) >= limits.depth:
+        raise UndertowError(
+            f"{where}: a key with so many dots ({max(dots)}, limit {limits.depth - 1}) is no part of a "
+            f"{kind}: shorten it"
+        )
+    if len(dots) > limits.dotted_keys:
+        raise UndertowError(
+            f"{where}: {len(dots)} keys with dots are too many for a {kind} (limit {limits.dotted_keys}): "
+            "write tables such as [columns]"
+        )
+    if _depth(bare) > limits.depth:
+        raise UndertowError(_too_deep(where, kind, limits))
+
+
+def _too_deep(where: str, kind: str, limits: TextLimits) -> str:
+    return (
+        f"{where}: values are nested too deeply for a {kind} (limit {limits.depth} brackets): write them flat"
+    )
+
+
+def _depth(bare: str) -> int:
+    """How many brackets are open at most, in a text without strings and comments."""
+    now = most = 0
+    for bracket in _BRACKET.findall(bare):
+        now = now + 1 if bracket in "[{" else max(now - 1, 0)
+        most = max(most, now)
+    return most
+
+
+def _refuse_integers(value: object, key: str, where: str, limit: int) -> None:
+    """Refuse integers that neither a float nor 64 bits hold: 0xfff... of any length is one."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            _refuse_integers(inner, f"{key}.{name}" if key else name, where, limit)
+    elif isinstance(value, list):
+        for inner in value:
+            _refuse_integers(inner, key, where, limit)
+    elif isinstance(value, int) and not -limit <= value < limit:
+        raise UndertowError(
+            f"{where}: not valid TOML: {key} is an integer of {value.bit_length()} bits (limit 64): write it "
+            "as a decimal number"
+        )
+
+
+# --- writing ------------------------------------------------------------------------------------
 
 
 def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
@@ -47,10 +215,146 @@ def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
     """
     target = Path(path)
     payload = data.encode("utf-8") if isinstance(data, str) else data
+    with together() as files:
+        try:
+            files.add(target, payload)
+        except OSError as failure:
+            raise UndertowError(_refusal(target, failure)) from failure
+
+
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder, and those above it, where they are missing.
+
+    Raises
+    ------
+    UndertowError
+        If that cannot be.
+    """
+    folder = Path(path)
+    with together() as files:
+        try:
+            missing = [p for p in (folder, *folder.parents) if not p.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            files.folders += reversed(missing)
+        except OSError as failure:
+            reason = f"cannot make folder '{folder}': {_reason(failure)}"
+            remedy = _REMEDIES.get(failure.errno or 0, "choose another place")
+            raise UndertowError(f"{reason}; {remedy}") from failure
+
+
+@contextmanager
+def together() -> Iterator[FileSet]:
+    """All files that are written within the block appear at its end, or none of them.
+
+    Until then they stand under temporary names beside their targets. Whatever ends the block early, those
+    are removed, and so are the folders made in it. A block within another is part of it.
+
+    Raises
+    ------
+    UndertowError
+        At the end of the block, if a file cannot take its place.
+    """
+    outer = _OPEN.get()
+    if outer is not None:
+        yield outer
+        return
+    files = FileSet()
+    token = _OPEN.set(files)
     try:
-        _write(target, payload)
-    except OSError as failure:
-        raise UndertowError(_refusal(target, failure)) from failure
+        yield files
+        files.appear()
+    except BaseException:  # Ctrl-C too must leave nothing behind
+        files.remove()
+        raise
+    finally:
+        _OPEN.reset(token)
+
+
+@dataclass
+class FileSet:
+    """Files that appear together.
+
+    Attributes
+    ----------
+    staged : list of (temporary, target)
+        Files on the disk under temporary names.
+    streams : list of (target, bytes)
+        What goes to devices and pipes.
+    folders : list of Path
+        Folders made for them, the outer ones first.
+    """
+
+    staged: list[tuple[Path, Path]] = field(default_factory=list)
+    streams: list[tuple[Path, bytes]] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
+
+    def add(self, target: Path, payload: bytes) -> None:
+        """Put a file on the disk under a temporary name."""
+        mode = _mode_of(target)
+        if mode is not None and not stat.S_ISREG(mode):
+            self.streams.append((target, payload))  # /dev/stdout, a pipe: there is nothing to replace
+            return
+        target = target.resolve()  # replace what a link points to, not the link
+        temporary = _beside(target)
+        self.staged.append((temporary, target))
+        _fill(temporary, payload)
+        if mode is not None:
+            temporary.chmod(stat.S_IMODE(mode))
+
+    def place_of(self, target: Path) -> Path:
+        """Where a file stands now that was written within the block, for reading it again."""
+        now = {staged: temporary for temporary, staged in self.staged}
+        return now.get(target.resolve(), target)
+
+    def appear(self) -> None:
+        """Give all files their names; where one cannot have it, the others are as they were."""
+        now, replaced = Path(), list[tuple[Path, Path | None]]()
+        try:
+            for now, payload in self.streams:
+                now.write_bytes(payload)
+            for temporary, now in self.staged:
+                replaced.append((now, _kept(now) if len(self.staged) > 1 else None))
+                os.replace(temporary, now)
+        except BaseException as failure:
+            for target, old in reversed(replaced[:-1]):
+                target.unlink() if old is None else os.replace(old, target)
+            if isinstance(failure, OSError):
+                raise UndertowError(_refusal(now, failure)) from failure
+            raise
+        finally:
+            _remove(old for _, old in replaced if old is not None)
+
+    def remove(self) -> None:
+        """Remove what has not appeared."""
+        _remove(temporary for temporary, _ in self.staged)
+        for folder in reversed(self.folders):
+            with suppress(OSError):
+                folder.rmdir()
+
+
+_OPEN: ContextVar[FileSet | None] = ContextVar("_OPEN", default=None)
+
+
+def _beside(target: Path) -> Path:
+    return target.with_name(f".undertow-{secrets.token_hex(8)}.tmp")
+
+
+def _kept(target: Path) -> Path | None:
+    """A second name for a file that is about to be replaced; None where there is none yet."""
+    if not target.exists():
+        return None
+    old = _beside(target)
+    try:
+        os.link(target, old)
+    except OSError:  # a file system without second names
+        shutil.copy2(target, old)
+    return old
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        with suppress(OSError):
+            path.unlink()
 
 
 def check_writable(
@@ -142,24 +446,6 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as failure:
         raise UndertowError(f"cannot read '{os.fspath(path)}': {_reason(failure)}") from failure
-
-
-def _write(target: Path, payload: bytes) -> None:
-    mode = _mode_of(target)
-    if mode is not None and not stat.S_ISREG(mode):
-        target.write_bytes(payload)  # /dev/stdout, a pipe: there is nothing to replace
-        return
-    target = target.resolve()  # replace what a link points to, not the link
-    temporary = target.with_name(f".undertow-{secrets.token_hex(8)}.tmp")
-    try:
-        _fill(temporary, payload)
-        if mode is not None:
-            temporary.chmod(stat.S_IMODE(mode))
-        os.replace(temporary, target)
-    except BaseException:  # Ctrl-C too must leave nothing behind
-        with suppress(OSError):
-            temporary.unlink()
-        raise
 
 
 def _mode_of(target: Path) -> int | None:

@@ -142,6 +142,48 @@ def test_libraries_without_use_are_forgotten(counted: Counted) -> None:
     assert foreign.exists()
 
 
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import Compiler
+
+class Killed(Compiler):
+    def build(self, source, library):
+        library.write_bytes(b"half")
+        if sys.argv[2] == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        print("building", flush=True)
+        sys.stdin.read()
+
+library_for("int undertow_test_slow;", Killed(("cc",), "none"), Path(sys.argv[1]))
+"""
+
+
+def _building(folder: Path, how: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", _KILLED, str(folder), how]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+@posix
+def test_what_a_killed_build_left_goes_at_the_next_start(counted: Counted) -> None:
+    """And what another process is building stays."""
+    folder = cache_folder()
+    with _building(folder, "killed") as dead:
+        dead.communicate()
+    (left,) = folder.glob("build-*")
+    assert (left / "model.c").is_file()
+    with _building(folder, "waiting") as alive:
+        assert alive.stdout is not None
+        assert alive.stdout.readline() == "building\n"
+        (running,) = set(folder.glob("build-*")) - {left}
+        cache._forget_old.cache_clear()  # it is looked once in a process
+        library_for(SOURCE, counted)
+        assert list(folder.glob("build-*")) == [running]
+        alive.communicate()
+    assert not list(folder.glob("build-*"))
+
+
 # --- the folder ---------------------------------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ import pytest
 from undertow.errors import UndertowError
 from undertow.fleet.partitions import Partition, find, partition_of, twins
 from undertow.identification.logs import Mapping
-from undertow.identification.logs.table import read_rows
+from undertow.identification.logs.parquet import flat_table
 
 PLAIN = {"t": [0.0, 0.1], "u": [1.0, 2.0]}
 
@@ -89,7 +89,7 @@ def test_names_with_brackets_are_names(tmp_path: Path) -> None:
     assert find([str(tmp_path / "logs [1]")]) == sorted([first, decoy])
     assert find([str(first)]) == [first]
     assert partition_of(first, Mapping()).day == date(2026, 2, 3)
-    assert read_rows(first, 0, 10, "log").columns == ["t", "u", "day"]
+    assert flat_table(first, "log").collect().columns == ["t", "u", "day"]
 
 
 def test_a_clock_counts_in_the_unit_of_the_mapping(tmp_path: Path) -> None:

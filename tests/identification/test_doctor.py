@@ -329,3 +329,32 @@ def test_commands_on_a_clock_of_their_own(auv: Case) -> None:
     (found,) = [f for f in result.findings if f.id == "two_clocks"]
     assert found.evidence["drift"] == pytest.approx(-0.8, abs=0.3)
     assert not result.mistakes
+
+
+# --- logs that hold a part of the pose ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("left_out", [("y",), ("x",), ("x", "psi")])
+@pytest.mark.parametrize(
+    "frames", [{}, {"position": "ENU", "attitude": "ENU"}, {"body": "FLU", "attitude": "NED"}]
+)
+def test_a_mistake_that_a_log_has_not_the_channels_for_is_not_tried(
+    left_out: tuple[str, ...], frames: dict[str, str], usv: Case, read: Callable[..., Run]
+) -> None:
+    """With x but no y in other axes there is nothing left to compare; a rate in degrees is found."""
+    (columns,) = usv.runs.values()
+    turned = {**columns, "r": np.degrees(columns["r"])}
+    kept = {n: a for n, a in turned.items() if n not in left_out}
+    found = examine(
+        vehicle_of(usv), [read(kept, vehicle_of(usv), Mapping.model_validate({"frames": frames}))]
+    )
+    told = [f for f in found.result.findings if f.id == "degrees_for_radians"]
+    assert all(np.isfinite(list(f.evidence.values())).all() for f in found.result.findings)
+    assert told or "psi" in left_out or frames
+
+
+def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read: Callable[..., Run]) -> None:
+    (columns,) = usv.runs.values()
+    mapping = Mapping.model_validate({"columns": {"x": "v", "v": "y", "y": {"channel": "zz"}}})
+    found = examine(vehicle_of(usv), [read(columns, vehicle_of(usv), mapping)])
+    assert found.result.findings

@@ -61,8 +61,10 @@ def test_short_and_long_columns_mean_the_same(read):
         (TOP + "missing_commands = 'guess'", ["missing_commands = 'guess'", "'hold'"]),
         (TOP + "delimiter = 'ab'", ["delimiter"]),
         (TOP + "[time", ["not valid TOML"]),
+        (TOP + f"[time]\nevery = {2**63 - 1}", ["time.every", "less than or equal to 1000000"]),
+        (TOP + f"[time]\nevery = {2**63}", ["time.every is an integer of 64 bits"]),
         (TOP.encode() + b"# \xff", ["not UTF-8"]),
-        (TOP + "ignore = " + "[" * 5000, ["not valid TOML"]),
+        (TOP + "ignore = " + "[" * 5000, ["nested too deeply"]),
     ],
 )
 def test_bad_mappings_are_one_clear_line(read, text, parts):

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import io
 import math
+import tracemalloc
+import zipfile
+from dataclasses import replace
+from datetime import date, datetime, time, timedelta
+from decimal import Decimal
 
 import numpy as np
 import polars as pl
@@ -16,6 +22,8 @@ from hypothesis.extra.numpy import arrays
 from undertow.errors import UndertowError
 from undertow.identification import Mapping, read_log
 from undertow.identification.logs.checks import refuse_constant
+from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.table import WHOLE
 
 PLAIN = "t,u,r,f1\n0,0.1,0.0,1\n0.1,0.2,0.1,2\n0.25,,0.2,3\n"
 
@@ -335,3 +343,191 @@ def test_a_log_may_be_thinned_out(log):
     np.testing.assert_allclose(run.t, [0.0, 0.05, 0.10, 0.15, 0.20])
     np.testing.assert_array_equal(run.channels["phi"], [0, 5, 10, 15, 20])
     assert "one row in 5 used" in run.notes
+
+
+# --- what is too large --------------------------------------------------------------------------
+
+
+def _parts(path, mapping=None):
+    return list(LongLog(path, mapping or Mapping(), ()).parts(100, 10))
+
+
+def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(log):
+    """What is held meanwhile is bounded by the limit, not by what would come: 100 MB of text in 0.1 MB."""
+    row = b"0" * 99_999 + b"\n"
+    packed = io.BytesIO()
+    with gzip.GzipFile(fileobj=packed, mode="wb") as stream:
+        stream.write(b"t,u\n")
+        for _ in range(1_000):
+            stream.write(row)
+    limits = replace(WHOLE, text=5_000_000)
+    tracemalloc.start()
+    try:
+        refused(
+            log,
+            packed.getvalue(),
+            "run.csv.gz",
+            "more than 5 MB, unpacked",
+            name="run.csv.gz",
+            limits=limits,
+        )
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("limits", "parts"),
+    [
+        ({"cells": 3_000}, ["1001 rows of 3 columns or more, at most 1000 such rows are read as a whole"]),
+        ({"columns": 2}, ["has 3 columns, at most 2"]),
+        ({"rows": 500}, ["more than 500 rows", "--from and --to", "thin it out"]),
+        ({"text": 1_000}, ["more than 0.001 MB"]),
+    ],
+)
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz"])
+def test_logs_that_are_too_large_are_refused_before_they_are_a_table(log, name, limits, parts):
+    text = ("t,u,v\n" + "0,0,0\n" * 1_000).encode()
+    content = gzip.compress(text) if name.endswith("gz") else text
+    refused(log, content, name, *parts, name=name, limits=replace(WHOLE, **limits))
+
+
+def test_a_parquet_file_of_countless_equal_rows_is_refused_by_its_footer(log, tmp_path):
+    pl.select(t=pl.repeat(0.0, 30_000_000), u=pl.repeat(1.0, 30_000_000)).write_parquet(
+        tmp_path / "a.parquet"
+    )
+    content = (tmp_path / "a.parquet").read_bytes()
+    assert len(content) < 1_000_000
+    refused(log, content, "30000000 rows of 2 columns", "at most 25000000", name="run.parquet")
+
+
+@pytest.mark.parametrize("end", [b"", b"0,1\n"])
+def test_a_line_that_does_not_end_is_not_read_to_its_end(tmp_path, end):
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(b"t,u\n0,1\n0.1," + b"0" * 3_000_000 + end))
+    with pytest.raises(UndertowError, match="line of more than 1000000 bytes"):
+        _parts(path)
+
+
+def test_archives_are_named(log):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as packed:
+        packed.writestr("run.csv", PLAIN)
+    refused(log, stream.getvalue(), "packed by zip", "gzip")
+    refused(log, gzip.compress(stream.getvalue()), "packed by zip", name="run.csv.gz")
+
+
+@pytest.mark.parametrize("fault", ["cut", "flipped", "ended", "checksum"])
+def test_a_damaged_gzip_file_is_one_line_whole_and_in_parts(log, tmp_path, fault):
+    rng = np.random.default_rng(1)
+    text = "t,u\n" + "".join(f"{k},{v}\n" for k, v in enumerate(rng.standard_normal(5_000)))
+    whole = bytearray(gzip.compress(text.encode()))
+    if fault == "flipped":
+        whole[len(whole) // 2 : len(whole) // 2 + 40] = b"\xff" * 40
+    content = {"cut": whole[:-2000], "ended": whole[:12], "checksum": whole[:-8] + bytes(8)}.get(fault, whole)
+    refused(log, bytes(content), "damaged gzip", "copy it again", name="run.csv.gz")
+    with pytest.raises(UndertowError, match=r"cannot be read|not a number|has the text|copy it again"):
+        _parts(tmp_path / "run.csv.gz")
+
+
+def test_a_damaged_parquet_file_is_one_line(log):
+    """Some damages make the reader panic or abort; nothing of that reaches this process."""
+    stream = io.BytesIO()
+    t = np.arange(300) * 0.1
+    pl.DataFrame({"t": t, "u": t % 7, "n": [1] * 300}).write_parquet(stream)
+    whole, rng, told, count = stream.getvalue(), np.random.default_rng(2), 0, 0
+    for _ in range(150):
+        content = bytearray(whole)
+        content[rng.integers(4, len(whole) - 4)] = rng.integers(256)
+        try:
+            log(bytes(content), name="run.parquet")
+        except UndertowError as error:
+            told += "run.parquet" in str(error) and "\n" not in str(error)
+            count += 1
+    assert told == count > 30
+
+
+# --- odd columns --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("header", ["t,u, u", "t,u,u", 't,"u ",u'])
+def test_columns_that_differ_by_blanks_only_are_one_name(log, header):
+    refused(log, f"{header}\n0,1,2\n1,2,3\n", "has column 'u' more than once")
+
+
+def test_a_name_that_polars_would_give_is_a_name(log):
+    run = log("t,u_duplicated_0,u\n0,1,2\n1,2,3\n", {"columns": {"u_duplicated_0": "v"}})
+    np.testing.assert_array_equal(run.channels["v"], [1, 2])
+
+
+_NOON = datetime(2024, 5, 1, 12)
+_TIMES = {
+    "Duration": [timedelta(0), timedelta(seconds=0.25), timedelta(seconds=1)],
+    "Datetime": [_NOON, _NOON + timedelta(seconds=0.25), _NOON + timedelta(seconds=1)],
+    "Time": [time(12), time(12, 0, 0, 250_000), time(12, 0, 1)],
+    "Decimal": [Decimal("0"), Decimal("0.25"), Decimal("1")],
+    "Categorical": pl.Series(["0", "0.25", "1"], dtype=pl.Categorical),
+    "text": ["0", "0.25", "1"],
+}
+
+
+@pytest.mark.parametrize("kind", _TIMES)
+def test_every_kind_of_time_column_counts_seconds(tmp_path, kind):
+    pl.DataFrame({"t": _TIMES[kind], "u": [1.0, 2.0, 3.0]}).write_parquet(tmp_path / "a.parquet")
+    np.testing.assert_allclose(read_log(tmp_path / "a.parquet").t, [0, 0.25, 1], rtol=1e-15)
+
+
+@pytest.mark.parametrize("unit", ["s", "iso"])
+@pytest.mark.parametrize(
+    "values",
+    [
+        [[1], [2]],
+        [{"a": 1}, {"a": 2}],
+        [b"1", b"2"],
+        [True, False],
+        [None, None],
+        [date(1, 1, 1), date(1, 1, 1)],
+        ["a", "b"],
+        pl.Series(["a", "b"], dtype=pl.Categorical),
+        pl.Series([1, 1], dtype=pl.UInt64),
+    ],
+)
+def test_a_column_that_is_no_time_is_told(tmp_path, unit, values):
+    pl.DataFrame({"t": values, "u": [1.0, 2.0]}).write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(UndertowError, match=r"a.parquet") as caught:
+        read_log(tmp_path / "a.parquet", Mapping.model_validate({"time": {"unit": unit}}))
+    assert "\n" not in str(caught.value)
+
+
+_EPOCHS = {"ns": 1_714_564_800_123_456_789, "us": 1_714_564_800_123_456, "ms": 1_714_564_800_123}
+
+
+@pytest.mark.parametrize("unit", _EPOCHS)
+@pytest.mark.parametrize("kind", ["integer", "text", "datetime", "unsigned"])
+def test_times_since_1970_are_subtracted_before_they_are_rounded(tmp_path, unit, kind):
+    """Nanoseconds since 1970 as floats would be good to 256 ns."""
+    steps = np.cumsum(np.random.default_rng(4).integers(1, 1000, 500))
+    stamps = pl.Series("t", _EPOCHS[unit] + np.concatenate([[0], steps]))
+    kinds = {"text": pl.String, "datetime": pl.Datetime(unit), "unsigned": pl.UInt64}
+    column = stamps.cast(kinds.get(kind, pl.Int64))
+    pl.DataFrame({"t": column, "u": np.arange(501.0)}).write_parquet(tmp_path / "a.parquet")
+    run = read_log(tmp_path / "a.parquet", Mapping.model_validate({"time": {"unit": unit}}))
+    tick = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3}[unit]
+    np.testing.assert_allclose(run.t[1:], steps * tick, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+def test_times_since_1970_are_the_same_in_parts(tmp_path, name):
+    stamps = _EPOCHS["ns"] + np.arange(0, 1000 * 333, 333)
+    table = pl.DataFrame({"t": stamps, "u": np.arange(1000.0)})
+    table.write_csv(tmp_path / name) if name.endswith("csv") else table.write_parquet(tmp_path / name)
+    mapping = Mapping.model_validate({"time": {"unit": "ns"}})
+    whole = read_log(tmp_path / name, mapping)
+    t = np.unique(np.concatenate([part.run.t for part in _parts(tmp_path / name, mapping)]))
+    np.testing.assert_array_equal(t, whole.t)
+    np.testing.assert_allclose(t, np.arange(1000) * 333e-9, rtol=1e-14)
+
+
+def test_seconds_since_1970_in_text_keep_their_nanoseconds(log):
+    run = log("t,u\n1714564800.123456789,1\n1714564800.123456999,2\n1.7145648005e9,3\n")
+    np.testing.assert_allclose(run.t, [0, 210e-9, 0.376543211], rtol=1e-9)

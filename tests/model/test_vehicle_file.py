@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from undertow import files
 from undertow.errors import UndertowError
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.vehicle import Value, Vehicle
@@ -177,7 +178,7 @@ REFUSED = [
     ),
     ('"10 kg"', "[1, 2]", r"'effects.rigid_body.m' = \[1, 2\] is no quantity"),
     ('"10 kg"', "2024-01-01", "'effects.rigid_body.m' = datetime.* is no quantity"),
-    ('"10 kg"', "0x" + "f" * 6000, r"rigid_body\] m: 'int out of range' is not a finite quantity"),
+    ('"10 kg"', "0x" + "f" * 6000, r"rigid_body.m is an integer of 24000 bits \(limit 64\)"),
     ('"10 kg"', "9" * 6000, "not valid TOML: Exceeds the limit"),
     ('"200 g"', '"-200 g"', r"added_mass\] X_udot sigma = -0.2 cannot be"),
     ('"200 g"', '"1 m"', r"added_mass\] X_udot sigma: '1 m' has the dimension"),
@@ -236,7 +237,7 @@ REFUSED = [
     ('"main"', '"x; rm -rf /"', "'thrusters.#2.name': a name must be"),
     ("[0, 1, 0]", "[1, 1, 0]", "thruster 'bow': direction has length 1.41421; give a unit vector"),
     ("[0, 1, 0]", "[nan, 1, 0]", "thruster 'bow' direction: 'nan' is not a finite quantity"),
-    ("[0, 1, 0]", "[1" + "0" * 400 + ", 1, 0]", "thruster 'bow' direction: 'int out of range'"),
+    ("[0, 1, 0]", "[1" + "0" * 400 + ", 1, 0]", "direction is an integer of 13.. bits"),
     ("direction = [0, 1, 0]\n", "", "thruster 'bow' needs either 'wrench' or 'position' and 'direction'"),
     ("direction = [0, 1, 0]", "direction = [0, 1, 0]\nwrench = [0, 1, 0, 0, 0, 0]", "'bow' needs either"),
     ('"40 cm"', '"40 N"', "thruster 'bow' position: '40 N' has the dimension"),
@@ -414,7 +415,7 @@ def test_long_rows_of_numbers_are_no_dotted_key(load: Callable[[str], Vehicle]) 
     [
         (b"", "'schema' is missing"),
         (b"<xml/>", "not valid TOML: Invalid statement"),
-        (b"\xff\xfe\x00", "not valid TOML: 'utf-8' codec"),
+        (b"\xff\xfe\x00", "not UTF-8 text"),
         (b"name = ", "not valid TOML"),
         (b"\x00", "not valid TOML"),
     ],
@@ -438,11 +439,11 @@ def test_a_mistyped_bundled_vehicle_gets_the_nearest_name() -> None:
 
 
 def test_an_unreadable_file_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def denied(*_: object, **__: object) -> str:
+    def denied(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     file = tmp_path / "vehicle.toml"
     file.write_text(FILE, encoding="utf-8")
-    monkeypatch.setattr(Path, "read_text", denied)
+    monkeypatch.setattr(files, "open", denied, raising=False)
     with pytest.raises(UndertowError, match=r"vehicle.toml: cannot be read: Permission denied"):
         load_vehicle(file)

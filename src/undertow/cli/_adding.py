@@ -14,6 +14,7 @@ from undertow.errors import UndertowError
 
 if TYPE_CHECKING:
     from undertow.cli._addition import Addition, Ground
+    from undertow.codegen.export import Report
     from undertow.identification.diagnosis.result import Step
 
 
@@ -68,7 +69,6 @@ def draw(addition: Addition, out: Path) -> None:
     from undertow.identification.report import falling_error, save_png
 
     save_png(falling_error(addition.steps), out)
-    Console().print(f"wrote {escape(str(out))}")
 
 
 def write(addition: Addition, ground: Ground, template: Path, out: Path) -> None:
@@ -76,7 +76,6 @@ def write(addition: Addition, ground: Ground, template: Path, out: Path) -> None
     from undertow.model.saving import save_vehicle
 
     save_vehicle(addition.fit.vehicle, template, out, history=_history(addition, ground))
-    Console().print(f"wrote {escape(str(out))}")
 
 
 def _history(addition: Addition, ground: Ground) -> dict[str, object]:
@@ -94,13 +93,20 @@ def _history(addition: Addition, ground: Ground) -> dict[str, object]:
     }
 
 
-def code_of(vehicle: Path, effects: Sequence[Path], build: Path) -> None:
-    """Regenerate the C code of a vehicle file, and say what has changed."""
+def code_of(vehicle: Path, effects: Sequence[Path], build: Path) -> Report:
+    """Regenerate the C code of a vehicle file."""
     from undertow.codegen.export import Export
     from undertow.model.loading import load_vehicle
 
-    report = Export(load_vehicle(vehicle, effect_files=effects)).write(build)
+    return Export(load_vehicle(vehicle, effect_files=effects)).write(build)
+
+
+def tell_written(picture: Path | None, vehicle: Path | None, code: Report | None) -> None:
+    """Say where the picture, the vehicle file and its code are, and what has changed in the code."""
     console = Console(highlight=False)
-    console.print(f"wrote the code in {escape(str(report.folder))}")
-    for line in report.changes:
-        console.print(f"  {escape(line)}")
+    for path in filter(None, (picture, vehicle)):
+        console.print(f"wrote {escape(str(path))}")
+    if code is not None:
+        console.print(f"wrote the code in {escape(str(code.folder))}")
+        for line in code.changes:
+            console.print(f"  {escape(line)}")

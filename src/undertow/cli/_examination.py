@@ -78,28 +78,30 @@ def write(
     mend: Path | None,
 ) -> None:
     """Write what was asked for, each file whole, and say where it is."""
-    from undertow.files import write_whole
+    from undertow.files import together, write_whole
 
     texts: dict[Path, Any] = {}
     if json is not None:
         texts[json] = examined.result.model_dump_json(indent=1) + "\n"
     if mend is not None:
         texts[mend] = mended_mapping(examined, map)
-    for path, content in texts.items():
-        write_whole(path, content)
-    if plot is not None:
-        _draw(examined, vehicle, plot)
+    with together():
+        for path, content in texts.items():
+            write_whole(path, content)
+        if plot is not None:
+            _draw(examined, vehicle, plot)
     for written in filter(None, (json, mend, plot)):
         console().print(text(f"wrote {written}"))
 
 
 def mended_mapping(examined: Examined, map: Path | None) -> str:
     """The mapping file with all mistakes mended; comments and order of the old one are kept."""
+    from undertow.files import read_text
     from undertow.identification.doctor.mending import as_toml, into_file
 
     if map is None:
         return as_toml(examined.edits, whole=True) + "\n"
-    return into_file(map.read_text(encoding="utf-8"), examined.edits)
+    return into_file(read_text(map, "mapping file"), examined.edits)
 
 
 def _draw(examined: Examined, vehicle: Vehicle, path: Path) -> None:

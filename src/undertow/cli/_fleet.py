@@ -11,7 +11,7 @@ from undertow.cli._progress import progress
 from undertow.cli._show import console, section, table, text
 from undertow.cli._vehicle_and_logs import Fill
 from undertow.errors import UndertowError
-from undertow.files import write_whole
+from undertow.files import together, write_whole
 from undertow.fleet.diagnose import PLACE, Question, diagnose
 from undertow.fleet.engine import Engine
 from undertow.fleet.panel import DAILY
@@ -42,8 +42,9 @@ def diagnosed(
     with progress("looking at files") as tell:
         found = diagnose(Question(logs, job, passes), engine, store, tell)
     show(found)
-    write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
-    write_whole(out / "report.md", page(found))
+    with together():
+        write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
+        write_whole(out / "report.md", page(found))
     console().print(text(f"wrote {out / 'report.md'} and report.json"))
     return 0 if found.whole else _INCOMPLETE
 

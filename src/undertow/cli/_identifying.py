@@ -203,7 +203,6 @@ def write(done: Identified, template: Path, target: Path) -> None:
     if done.chosen is None:
         raise UndertowError(f"{target} is not written: no case of any motion is physical")
     save_vehicle(done.chosen.vehicle(done.stated), template, target, history=_history(done, done.chosen))
-    console().print(text(f"wrote {target}"))
 
 
 def _history(done: Identified, taken: Chosen) -> dict[str, object]:

@@ -106,18 +106,15 @@ def write_outcome(
     outcome: Outcome, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
 ) -> None:
     """Write what was asked for, each file whole, and say where it is."""
-    from undertow.files import write_whole
+    from undertow.files import together, write_whole
 
-    # Everything is prepared before anything is written, so that a failure leaves no file behind.
-    texts = {}
-    if json is not None:
-        texts[json] = outcome.diagnosis.model_dump_json(indent=1) + "\n"
-    if report is not None:
-        texts[report] = page(outcome)
-    if apply is not None:
-        write_vehicle(outcome, template, apply, "undertow diagnose")
-    for path, text in texts.items():
-        write_whole(path, text)
+    with together():
+        if json is not None:
+            write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
+        if report is not None:
+            write_whole(report, page(outcome))
+        if apply is not None:
+            write_vehicle(outcome, template, apply, "undertow diagnose")
     for written in filter(None, (json, report, apply)):
         about = f": {_content(outcome.diagnosis)}" if written == apply else ""
         Console().print(f"wrote {escape(str(written))}{about}", highlight=False)

@@ -304,18 +304,19 @@ def _undetermined(plan: Plan) -> list[str]:
 
 def write(done: Planned, *, out: Path | None, picture: Path | None, json: Path | None) -> None:
     """Write what was asked for, each file whole, and say where it is."""
-    from undertow.files import write_whole
+    from undertow.files import together, write_whole
     from undertow.identification.planning.flyable import command_csv
 
-    if picture is not None:
-        from undertow.identification.planning.picture import plan_picture
-        from undertow.identification.report import save_png
+    with together():
+        if picture is not None:
+            from undertow.identification.planning.picture import plan_picture
+            from undertow.identification.report import save_png
 
-        save_png(plan_picture(done), picture)
-    if out is not None:
-        write_whole(out, command_csv(done))
-    if json is not None:
-        write_whole(json, done.plan.model_dump_json(indent=1) + "\n")
+            save_png(plan_picture(done), picture)
+        if out is not None:
+            write_whole(out, command_csv(done))
+        if json is not None:
+            write_whole(json, done.plan.model_dump_json(indent=1) + "\n")
     for path in filter(None, (out, picture, json)):
         console().print(text(f"wrote {path}"))
     if out is None:

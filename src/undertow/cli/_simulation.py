@@ -15,7 +15,7 @@ from undertow.control.closed_loop import Choices, ClosedLoop, LoopResult, Push, 
 from undertow.control.closed_loop import without as left_out
 from undertow.control.closed_loop.scenario import UNITS, force_unit
 from undertow.errors import UndertowError
-from undertow.files import check_folder, check_writable, write_whole
+from undertow.files import check_folder, check_writable, together, write_whole
 from undertow.model.effects.ocean_current import check_current
 from undertow.model.units import to_si
 
@@ -254,11 +254,15 @@ def _command(c: Any) -> tuple[str, ...]:
 
 def write(records: Sequence[Record], out: Path | None, figures: Path | None, json: Path | None) -> None:
     """Write the log, the result and the pictures that are asked for."""
-    if out is not None:
-        write_whole(out, records[0].to_csv())
-    if json is not None:
-        write_whole(json, "[\n" + ",\n".join(record.to_json().rstrip() for record in records) + "\n]\n")
-    if figures is not None:
-        from undertow.cli._simulation_pictures import draw
+    drawn = 0
+    with together():
+        if out is not None:
+            write_whole(out, records[0].to_csv())
+        if json is not None:
+            write_whole(json, "[\n" + ",\n".join(record.to_json().rstrip() for record in records) + "\n]\n")
+        if figures is not None:
+            from undertow.cli._simulation_pictures import draw
 
-        typer.echo(f"{draw(records, figures)} pictures in {figures}")
+            drawn = draw(records, figures)
+    if figures is not None:
+        typer.echo(f"{drawn} pictures in {figures}")

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 from undertow.control.closed_loop import Record
+from undertow.files import make_folder
 from undertow.identification.report.style import (
     AFTER,
     BEFORE,
@@ -37,7 +38,7 @@ _TITLES = {
 
 def draw(records: Sequence[Record], folder: Path) -> int:
     """Write the pictures of some runs into a folder; their number is returned."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     names = [n for n in _TITLES if all(n in r.result.to for r in records)]
     pictures = {name: coordinate(records, name) for name in names}
     pictures["commands"] = commands(records)

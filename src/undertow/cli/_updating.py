@@ -21,7 +21,7 @@ from undertow.control.linear.certified import told
 from undertow.control.linear.report import Analysis
 from undertow.control.linear.snapshot import Change, Snapshot, changes, snapshot
 from undertow.errors import UndertowError
-from undertow.files import check_folder, write_whole
+from undertow.files import check_folder, make_folder, read_json, together, write_whole
 from undertow.identification.report.style import save_png
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
@@ -89,8 +89,8 @@ class Update:
         if not path.is_file():
             return None
         try:
-            return Snapshot.from_json(path.read_text(encoding="utf-8"))
-        except (UndertowError, OSError, UnicodeDecodeError) as error:
+            return Snapshot.from_json(read_json(path, "state file"))
+        except UndertowError as error:
             _log.warning("%s counts as not there: %s", path, error)
             return None
 
@@ -108,12 +108,13 @@ class Update:
         new, loops = snapshot(self._vehicle, gains, motion, self._at, told)
         tell(0.6, "pictures")
         drawn = _pictures(self._vehicle, gains, self._wish, loops)
-        written = [export.write(self._out) for export in exports]
-        return Done(self.old, new, written, self._write(new, drawn))
+        with together():
+            written = [export.write(self._out) for export in exports]
+            return Done(self.old, new, written, self._write(new, drawn))
 
     def _write(self, new: Snapshot, drawn: Mapping[str, object]) -> list[Path]:
         folder = self._folder / PICTURES
-        folder.mkdir(exist_ok=True)
+        make_folder(folder)
         paths = [folder / f"{name}.png" for name in drawn]
         for path, one in zip(paths, drawn.values(), strict=True):
             save_png(one, path)  # type: ignore[arg-type]

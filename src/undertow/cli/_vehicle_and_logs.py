@@ -17,10 +17,13 @@ from ._progress import Report, progress
 if TYPE_CHECKING:
     from undertow.identification.logs import Mapping, Run
     from undertow.identification.logs.chunks import LongLog
+    from undertow.identification.logs.table import LogLimits
     from undertow.model.vehicle import Vehicle
 
 MOST_SAMPLES = 300_000
 """Samples that a fit takes: four hours at 20 Hz. In surge alone, 10^6 take five minutes and 1.4 GB."""
+# Lines of a file per sample, at most: some are blank or comments. Only used to stop reading early.
+_ROWS_OF_A_SAMPLE = 2
 
 Fill = Literal["refuse", "hold", "gap"]
 Window = tuple[float | None, float | None]
@@ -189,13 +192,23 @@ def _runs(
     from undertow.identification.logs import read_log, velocities_from_pose
 
     needed, also = ((), vehicle.command_names) if one_motion else (vehicle.command_names, ())
+    limits = _limits(most, mapping, window)
     runs: list[Run] = []
     for done, path in enumerate(paths):
         report(done, f"reading {path.name}")
-        run = read_log(path, mapping, needed, also=also, window=window, missing_commands=fill)
+        run = read_log(path, mapping, needed, also=also, window=window, missing_commands=fill, limits=limits)
         _refuse_too_many(sum(len(r.t) for r in (*runs, run)), most, path)
         runs.append(run if one_motion else velocities_from_pose(run, vehicle.degrees_of_freedom))
     return runs
+
+
+def _limits(most: int | None, mapping: Mapping, window: Window) -> LogLimits:
+    """How large logs may be if so many samples of them can be taken; most of a longer one may be left out."""
+    from undertow.identification.logs.table import WHOLE
+
+    if most is None or window != (None, None) or mapping.time.disorder == "drop":
+        return WHOLE
+    return replace(WHOLE, rows=_ROWS_OF_A_SAMPLE * mapping.time.every * most)
 
 
 def _refuse_too_many(samples: int, most: int | None, path: Path) -> None:

@@ -61,9 +61,9 @@ def add(
     build: Annotated[Path, _BUILD] = Path("build"),
     picture: Annotated[Path | None, _PICTURE] = None,
 ) -> int:
-    from undertow.cli._adding import code_of, draw, show, target_of, write
+    from undertow.cli._adding import code_of, draw, show, target_of, tell_written, write
     from undertow.cli._vehicle_and_logs import load
-    from undertow.files import check_writable
+    from undertow.files import check_writable, together
     from undertow.model.catalogue import catalogue, load_effects, lookup, merge
 
     wanted = lookup(effect, merge(catalogue(), [cls for file in effects or [] for cls in load_effects(file)]))
@@ -75,17 +75,19 @@ def add(
     )
     ground, addition = _added(wanted, loaded, all)
     show(addition)
-    if picture is not None:
-        draw(addition, picture)
+    code, taken = None, target if addition.helps or force else None
+    with together() as files:
+        if picture is not None:
+            draw(addition, picture)
+        if taken is not None:
+            write(addition, ground, loaded.path, taken)
+            code = code_of(files.place_of(taken), effects or [], build) if codegen else None
+    tell_written(picture, taken, code)
     if not addition.helps and not force:
         typer.echo(f"{effect} does not lower the error on kept-aside data: {_unwritten(target)}", err=True)
         return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
-        return 0
-    write(addition, ground, loaded.path, target)
-    if codegen:
-        code_of(target, effects or [], build)
     return 0
 
 

@@ -42,6 +42,7 @@ def codegen(
     effects: EffectsOption = None,
 ) -> int:
     from undertow.codegen.export import Export
+    from undertow.files import together
     from undertow.model.loading import load_vehicle
 
     model = load_vehicle(vehicle, effect_files=effects or [])
@@ -51,8 +52,10 @@ def codegen(
     if check:
         again = vehicle if controller is None else f"{vehicle} --controller {controller}"
         return max([_checked(export.check(out), again) for export in exports])
-    for export in exports:
-        _written(export.write(out))
+    with together():
+        written = [export.write(out) for export in exports]
+    for report in written:
+        _written(report)
     return 0
 
 

@@ -48,7 +48,7 @@ def compare(
     json: Annotated[Path | None, _JSON] = None,
     plots: Annotated[Path | None, _PLOTS] = None,
 ) -> None:
-    from undertow.files import check_folder, check_writable, write_whole
+    from undertow.files import check_folder, check_writable, together, write_whole
     from undertow.identification.compare.comparison import compare as compared
 
     check_writable(json, inputs=[vehicle, *logs, *(effects or []), *([map] if map else [])])
@@ -58,10 +58,14 @@ def compare(
     with progress("comparing") as report:
         comparison = compared(loaded.vehicle, loaded.train, horizon=horizon, progress=report)
     _show(comparison.result)
-    if json is not None:
-        write_whole(json, comparison.to_json())
+    drawn = 0
+    with together():
+        if json is not None:
+            write_whole(json, comparison.to_json())
+        if plots is not None:
+            drawn = _draw(comparison, plots)
     if plots is not None:
-        _draw(comparison, plots)
+        typer.echo(f"{drawn} pictures in {plots}")
 
 
 # --- tables -----------------------------------------------------------------------------------
@@ -147,14 +151,15 @@ def _number(value: float | None, style: str = ".3g") -> str:
 
 
 # --- pictures ---------------------------------------------------------------------------------
-def _draw(comparison: Comparison, folder: Path) -> None:
+def _draw(comparison: Comparison, folder: Path) -> int:
+    from undertow.files import make_folder
     from undertow.identification.report.style import save_png
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     drawn = list(_pictures(comparison))
     for name, picture in drawn:
         save_png(picture, folder / f"{name}.png")
-    typer.echo(f"{len(drawn)} pictures in {folder}")
+    return len(drawn)
 
 
 def _pictures(comparison: Comparison) -> Any:

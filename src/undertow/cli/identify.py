@@ -70,7 +70,7 @@ def identify(
 ) -> None:
     from undertow.cli._adding import target_of
     from undertow.cli._identifying import show, write, written
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable, together, write_whole
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(effects or []), *([map] if map else [])]
@@ -78,12 +78,16 @@ def identify(
     given: dict[str, Any] = {"map": map, "effects": effects, "window": (since, until), "fill": fill}
     path, done = _estimated(vehicle, logs, cases, edges, stream, given)
     show(done)
-    if json is not None:
-        write_whole(json, written(done))
-    if target is None:
-        typer.echo("no vehicle file was written: --out NEW.toml or --in-place does that")
-    else:
-        write(done, path, target)
+    with together():
+        if json is not None:
+            write_whole(json, written(done))
+        if target is not None:
+            write(done, path, target)
+    typer.echo(
+        "no vehicle file was written: --out NEW.toml or --in-place does that"
+        if target is None
+        else f"wrote {target}"
+    )
 
 
 def _estimated(

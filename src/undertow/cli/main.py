@@ -12,6 +12,7 @@ import typer
 from undertow import __version__
 from undertow.cli._lazy import LazyCommand, commands
 from undertow.cli._run import run
+from undertow.cli._terminal import keep_warnings_back, open_streams
 
 _ABOUT = "Shows where a model of a vehicle in water fails on real logs, names the missing effect and adds it."
 _VERBOSE = ("-v", "--verbose")
@@ -34,6 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # Matrices are small here: threads of the linear algebra only get into each other's way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    open_streams()
+    if arguments is None:  # the process is ours
+        keep_warnings_back()
     return run(lambda: _root().main(_verbose_first(arguments), prog_name="undertow", standalone_mode=False))
 
 

@@ -13,8 +13,8 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,11 @@ from undertow.files import write_whole
 
 from .source import digest
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 if TYPE_CHECKING:
     from .compiler import Compiler
 
@@ -31,6 +36,8 @@ _LOG = logging.getLogger("undertow")
 _OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+|numba-[0-9a-f]{16}")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
+# Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
+_LEFT_FOR = 3600.0
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -81,8 +88,7 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
 
 def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, str]) -> Path:
     try:
-        with tempfile.TemporaryDirectory(prefix="build-", dir=manifest.parent) as name:
-            workshop = Path(name)
+        with _workshop(manifest.parent) as workshop:
             (workshop / "model.c").write_text(source, encoding="utf-8")
             built = workshop / f"model{_SUFFIX}"
             compiler.build(workshop / "model.c", built)
@@ -99,13 +105,67 @@ def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, 
     return library
 
 
+@contextmanager
+def _workshop(folder: Path) -> Iterator[Path]:
+    """A folder for one build, locked while its process lives, however that ends."""
+    while True:
+        with tempfile.TemporaryDirectory(prefix="build-", dir=folder, ignore_cleanup_errors=True) as name:
+            try:
+                lock = _lock(Path(name))
+            except (BlockingIOError, FileNotFoundError):
+                continue  # a process that starts at this moment has taken it for one that was left
+            try:
+                yield Path(name)
+                return
+            finally:
+                if lock is not None:
+                    os.close(lock)
+
+
+def _lock(folder: Path) -> int | None:
+    """Descriptor that holds the lock on a folder; None where there are no locks.
+
+    Raises
+    ------
+    OSError
+        BlockingIOError where another process holds it, FileNotFoundError where the folder has gone.
+    """
+    if fcntl is None:
+        return None
+    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        folder.stat()
+    except (BlockingIOError, FileNotFoundError):
+        os.close(number)
+        raise
+    except OSError:  # a file system without locks
+        os.close(number)
+        return None
+    return number
+
+
 @cache
 def _forget_old(folder: Path) -> None:
-    """Remove what has not been used for months; once in a process."""
+    """Remove what has not been used for months, and what killed builds have left; once in a process."""
     limit = time.time() - _KEPT_FOR
     with suppress(OSError):
-        for path in [p for p in folder.iterdir() if _OURS.fullmatch(p.name) and p.lstat().st_mtime < limit]:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        for path in [p for p in folder.iterdir() if _OURS.fullmatch(p.name)]:
+            with suppress(OSError):
+                if path.name.startswith("build-"):
+                    _remove_left(path)
+                elif path.lstat().st_mtime < limit:
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _remove_left(workshop: Path) -> None:
+    """Remove the folder of a build whose process is gone; without locks, one older than any build lasts."""
+    old = workshop.lstat().st_mtime < time.time() - _LEFT_FOR
+    lock = _lock(workshop)
+    if lock is not None or old:
+        shutil.rmtree(workshop, ignore_errors=True)
+    if lock is not None:
+        os.close(lock)
 
 
 def _sha256(path: Path) -> str:

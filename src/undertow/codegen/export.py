@@ -13,7 +13,7 @@ import casadi as ca
 
 import undertow
 from undertow.errors import UndertowError
-from undertow.files import write_whole
+from undertow.files import make_folder, read_json, together, write_whole
 from undertow.model.vehicle import Vehicle
 
 from .compiler import find_compiler
@@ -85,17 +85,24 @@ class Export:
             If the folder cannot be written.
         """
         report, recorded = self._compare(out)
-        make_folder(report.folder)
         compiler, texts = find_compiler(), self.texts
-        for name, text in texts.items():
-            path = report.folder / name
-            if name == _EDITABLE and path.is_file() and _edited(path, recorded.get(name, ""), sha256(text)):
-                report = report.with_line(f"{name} was edited and is kept")
-            else:
-                write_whole(path, text)
-        # Last, so that an interrupted run leaves no manifest that claims to be current.
-        record = self.manifest.to_json(texts, compiler.version if compiler else "none")
-        write_whole(report.folder / _MANIFEST, record)
+        # Last, so that a run that was killed leaves no manifest that claims to be current.
+        texts_and_record = {
+            **texts,
+            _MANIFEST: self.manifest.to_json(texts, compiler.version if compiler else "none"),
+        }
+        with together():
+            make_folder(report.folder)
+            for name, text in texts_and_record.items():
+                path = report.folder / name
+                if (
+                    name == _EDITABLE
+                    and path.is_file()
+                    and _edited(path, recorded.get(name, ""), sha256(text))
+                ):
+                    report = report.with_line(f"{name} was edited and is kept")
+                else:
+                    write_whole(path, text)
         return report
 
     def check(self, out: Path) -> Report:
@@ -111,8 +118,8 @@ class Export:
         if not (folder / _MANIFEST).is_file():
             return Report(folder, True, ()), {}
         try:
-            old, recorded = Manifest.from_json((folder / _MANIFEST).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, UndertowError) as error:
+            old, recorded = Manifest.from_json(read_json(folder / _MANIFEST, "manifest"))
+        except UndertowError as error:
             return Report(folder, False, (f"{_MANIFEST}: {error}",)), {}
         return Report(folder, False, tuple(changes(old, self.manifest))), recorded
 
@@ -175,21 +182,6 @@ def _delays(manifest: Manifest) -> str:
         names = ", ".join(n for n, s in manifest.output_delay.items() if s == seconds)
         lines.append(f"   The outputs {names} are reported {seconds:g} s late: the caller has to delay them.")
     return "".join(f"\n{line}\n" for line in lines)
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder where it is missing.
-
-    Raises
-    ------
-    UndertowError
-        If that cannot be.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = f"cannot make folder '{folder}': {error.strerror}"
-        raise UndertowError(f"{reason}; choose another with --out") from error
 
 
 def _edited(path: Path, *generated: str) -> bool:

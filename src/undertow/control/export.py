@@ -8,11 +8,11 @@ from importlib.resources import files
 from pathlib import Path
 
 import undertow
-from undertow.codegen.export import Report, comment, filled, identifier, listing, make_folder, slug, strings
+from undertow.codegen.export import Report, comment, filled, identifier, listing, slug, strings
 from undertow.codegen.manifest import Entry
 from undertow.codegen.plain import plain_c
 from undertow.errors import UndertowError
-from undertow.files import write_whole
+from undertow.files import make_folder, together, write_whole
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 
 from .controller import Controller
@@ -76,9 +76,10 @@ class ControllerExport:
             If the folder cannot be written.
         """
         report = self.check(out)
-        make_folder(report.folder)
-        for name, text in self.texts.items():
-            write_whole(report.folder / name, text)
+        with together():
+            make_folder(report.folder)
+            for name, text in self.texts.items():
+                write_whole(report.folder / name, text)
         return report
 
     def check(self, out: Path) -> Report:

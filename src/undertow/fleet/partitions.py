@@ -113,8 +113,10 @@ def _clock(time: Any, mapping: Mapping) -> Any:
 def _said_inside(path: Path, mapping: Mapping) -> dict[str, Any]:
     import polars as pl
 
+    from undertow.identification.logs.parquet import flat_table
+
+    table = flat_table(path, str(path))
     try:
-        table = pl.scan_parquet(path, hive_partitioning=False, glob=False)
         columns = table.collect_schema().names()
         said: dict[str, Any] = {n: _only(table, n, path) for n in ("vehicle", "day") if n in columns}
         clock = mapping.time.column

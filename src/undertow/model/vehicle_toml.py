@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -11,15 +10,12 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from undertow.errors import UndertowError
+from undertow.files import read_toml
 
 from .catalogue import nearest
 from .vehicle_schema import VehicleTable
 
 Content = TypeVar("Content", bound=BaseModel)
-_LARGEST_FILE = 2_000_000
-# tomllib needs memory in the square of the number of parts of a dotted key; no honest file comes near.
-_MOST_DOTS_SQUARED = 2_000_000
-_DECIMAL = re.compile(r"(?<![\w.-])[+-]?\d+\.\d+(?:[eE][+-]?\d+)?(?![\w.])")
 _UNION_MEMBERS = ("ParameterTable", "float", "int", "str")
 _NO_QUANTITY = ("float_type", "int_type", "string_type", "model_type", "float_parsing", "int_parsing")
 
@@ -52,29 +48,11 @@ def read_table(path: Path, model: type[Content], kind: str) -> Content:
     UndertowError
         If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
     """
-    try:
-        content = tomllib.loads(_text(path, kind))
-    except RecursionError as error:
-        raise UndertowError(f"{path}: values are nested too deeply for a {kind}") from error
-    except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, integers of thousands of digits
-        raise UndertowError(f"{path}: not valid TOML: {error}") from error
+    content = read_toml(path, kind)
     try:
         return model.model_validate(content)
     except ValidationError as error:
         raise UndertowError(f"{path}: {_first_complaint(error, model)}") from error
-
-
-def _text(path: Path, kind: str) -> str:
-    try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE:
-            raise UndertowError(f"{path}: {size} bytes are too many for a {kind} (limit {_LARGEST_FILE})")
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UndertowError(f"{path}: cannot be read: {error.strerror}") from error
-    if sum(line.count(".") ** 2 for line in _DECIMAL.sub("0", text).splitlines()) > _MOST_DOTS_SQUARED:
-        raise UndertowError(f"{path}: keys with so many dots are no part of a {kind}")
-    return text
 
 
 def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:

@@ -121,7 +121,7 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 
 def _cannot(motion: _Motion) -> Iterator[str]:
     moving, means, noise = motion.moving, motion.means, motion.noise_of_means
-    if not len(moving) or np.sqrt(np.mean(means**2)) < _EXCITED * noise:
+    if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < _EXCITED * noise:
         yield "anything: the motion does not stand out of its noise"
         return
     if np.std(means) < _EXCITED * noise:

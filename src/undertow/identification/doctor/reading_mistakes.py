@@ -34,14 +34,17 @@ def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
     mapping : Mapping
         How the log was read: what it says may itself be the mistake.
     runs : sequence of Run
-        Logs; channels that they lack, or that never change, are left out.
+        Logs; channels that they lack, or that never change, are left out, and so are mistakes without which
+        a log would lack a channel that it has, as one with x but no y in other axes.
     """
     moving = {
         n
         for n in (*POSE, *VELOCITY)
         if all(r.has(n) and n not in r.derived for r in runs) and any(_changes(r, n) for r in runs)
     }
-    return [mistake for kind in KINDS for mistake in kind(mapping, moving)]
+    few = [run.head(2) for run in runs]
+    known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
+    return [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]
 
 
 def _changes(run: Run, name: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,23 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurable:
+    """What can be in a log.
+
+    Attributes
+    ----------
+    largest : float
+        Largest magnitude of a value or time, SI. Values that stand for a missing one (1e20, 9.97e36, 1e308)
+        are larger, distances on Earth in nm are not; its powers up to the tenth are numbers.
+    """
+
+    largest: float = 1e15
+
+
+MEASURABLE = Measurable()
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -49,6 +67,12 @@ def check_time(t: Array, column: str, where: str) -> None:
         value = "missing" if np.isnan(t[bad[0]]) else "infinite"
         raise UndertowError(
             f"{thing} is {value} in {len(bad)} of {len(t)} rows, first in row {bad[0] + 1}: remove them"
+        )
+    late = np.flatnonzero(np.abs(t) > MEASURABLE.largest)
+    if len(late):
+        raise UndertowError(
+            f"{thing} is {t[late[0]]:g} s in row {late[0] + 1}, beyond {MEASURABLE.largest:g} s: check its "
+            "unit and offset in the mapping file"
         )
     step = np.diff(t)
     back, same = np.flatnonzero(step < 0), np.flatnonzero(step == 0)
@@ -97,7 +121,7 @@ def check_channel(name: str, t: Array, data: Array, where: str) -> None:
 
 
 def check_finite(name: str, t: Array, data: Array, where: str) -> None:
-    """Refuse a channel with an infinite value.
+    """Refuse a channel with an infinite value, or one that no sensor of any unit reports.
 
     Raises
     ------
@@ -110,6 +134,13 @@ def check_finite(name: str, t: Array, data: Array, where: str) -> None:
             f"{where}: channel {name!r} is infinite in {len(infinite)} of {len(data)} samples, first at t = "
             f"{t[infinite[0]]:g} s: leave such cells empty, or name the value under `missing` in a mapping "
             "file"
+        )
+    beyond = np.flatnonzero(np.abs(data) > MEASURABLE.largest)
+    if len(beyond):
+        raise UndertowError(
+            f"{where}: channel {name!r} is {data[beyond[0]]:g} at t = {t[beyond[0]]:g} s and beyond "
+            f"{MEASURABLE.largest:g} in {len(beyond)} of {len(data)} samples, which nothing measures: name "
+            "the value under `missing` in a mapping file, or mend unit, scale and power there"
         )
 
 

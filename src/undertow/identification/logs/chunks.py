@@ -21,9 +21,21 @@ from undertow.model.units import scale_offset
 
 from .checks import empty
 from .mapping import CommandPolicy, Mapping
-from .reading import must_have, origin_of, run_of_table
+from .parquet import flat_table
+from .reading import must_have, run_of_table
 from .run import Run
-from .table import is_dates, is_gzip, is_parquet, numbers, read_rows, read_table
+from .table import (
+    DAMAGED,
+    WHOLE,
+    Origin,
+    elapsed,
+    is_dates,
+    is_gzip,
+    is_header,
+    is_parquet,
+    read_rows,
+    read_table,
+)
 
 if TYPE_CHECKING:
     import polars as pl
@@ -86,7 +98,8 @@ class LongLog:
             mapping thins out or puts signals on another clock, which cannot be done part by part.
         """
         self._refuse()
-        origin, last = None, None
+        origin: Origin | None = None
+        last: Run | None = None
         low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
         for table in self._tables(rows, overlap):
             if origin is None:
@@ -98,24 +111,24 @@ class LongLog:
                 shared = min(max(overlap // 2, 1), len(t))
                 yield Part(last, float(np.fmax.accumulate(t)[-shared]))
 
-    def _times(self, table: pl.DataFrame, origin: float) -> NDArray[np.float64]:
+    def _times(self, table: pl.DataFrame, origin: Origin) -> NDArray[np.float64]:
         """Times of all rows of a table, s."""
         where = f"log {self.path}"
         scale, offset = scale_offset(self.mapping.time.unit, "s", of=where)
-        raw = numbers(table, self.mapping.time.column, self.mapping, where)
-        return np.asarray(scale * (raw - origin) + offset + self.mapping.time.offset)
+        since, _ = elapsed(table, self.mapping, scale, where, origin)
+        return np.asarray(scale * since + offset + self.mapping.time.offset)
 
-    def _run(self, table: pl.DataFrame, origin: float, before: dict[str, float]) -> Run:
+    def _run(self, table: pl.DataFrame, origin: Origin, before: dict[str, float]) -> Run:
         also, fill = self.commands, self.missing_commands
         return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin, before)
 
-    def _origin(self, table: pl.DataFrame) -> float:
+    def _origin(self, table: pl.DataFrame) -> Origin:
         spec, where = self.mapping.time, f"log {self.path}"
         must_have(spec.column, table.columns, where, "time column")
         if is_dates(table, spec.column):
             raise NeedsWhole(f"{where}: {_DATES}")
         scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
-        return origin_of(numbers(table.head(1), spec.column, self.mapping, where), scale)
+        return elapsed(table.head(1), self.mapping, scale, where)[1]
 
     def _refuse(self) -> None:
         if not self.path.is_file():
@@ -134,9 +147,10 @@ class LongLog:
         if not is_parquet(begin):
             yield from self._text_tables(rows, overlap, packed=is_gzip(begin))
             return
-        first = 0
+        first, where = 0, f"log {self.path}"
+        whole = flat_table(self.path, where)
         while True:
-            table = read_rows(self.path, first, rows, f"log {self.path}")
+            table = read_rows(whole, first, rows, where)
             if first and table.height <= overlap:
                 return
             yield table
@@ -145,17 +159,18 @@ class LongLog:
     def _text_tables(self, rows: int, overlap: int, *, packed: bool) -> Iterator[pl.DataFrame]:
         where = f"log {self.path}"
         with _opened(self.path, where, packed=packed) as file:
-            header = self._header(file)
+            stream = _lines(file, where)
+            header = self._header(stream)
             kept: list[bytes] = []
-            while fresh := list(islice(file, rows - len(kept))):
+            while fresh := list(islice(stream, rows - len(kept))):
                 lines = kept + fresh
                 yield read_table(header + b"".join(lines), self.mapping, where)
                 kept = lines[-overlap:] if overlap else []
 
-    def _header(self, file: IO[bytes]) -> bytes:
+    def _header(self, lines: Iterator[bytes]) -> bytes:
         comment = (self.mapping.comment or "\0").encode()
-        for line in file:
-            if line.strip(b"\xef\xbb\xbf \r\n") and not line.startswith(comment):
+        for line in lines:
+            if is_header(line, comment):
                 return line
         raise UndertowError(f"log {self.path} is empty (no header): check that it was written to its end")
 
@@ -177,8 +192,18 @@ def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
     try:
         with gzip.open(path, "rb") if packed else path.open("rb") as file:
             yield file  # type: ignore[misc]
-    except (OSError, EOFError) as error:
+    except DAMAGED as error:
         raise UndertowError(f"{where} cannot be read to its end ({error}): copy it again") from error
+
+
+def _lines(file: IO[bytes], where: str) -> Iterator[bytes]:
+    """Lines of a file; one that does not end is not read to its end."""
+    while line := file.readline(WHOLE.line + 1):
+        if len(line) > WHOLE.line:
+            raise UndertowError(
+                f"{where} has a line of more than {WHOLE.line} bytes: check that it is a table of text"
+            )
+        yield line
 
 
 def size_of(path: Path) -> int:

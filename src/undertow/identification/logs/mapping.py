@@ -24,13 +24,13 @@ It is data (TOML) and nothing in it is executed. Example::
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
+from undertow.files import read_toml
 from undertow.identification.logs.checks import nearest
 
 SCHEMA = "undertow/mapping/1"
@@ -87,14 +87,15 @@ class Time(_Strict):
     disorder : "refuse" or "drop"
         What to do with rows whose time is not later than that of every row before.
     every : int
-        Only every so many-th row is used: for pose logged much faster than the vehicle moves.
+        Only every so many-th row is used, at most every 10^6-th: for pose logged much faster than the vehicle
+        moves.
     """
 
     column: str = "t"
     unit: str = "s"
     offset: float = 0.0
     disorder: Literal["refuse", "drop"] = "refuse"
-    every: int = Field(default=1, ge=1)
+    every: int = Field(default=1, ge=1, le=1_000_000)
 
 
 class Frames(_Strict):
@@ -180,18 +181,7 @@ def read_mapping(path: str | Path) -> Mapping:
         value.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UndertowError(
-            f"mapping file {path}: {error.strerror}: give the path of a readable file"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise UndertowError(
-            f"mapping file {path} is not UTF-8 text (byte {error.start}): save it as UTF-8"
-        ) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise UndertowError(f"mapping file {path} is not valid TOML: {error or 'nested too deep'}") from error
+    data = read_toml(path, "mapping file")
     if data.get("schema") != SCHEMA:
         raise UndertowError(
             f"mapping file {path} has schema {data.get('schema')!r}: write schema = {SCHEMA!r} on top"

@@ -16,15 +16,21 @@ from undertow.identification.logs import checks, frames
 from undertow.identification.logs.mapping import Column, CommandPolicy, Mapping
 from undertow.identification.logs.run import FORCES, UNITS, VELOCITY, Run
 from undertow.identification.logs.slow import changed, new_only, on_the_clock
-from undertow.identification.logs.table import file_bytes, is_dates, numbers, read_table, seconds
+from undertow.identification.logs.table import (
+    WHOLE,
+    LogLimits,
+    Origin,
+    elapsed,
+    file_bytes,
+    is_dates,
+    numbers,
+    read_table,
+    seconds,
+)
 from undertow.model.units import scale_offset, si_unit
 
 if TYPE_CHECKING:
     import polars as pl
-
-_EPOCH = (
-    1e8  # times beyond three years are dates counted from some epoch, and are counted from the first sample
-)
 
 Array = NDArray[np.float64]
 Commands = dict[str, float]
@@ -38,6 +44,7 @@ def read_log(
     window: tuple[float | None, float | None] = (None, None),
     missing_commands: CommandPolicy | None = None,
     also: Iterable[str] = (),
+    limits: LogLimits = WHOLE,
 ) -> Run:
     """Read a log.
 
@@ -55,6 +62,8 @@ def read_log(
         What to do where a command has no sample; the mapping says it otherwise, and refusing is the default.
     also : iterable of str
         Names of commands that are read where the log has them.
+    limits : LogLimits
+        How large it may be; what is larger is refused before it is held in memory.
 
     Returns
     -------
@@ -67,8 +76,8 @@ def read_log(
         If the file cannot be read, or holds what no log may hold; the message names the place and the remedy.
     """
     path, mapping = Path(path), mapping or Mapping()
-    data = file_bytes(path)
-    table = read_table(data, mapping, f"log {path}")
+    data = file_bytes(path, limits)
+    table = read_table(data, mapping, f"log {path}", path, limits)
     run = run_of_table(table, path, mapping, channels, window, missing_commands, also)
     return replace(run, sha256=hashlib.sha256(data).hexdigest())
 
@@ -81,7 +90,7 @@ def run_of_table(
     window: tuple[float | None, float | None] = (None, None),
     missing_commands: CommandPolicy | None = None,
     also: Iterable[str] = (),
-    origin: float | None = None,
+    origin: Origin | None = None,
     before: Commands | None = None,
 ) -> Run:
     """A run from the rows of a log, or of a part of it.
@@ -92,7 +101,7 @@ def run_of_table(
         The rows.
     path, mapping, channels, window, missing_commands, also
         As for `read_log`.
-    origin : float, optional
+    origin : Decimal or float, optional
         Time in the file that counts as zero, for parts of one log; by default that of the first row, where it
         is a date.
     before : mapping, optional
@@ -104,17 +113,13 @@ def run_of_table(
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     table, t, notes = _time(table, mapping, where, origin)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
+        read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
+        channels = _turned(read, mapping, where)
     run = Run(
         name=path.name.split(".")[0],
         t=t,
-        channels=_turned(
-            {
-                column.channel: _values(table, name, column, mapping, where)
-                for name, column in sources.items()
-            },
-            mapping,
-            where,
-        ),
+        channels=channels,
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         mapping=mapping,
@@ -124,11 +129,6 @@ def run_of_table(
     slow = [column.channel for column in sources.values() if column.fresh is not None]
     run = on_the_clock(run, [frames.turned_name(name, mapping.frames.position) for name in slow])
     return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where, before)
-
-
-def origin_of(raw: Array, scale: float) -> float:
-    """Time in a file that counts as zero: that of its first row where it is a date, else zero."""
-    return float(raw[0]) if len(raw) and abs(scale * raw[0]) > _EPOCH else 0.0
 
 
 def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where: str) -> dict[str, Column]:
@@ -173,27 +173,32 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
 
 
 def _time(
-    table: pl.DataFrame, mapping: Mapping, where: str, origin: float | None
+    table: pl.DataFrame, mapping: Mapping, where: str, origin: Origin | None
 ) -> tuple[pl.DataFrame, Array, list[str]]:
     """Return the rows that are used, their times and notes."""
     spec, notes = mapping.time, []
     if spec.unit == "iso" or is_dates(table, spec.column):
         t, first = seconds(table, spec.column, where)
-        notes.append(f"time counts from {first}")
+        notes += [f"time counts from {first}"] if first else []
     else:
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
-        raw = numbers(table, spec.column, mapping, where)
-        # Subtract before scaling: seconds since 1970 in a float are good to 0.2 us only.
-        start = origin_of(raw, scale) if origin is None else origin
-        t = scale * (raw - start) + offset
-        notes += [f"time counts from the first sample, {start:.17g} {spec.unit} in the file"] if start else []
+        since, start = elapsed(table, mapping, scale, where, origin)
+        t = scale * since + offset
+        notes += (
+            [f"time counts from the first sample, {_shown(start)} {spec.unit} in the file"] if start else []
+        )
+    t = t + spec.offset
     if spec.disorder == "drop":
         later = checks.in_order(t)
         notes += checks.disorder(t, later)
         table, t = table.filter(later), t[later]
     notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
     checks.check_time(t, spec.column, where)
-    return table, t + spec.offset, notes
+    return table, t, notes
+
+
+def _shown(number: Origin) -> str:
+    return f"{number:.17g}" if isinstance(number, float) else f"{number:f}".rstrip("0").rstrip(".")
 
 
 def _values(table: pl.DataFrame, name: str, column: Column, mapping: Mapping, where: str) -> Array:

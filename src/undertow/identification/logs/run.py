@@ -145,6 +145,13 @@ class Run:
         )
         return replace(self, t=self.t[keep], channels=channels, wrapped=wrapped)
 
+    def head(self, count: int) -> Run:
+        """Return the first samples as a run of its own."""
+        channels, wrapped = (
+            {name: data[:count] for name, data in table.items()} for table in (self.channels, self.wrapped)
+        )
+        return replace(self, t=self.t[:count], channels=channels, wrapped=wrapped)
+
     def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
         """Return index slices without a time step longer than five median steps.
 

@@ -6,10 +6,14 @@ told with its row instead of making the whole column text.
 
 from __future__ import annotations
 
+import csv
 import gzip
 import io
 import zlib
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -18,46 +22,138 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Mapping
+from undertow.identification.logs.parquet import flat_table, too_many_cells
 
 _ALWAYS_MISSING = ("", "NaN", "nan", "NAN", "NA", "N/A", "null", "None")
 _GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
+# Polars would unpack some of these without being asked, and as a whole.
+_PACKED = {
+    b"PK\x03\x04": "zip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"x\x01": "zlib",
+    b"x\x9c": "zlib",
+    b"x\xda": "zlib",
+    b"7z\xbc\xaf": "7z",
+}
+DAMAGED = (OSError, EOFError, zlib.error)
+"""What reading a damaged gzip file raises, whole or in parts."""
+_PIECE = 1 << 20
+# Decimals of an exact time: nanoseconds of seconds since 1970, with digits to spare before the point.
+_EXACT = pl.Decimal(38, 9)
+# Times beyond three years, in s, are dates counted from some epoch, and are counted from the first sample.
+_EPOCH = 1e8
+Origin = Decimal | float
 
 
-def file_bytes(path: Path) -> bytes:
+@dataclass(frozen=True)
+class LogLimits:
+    """What a log may be.
+
+    Attributes
+    ----------
+    text : int
+        Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
+    cells : int
+        Rows times columns that are held at once: a cell of text takes 16 bytes, its number 8 more.
+    columns : int
+        Columns.
+    line : int
+        Bytes of one line.
+    rows : int, optional
+        Rows that what is to be done with the log can take at all, blank ones and comments included.
+    """
+
+    text: int = 500_000_000
+    cells: int = 50_000_000
+    columns: int = 5_000
+    line: int = 1_000_000
+    rows: int | None = None
+
+    def check(self, size: int, rows: int, columns: int, where: str) -> None:
+        """Refuse a text of so many bytes, rows and columns.
+
+        Raises
+        ------
+        UndertowError
+            Naming what is too much.
+        """
+        if columns > self.columns:
+            raise UndertowError(
+                f"{where} has {columns} columns, at most {self.columns} are read: leave some out, or check "
+                "the delimiter"
+            )
+        if self.rows is not None and rows > self.rows:
+            raise UndertowError(
+                f"{where} has more than {self.rows} rows, more than can be used: take a part of it with "
+                "--from and --to, or thin it out (10 to 20 samples per second are enough)"
+            )
+        if rows * columns > self.cells:
+            raise UndertowError(too_many_cells(where, rows, columns, self.cells))
+        if size > self.text:
+            raise UndertowError(
+                f"{where} has more than {self.text / 1e6:g} MB, unpacked, which is too much to be read as a "
+                "whole: leave out columns and rows, or split it"
+            )
+
+
+WHOLE = LogLimits()
+
+
+def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
     """Return the bytes of a log file.
 
     Raises
     ------
     UndertowError
-        If there is no such file, or it cannot be read.
+        If there is no such file, it cannot be read, or is too large.
     """
     if not path.is_file():
         found = "is a folder, not a log file" if path.is_dir() else "does not exist or is not a file"
         raise UndertowError(f"log {path} {found}: give the path of a CSV, CSV.gz or Parquet file")
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            data = stream.read(limits.text + 1)
     except OSError as error:
         raise UndertowError(f"log {path} cannot be read: {error.strerror}") from error
+    limits.check(len(data), 0, 0, f"log {path}")
+    return data
 
 
-def read_table(data: bytes, mapping: Mapping, where: str) -> pl.DataFrame:
+def read_table(
+    data: bytes, mapping: Mapping, where: str, path: Path | None = None, limits: LogLimits = WHOLE
+) -> pl.DataFrame:
     """Turn the bytes of a CSV, CSV.gz or Parquet file into a table with clean column names.
+
+    Parameters
+    ----------
+    data : bytes
+        Of the file, or some lines of one.
+    mapping : Mapping
+        Says how text is written.
+    where : str
+        The file, for messages.
+    path : Path, optional
+        Where the bytes stand on the disk; a Parquet file is read from there.
+    limits : LogLimits
+        What is refused before it is held in memory.
 
     Raises
     ------
     UndertowError
-        If the file is empty, damaged, not UTF-8, or names a column twice.
+        If the file is empty, damaged, too large, not UTF-8, or names a column twice.
     """
     if not data:
         raise UndertowError(f"{where} is empty (0 bytes): check that the log was written to its end")
-    return _tidy(
-        lambda: pl.read_parquet(io.BytesIO(data)) if is_parquet(data) else _csv(data, mapping, where), where
-    )
+    if path is not None and is_parquet(data):
+        return _tidy(lambda: flat_table(path, where, limits.cells).collect(), where)
+    return _tidy(lambda: _csv(data, mapping, where, limits), where)
 
 
-def read_rows(path: Path, first: int, count: int, where: str) -> pl.DataFrame:
+def read_rows(table: pl.LazyFrame, first: int, count: int, where: str) -> pl.DataFrame:
     """Some rows of a Parquet file; no more of it is held in memory than the row groups they are in."""
-    return _tidy(lambda: pl.scan_parquet(path, glob=False).slice(first, count).collect(), where)
+    return _tidy(lambda: table.slice(first, count).collect(), where)
 
 
 def is_parquet(data: bytes) -> bool:
@@ -78,43 +174,88 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
         raise UndertowError(
             f"{where} cannot be read as a table: {reason}: check the delimiter, or export it again"
         ) from error
+    _refuse_doubled(table.columns, where)
     table = table.rename({name: name.strip() for name in table.columns})
     return table.filter(~pl.all_horizontal(pl.all().is_null())) if table.height else table
 
 
-def _csv(data: bytes, mapping: Mapping, where: str) -> pl.DataFrame:
-    text = _unpacked(data, where) if is_gzip(data) else data
-    try:
-        header = text.decode("utf-8").lstrip("\ufeff \r\n")
-    except UnicodeDecodeError as error:
-        raise UndertowError(
-            f"{where} is not UTF-8 text (byte {error.start} is 0x{text[error.start]:02x}): save it as UTF-8"
-        ) from error
+def _csv(data: bytes, mapping: Mapping, where: str, limits: LogLimits) -> pl.DataFrame:
+    text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
+    packed = next((how for magic, how in _PACKED.items() if text.startswith(magic)), None)
+    if packed is not None:
+        raise UndertowError(f"{where} is packed by {packed}: unpack it, or pack it with gzip")
+    header = header_of(text, mapping)
+    limits.check(len(text), text.count(b"\n"), columns_of(header, mapping), where)
+    if not text.isascii():
+        try:
+            text.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise UndertowError(
+                f"{where} is not UTF-8 text (byte {error.start} is 0x{text[error.start]:02x}): save it as "
+                "UTF-8"
+            ) from error
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log was written to its end")
-    table = pl.read_csv(
+    # Polars would give the second of two columns of one name another one.
+    _refuse_doubled(next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter)), where)
+    return pl.read_csv(
         text,
         infer_schema=False,
         separator=mapping.delimiter,
         comment_prefix=mapping.comment,
         null_values=[*_ALWAYS_MISSING, *(value for value in mapping.missing if isinstance(value, str))],
     )
-    _refuse_doubled(table.columns, where)
-    return table
 
 
-def _unpacked(data: bytes, where: str) -> bytes:
+def header_of(text: bytes, mapping: Mapping) -> bytes:
+    """The line of a text that names the columns; nothing where there is none, or its end is not there yet."""
+    comment, place = (mapping.comment or "\0").encode(), 0
+    while place < len(text):
+        end = text.find(b"\n", place) + 1 or len(text)
+        line = text[place:end]
+        if is_header(line, comment):
+            return line
+        place = end
+    return b""
+
+
+def is_header(line: bytes, comment: bytes) -> bool:
+    """Tell whether a line is neither blank nor a comment."""
+    return bool(line.strip(b"\xef\xbb\xbf \r\n")) and not line.startswith(comment)
+
+
+def columns_of(header: bytes, mapping: Mapping) -> int:
+    """How many columns a header names."""
+    return header.count(mapping.delimiter.encode()) + 1
+
+
+def _unpacked(data: bytes, mapping: Mapping, where: str, limits: LogLimits) -> bytes:
+    """The text of a gzip file; refused as soon as it is too much."""
+    pieces: list[bytes] = []
+    size = rows = columns = 0
     try:
-        return gzip.decompress(data)
-    except (OSError, EOFError, zlib.error) as error:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
+            for piece in _pieces(stream):
+                pieces.append(piece)
+                size, rows = size + len(piece), rows + piece.count(b"\n")
+                columns = columns or columns_of(header_of(piece, mapping), mapping)
+                limits.check(size, rows, columns, where)
+    except DAMAGED as error:
         raise UndertowError(f"{where} is a damaged gzip file ({error}): copy it again") from error
+    return b"".join(pieces)
 
 
-def _refuse_doubled(columns: Sequence[str], where: str) -> None:
-    doubled = [name for name in columns if name.rsplit("_duplicated_", 1)[0] != name]
+def _pieces(stream: gzip.GzipFile) -> Iterator[bytes]:
+    while piece := stream.read(_PIECE):
+        yield piece
+
+
+def _refuse_doubled(columns: Iterable[str], where: str) -> None:
+    doubled = [name for name, count in Counter(name.strip() for name in columns).items() if count > 1]
     if doubled:
-        name = doubled[0].rsplit("_duplicated_", 1)[0]
-        raise UndertowError(f"{where} has column {name!r} more than once: rename one of them in the header")
+        raise UndertowError(
+            f"{where} has column {doubled[0]!r} more than once: rename one of them in the header"
+        )
 
 
 def numbers(table: pl.DataFrame, name: str, mapping: Mapping, where: str) -> NDArray[np.float64]:
@@ -136,7 +277,7 @@ def numbers(table: pl.DataFrame, name: str, mapping: Mapping, where: str) -> NDA
     UndertowError
         If a cell is not a number; the first one is named with its row.
     """
-    column = table[name]
+    column = _plain(table[name])
     cells = _text_to_number(column, mapping.decimal, where) if column.dtype == pl.String else column
     if not (cells.dtype.is_numeric() or cells.dtype in (pl.Boolean, pl.Null)):
         raise UndertowError(
@@ -173,35 +314,114 @@ def _is_number(value: float | str) -> bool:
     return True
 
 
-def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.float64], str]:
-    """Return a column of dates and times (or ISO 8601 texts) as seconds from its first entry, and that entry.
+def elapsed(
+    table: pl.DataFrame, mapping: Mapping, scale: float, where: str, origin: Origin | None = None
+) -> tuple[NDArray[np.float64], Origin]:
+    """Return the time column as numbers from an origin, in its own unit, and the origin.
+
+    Whole numbers and texts are subtracted before they become floats, in which nanoseconds since 1970 are
+    good to 256 only.
+
+    Parameters
+    ----------
+    table : DataFrame
+        The table.
+    mapping : Mapping
+        Names the column and its missing values.
+    scale : float
+        Seconds in its unit.
+    where : str
+        The file, for the message.
+    origin : Decimal or float, optional
+        What counts as zero; by default the first entry where it is a date, else zero.
 
     Raises
     ------
     UndertowError
-        If a text is not an ISO 8601 time stamp.
+        If a cell is not a number.
     """
-    stamps = table[name]
+    name = mapping.time.column
+    raw = numbers(table, name, mapping, where)
+    if origin is None and not (len(raw) and abs(scale * raw[0]) > _EPOCH):
+        origin = 0.0
+    exact = _exactly(table[name], mapping.decimal) if origin != 0.0 else None
+    if origin is None:
+        origin = float(raw[0]) if exact is None else exact.item(0)
+    if exact is None or not isinstance(origin, Decimal):
+        return raw - float(origin), origin
+    return np.where(np.isnan(raw), np.nan, _from(exact, origin)), origin
+
+
+def _exactly(column: pl.Series, decimal: str) -> pl.Series | None:
+    """A column of numbers as decimals; None where they are floats, or not all of them can be."""
+    cells = _plain(column)
+    if cells.dtype == pl.String:
+        cells = cells.str.strip_chars()
+        cells = cells.str.replace(",", ".", literal=True) if decimal == "," else cells
+    elif not (cells.dtype.is_integer() or cells.dtype.is_decimal()):
+        return None
+    exact = cells.cast(_EXACT, strict=False)
+    return None if exact.is_null().any() else exact
+
+
+def _from(exact: pl.Series, origin: Decimal) -> NDArray[np.float64]:
+    return (exact - origin).cast(pl.Float64).fill_null(np.nan).to_numpy()
+
+
+def _plain(column: pl.Series) -> pl.Series:
+    """A column of categories as the texts that they stand for."""
+    return column.cast(pl.String) if column.dtype in (pl.Categorical, pl.Enum) else column
+
+
+def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.float64], str]:
+    """Return a column of dates or times (or ISO 8601 texts) as seconds from its first entry.
+
+    Returns
+    -------
+    (n,) array, str
+        Seconds, and the first entry in words; durations are seconds already, and count from nothing.
+
+    Raises
+    ------
+    UndertowError
+        If a text is not an ISO 8601 time stamp, or the column holds neither texts nor times.
+    """
+    stamps = _plain(table[name])
     if stamps.dtype == pl.String:
-        try:
-            parsed = stamps.str.strip_chars().str.to_datetime(time_unit="ns", strict=False)
-        except pl.exceptions.ComputeError:  # polars found no date at all
-            parsed = pl.Series([None] * len(stamps), dtype=pl.Datetime("ns"))
-        odd = (parsed.is_null() & stamps.is_not_null()).arg_true()
-        if len(odd):
-            raise UndertowError(
-                f"{where}: time {stamps[odd[0]][:40]!r} in row {odd[0] + 1} is no ISO 8601 time stamp such "
-                "as "
-                "2024-05-01T12:00:00.250Z: rewrite it, or give the unit of a numeric time column"
-            )
-        stamps = parsed
+        stamps = _parsed(stamps, where)
+    if not stamps.dtype.is_temporal():
+        raise UndertowError(
+            f"{where}: time column {name!r} holds {stamps.dtype}, no ISO 8601 time stamps: give its unit in "
+            'the mapping file, such as unit = "ns"'
+        )
     first = stamps.drop_nulls().first()
     if first is None:
         return np.full(table.height, np.nan), ""
-    elapsed = (
-        stamps.cast(pl.Datetime("ns")) - stamps.cast(pl.Datetime("ns")).drop_nulls()[0]
-    ).dt.total_nanoseconds()
-    return elapsed.cast(pl.Float64).fill_null(np.nan).to_numpy() * 1e-9, str(first)
+    ticks, tick = stamps.to_physical().cast(_EXACT), _tick(stamps.dtype)
+    if stamps.dtype == pl.Duration:
+        return tick * _from(ticks, Decimal(0)), ""
+    return tick * _from(ticks, ticks.drop_nulls().item(0)), str(first)
+
+
+def _tick(kind: pl.DataType) -> float:
+    """Seconds in one count of a column of dates or times."""
+    if isinstance(kind, pl.Datetime | pl.Duration):
+        return {"ns": 1e-9, "us": 1e-6, "ms": 1e-3}[kind.time_unit]
+    return 86400.0 if kind == pl.Date else 1e-9
+
+
+def _parsed(stamps: pl.Series, where: str) -> pl.Series:
+    try:
+        parsed = stamps.str.strip_chars().str.to_datetime(time_unit="ns", strict=False)
+    except pl.exceptions.ComputeError:  # polars found no date at all
+        parsed = pl.Series([None] * len(stamps), dtype=pl.Datetime("ns"))
+    odd = (parsed.is_null() & stamps.is_not_null()).arg_true()
+    if len(odd):
+        raise UndertowError(
+            f"{where}: time {stamps[odd[0]][:40]!r} in row {odd[0] + 1} is no ISO 8601 time stamp such as "
+            "2024-05-01T12:00:00.250Z: rewrite it, or give the unit of a numeric time column"
+        )
+    return parsed
 
 
 def is_dates(table: pl.DataFrame, name: str) -> bool:

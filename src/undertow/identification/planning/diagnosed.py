@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from undertow.errors import UndertowError
+from undertow.files import read_json
 from undertow.model.catalogue import Catalogue, lookup
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
@@ -79,10 +80,7 @@ def read_diagnosis(path: Path) -> Diagnosed:
         If the file cannot be read, or is no diagnosis.
     """
     try:
-        found = Diagnosed.model_validate_json(path.read_bytes())
-    except OSError as failure:
-        why = (failure.strerror or str(failure)).lower()
-        raise UndertowError(f"cannot read the diagnosis '{path}': {why}") from failure
+        found = Diagnosed.model_validate_json(read_json(path, "diagnosis"))
     except ValidationError as failure:
         first = failure.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the whole"

@@ -8,6 +8,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from undertow.errors import UndertowError
+from undertow.files import read_json
 
 from ..diagnosis.result import SCHEMA, Diagnosis
 
@@ -23,9 +24,7 @@ def read_diagnosis(path: Path) -> Diagnosis:
         If the file cannot be read or is no diagnosis.
     """
     try:
-        diagnosis = Diagnosis.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise UndertowError(f"cannot read '{path}': {(error.strerror or str(error)).lower()}") from error
+        diagnosis = Diagnosis.model_validate_json(read_json(path, "diagnosis"))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
