@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from undertow import __version__
+from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Mapping, Run, velocities_from_pose
@@ -17,14 +18,15 @@ from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
 from .findings import Examination, Finding, most_serious_first
-from .kinematic_search import best_explanation
+from .impossible import impossible
+from .kinematic_search import best_explanation, contradicts
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
 from .mistake import Mistake, Undo
 from .model_mistakes import lost_signs, other_mass
 from .reading_mistakes import reading_mistakes
 from .sampling import DROP, sampling
-from .time_unit import other_time_unit
+from .units import other_time_unit
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
 Report = Callable[[float, str], None]
@@ -85,6 +87,7 @@ def examine(
     case.look_at_samples()
     report(0.1, "holding pose rates against velocities")
     case.undo_reading_mistakes()
+    case.undo_what_cannot_be()
     report(0.4, "holding motion against commands")
     case.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
@@ -102,6 +105,45 @@ def examine(
     return Examined(result, list(runs), case.runs, tuple(case.edits))
 
 
+def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
+    """Refuse logs that cannot be, by the quick ones of the checks of `examine`; each log is held to them alone.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs; one that lacks a velocity or a command of the vehicle is not looked at.
+    trust_log : bool
+        Whether they are taken as they are.
+
+    Raises
+    ------
+    UndertowError
+        If pose rates and velocities contradict each other, or the motion is one that no vehicle of this mass,
+        size and thrust can have, and a usual mistake explains it. The message has the channel, its value, the
+        limit, and the line of the mapping file that mends it.
+    """
+    needed = [*vehicle.velocity_names, *vehicle.command_names]
+    for run in runs:
+        if not trust_log and all(run.has(n) for n in needed) and (found := _refused(vehicle, run)):
+            finding, edits = found
+            raise UndertowError(
+                f"log '{run.source or run.name}' cannot be: {finding.text}; put {_on_one_line(edits)} into the "
+                "mapping file (undertow doctor --mend writes it), or go on all the same with --trust-log "
+                "(trust_log=True)"
+            )
+
+
+def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
+    """What cannot be in a log, and all that mends it."""
+    case = _Case(vehicle, [run], run.mapping or Mapping())
+    case.look_at_samples()
+    case.undo_reading_mistakes()
+    case.undo_what_cannot_be()
+    return None if case.refused is None else (case.refused, tuple(case.edits))
+
+
 class _Case:
     """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
 
@@ -110,6 +152,7 @@ class _Case:
         self.kinematics = Kinematics(runs, vehicle)
         self.findings: list[Finding] = []
         self.edits: list[Edit] = []
+        self.refused: Finding | None = None
 
     def look_at_samples(self) -> None:
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
@@ -117,10 +160,12 @@ class _Case:
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
-            self._undo(unit, f"{unit.told}: only then have pose rates and velocities the same size", {})
+            text = f"{unit.told}: only then have pose rates and velocities the same size"
+            self._undo(unit, text, {}, impossible=True)
         unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
         if degrees := angles.in_degrees(self.runs, self.mapping, unasked):
-            self._undo(degrees, f"{degrees.told}, which is no vehicle's in radians", {}, apply=self._afresh)
+            text = f"{degrees.told}, which is no vehicle's in radians"
+            self._undo(degrees, text, {}, apply=self._afresh, impossible=True)
         for mistake, count in angles.wrapped_angles(self.runs):
             self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
         self.findings += angles.halfway(self.runs)
@@ -140,12 +185,23 @@ class _Case:
             return False
         others = [f.told() for f in consistency.as_good_as(found, fits)]
         chosen, rivals = decided(self.vehicle, self.runs, found)
-        text, evidence = kinematic_text(kinematics, found, chosen)
+        text, evidence = kinematic_text(kinematics, found, chosen, self.runs)
         if others:
             self._doubt(chosen, text, evidence, others)
             return False
-        self._undo(chosen, text, evidence, rivals)
+        # Water may well move as fast as a vehicle does.
+        gross = chosen.id != "velocity_through_water" and contradicts(found)
+        self._undo(chosen, text, evidence, rivals, impossible=gross)
         return True
+
+    def undo_what_cannot_be(self) -> None:
+        """Undo what pose rates and velocities leave open, but no vehicle of this mass and thrust can do."""
+        for _ in range(_MOST_MISTAKES):
+            found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
+            if found is None:
+                return
+            text = f"{found.mistake.told}: {found.why}"
+            self._undo(found.mistake, text, found.evidence, found.rivals, impossible=True)
 
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
@@ -198,19 +254,20 @@ class _Case:
         evidence: dict[str, float],
         rivals: Sequence[Mistake] = (),
         apply: Callable[[Run, Undo], Run] = rederived,
+        impossible: bool = False,
     ) -> None:
         edits = mistake.edits(self.mapping)
-        self.findings.append(
-            Finding(
-                id=mistake.id,
-                severity="mistake",
-                text=text,
-                evidence=evidence,
-                mapping=as_toml(edits),
-                vehicle=mistake.vehicle,
-                alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
-            )
+        finding = Finding(
+            id=mistake.id,
+            severity="mistake",
+            text=text,
+            evidence=evidence,
+            mapping=as_toml(edits),
+            vehicle=mistake.vehicle,
+            alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
         )
+        self.findings.append(finding)
+        self.refused = self.refused or (finding if impossible else None)
         self.runs = [apply(run, mistake.undo) for run in self.runs]
         self.kinematics = Kinematics(self.runs, self.vehicle)
         self._write(edits)
@@ -234,4 +291,8 @@ class _Case:
 
 
 def _on_one_line(edits: Edits) -> str:
-    return "; ".join(f"[{e.table}] {as_toml([Edit('', e.key, e.value)])}" for e in edits)
+    """Changes of a mapping file as `[table] key = value; key = value; [table] ...`."""
+    tables: dict[str, list[str]] = {}
+    for e in edits:
+        tables.setdefault(e.table, []).append(as_toml([Edit("", e.key, e.value)]))
+    return "; ".join(f"[{table}] {'; '.join(lines)}" for table, lines in tables.items())

@@ -12,7 +12,7 @@ from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
 from .kinematics import Kinematics, Mismatch
-from .mistake import Array, Mistake, both
+from .mistake import SETTINGS, Array, Mistake, both
 
 # A mismatch below this share of the motion is left to the effects that describe real sensors.
 MATTERS = 0.02
@@ -61,6 +61,12 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
     gone = after.excess <= before.excess / DECISIVE
     worse = after.excess > _WORSE * before.excess + _SLIGHTLY
     return bool(np.any(wrong & gone) and not np.any(worse))
+
+
+def contradicts(found: Explained) -> bool:
+    """Whether pose rates and velocities are too far apart for any sensor, and a mistake explains just that."""
+    gone = found.after.excess <= found.before.excess / DECISIVE
+    return bool(np.any(found.before.excess[gone] > SETTINGS.contradiction))
 
 
 def best_explanation(

@@ -1,4 +1,6 @@
-"""One usual mistake: how to undo it in a run, and what to write into the mapping file instead."""
+"""One usual mistake: how to undo it in a run, what to write into the mapping file instead, and from where on
+a log cannot be without one.
+"""
 
 from __future__ import annotations
 
@@ -74,3 +76,73 @@ def both(first: Mistake, second: Mistake) -> Mistake:
         edits,
         first.count + second.count,
     )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """From where on a log is not only suspicious but cannot be.
+
+    Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles, every
+    effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real data
+    sets, and well below the factors of the units that it is to find.
+
+    Attributes
+    ----------
+    contradiction : float
+        Share of the motion (mean square) by which pose rates and velocities disagree, if one usual mistake
+        explains it. Misaligned sensors reach 0.12, a current that is as fast as the vehicle is told apart.
+    gain : float
+        Factor between the force that the motion needs and the one commanded. Sound logs stay within 3, lags
+        included; degrees make 57, cm/s 100.
+    near : float
+        Factor within which the two must agree once a mistake is undone.
+    errors : float
+        Standard errors by which a gain stands out of its scatter.
+    share : float
+        Of the motion, beside what other forces explain, that commands must explain to be a witness. With a
+        gain below 1 / `gain`, commands of a sound log explain a hundredth of that.
+    froude : float
+        Speed over sqrt(g V^(1/3)), V the volume of the mass in water: torpedoes reach 11, fast ships 4.
+    slowest, fastest : float
+        That limit is never taken below or above these speeds, m/s: small racing boats, and the fastest hulls.
+    turning : float
+        Centripetal acceleration at V^(1/3) from the axis, in g: small vehicles on the spot reach 0.2.
+    limit : float
+        Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the
+        limit; thousandths and pulse widths (1500) are far beyond.
+    ratio : float
+        Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do
+        less, and neighbouring units of time are farther apart.
+    slow : float
+        Usual step, s, beyond which a log is likelier one in milliseconds than one of a vehicle that hardly
+        moves: vehicles are logged at 1 Hz and more.
+    samples : int
+        Samples that are looked at, the liveliest: more would only cost time.
+    width : float
+        Width of test functions, in the narrowest that the sampling allows: what is faster is noise.
+    cluster : int
+        Neighbouring test functions that count as one, since they overlap.
+    distinct : float
+        Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
+        follow from others.
+    """
+
+    contradiction: float = 0.3
+    gain: float = 20.0
+    near: float = 4.0
+    errors: float = 8.0
+    share: float = 0.2
+    froude: float = 12.0
+    slowest: float = 10.0
+    fastest: float = 75.0
+    turning: float = 1.0
+    limit: float = 10.0
+    ratio: float = 0.3
+    slow: float = 5.0
+    samples: int = 4000
+    width: float = 2.0
+    cluster: int = 8
+    distinct: float = 1e-4
+
+
+SETTINGS = Settings()

@@ -192,17 +192,20 @@ def _tested(kinematics: Kinematics, run: Run, s: Stretch, sensor: Sensor) -> Arr
     return np.asarray(flat).reshape(-1, *columns.shape[1:]) / s.length[:, None, None]
 
 
-def clustered_least_squares(table: Array, target: Array, size: int) -> tuple[Array, Array]:
+def clustered_least_squares(
+    table: Array, target: Array, size: int, rcond: float = 1e-10
+) -> tuple[Array, Array]:
     """Least squares with standard errors from clusters of `size` neighbouring rows (sandwich estimator).
 
     Rows are in units of their noise; errors are never less than independent rows of that noise would give,
-    since few clusters say little.
+    since few clusters say little. Combinations of columns whose share of the whole is below `rcond` (squared)
+    are left at zero.
     """
     scale = np.linalg.norm(table, axis=0)
     seen = scale > 0
     value, error = np.zeros(len(scale)), np.full(len(scale), np.inf)
     scaled = table[:, seen] / scale[seen]
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=rcond, hermitian=True)
     solution = inverse @ (scaled.T @ target)
     left = target - scaled @ solution
     scores = scaled * left[:, None]

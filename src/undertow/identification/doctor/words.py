@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
+from ..logs import Run
 from .dynamic_search import Explanation
 from .dynamics import Gain
 from .findings import Finding, percent
@@ -13,18 +16,33 @@ from .kinematic_search import Explained, inconsistent
 from .kinematics import Kinematics
 from .mistake import Mistake
 from .model_mistakes import LostSign, OtherMass
+from .units import UNITS_OF_MOTION
 
 
-def kinematic_text(kinematics: Kinematics, found: Explained, chosen: Mistake) -> tuple[str, dict[str, float]]:
-    """One line on a mistake that shows in the kinematics, and its evidence."""
+def kinematic_text(
+    kinematics: Kinematics, found: Explained, chosen: Mistake, runs: Sequence[Run]
+) -> tuple[str, dict[str, float]]:
+    """One line on a mistake that shows in the kinematics of runs, and its evidence."""
     names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
     parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
-    text = f"{chosen.told}: undone, the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
+    sizes = f"{_sizes(kinematics, found, runs)}; " if chosen.id in UNITS_OF_MOTION else ""
+    text = f"{chosen.told}: {sizes}undone, the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
     return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
+
+
+def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
+    """How fast the pose moves where it contradicts the velocities most, and how fast those say it does."""
+    block = kinematics.blocks[int(np.argmax(found.before.excess))]
+    rates = kinematics.rates(runs)
+    pose, velocity = (
+        float(np.sqrt(np.mean(np.sum(a[:, block] ** 2, axis=1)))) for a in (rates.pose, rates.velocity)
+    )
+    names = ", ".join(kinematics.rows[i] for i in block)
+    return f"{names} move at {pose:.3g} m/s rms, the velocities say {velocity:.3g}"
 
 
 def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:
