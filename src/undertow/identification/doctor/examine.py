@@ -106,7 +106,7 @@ def examine(
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
-    """Refuse logs that cannot be, by the quick ones of the checks of `examine`; each log is held to them alone.
+    """Refuse logs that cannot be, by the quick checks of `examine`; each log is held to them alone.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         if not trust_log and all(run.has(n) for n in needed) and (found := _refused(vehicle, run)):
             finding, edits = found
             raise UndertowError(
-                f"log '{run.source or run.name}' cannot be: {finding.text}; put {_on_one_line(edits)} into the "
-                "mapping file (undertow doctor --mend writes it), or go on all the same with --trust-log "
+                f"log '{run.source or run.name}' cannot be: {finding.text}; write {_on_one_line(edits)} into "
+                "the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
                 "(trust_log=True)"
             )
 

@@ -22,7 +22,7 @@ from .mending import Edits, column_edit
 from .mistake import SETTINGS, Mistake, Settings, scaling
 from .reading_mistakes import RATES, reading_mistakes
 from .responses import Response, Responses
-from .units import SPEEDS, UNITS_OF_MOTION, time_units, usual_step
+from .units import SPEEDS, UNITS_OF_MOTION, likely_time_units
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,10 @@ def impossible(
     return look.by_force() or look.by_size() or look.by_limits()
 
 
+_Known = dict[tuple[str, str], Response]
+"""Responses by motion and command."""
+
+
 @dataclass(frozen=True)
 class _Look:
     vehicle: Vehicle
@@ -98,26 +102,29 @@ class _Look:
             return None
         return Impossible(found[0], found[1:], _force_text(worst, self.settings), _force_evidence(worst))
 
-    def _sure(self, found: Sequence[Response]) -> dict[tuple[str, str], Response]:
+    def _sure(self, found: Sequence[Response]) -> _Known:
         s = self.settings
         return {(r.degree_of_freedom, r.command): r for r in found if r.sure(s.errors, s.share)}
 
     def _explaining(
         self,
         responses: Responses,
-        before: dict[tuple[str, str], Response],
-        far: dict[tuple[str, str], Response],
+        before: _Known,
+        far: _Known,
     ) -> list[Mistake]:
         """Mistakes without which force and motion agree, the simplest first, then the best."""
         found = []
         for place, mistake in enumerate([*self._readings(), *self._commands(far)]):
             after = self._sure(responses.of(self._without(mistake)))
-            gains = [after[key].gain for key in before if key in after]
-            mended = all(key in after and _within(after[key].gain, self.settings.near) for key in far)
-            if mended and all(_within(g, self.settings.gain) for g in gains) and self._allowed(mistake):
-                score = float(np.mean(np.abs(np.log(np.abs(gains)))))
+            # What could be seen before must still be: else a motion that is scaled away agrees with anything.
+            if all(key in after for key in before) and self._agree(far, after) and self._allowed(mistake):
+                score = float(np.mean([abs(np.log(abs(after[key].gain))) for key in before]))
                 found.append(((mistake.count, round(score), place), mistake))
         return [mistake for _, mistake in sorted(found, key=lambda pair: pair[0])]
+
+    def _agree(self, far: _Known, after: _Known) -> bool:
+        near = all(_within(after[key].gain, self.settings.near) for key in far)
+        return near and all(_within(r.gain, self.settings.gain) for r in after.values())
 
     def _without(self, mistake: Mistake) -> list[Run]:
         return [rederived(run, mistake.undo) for run in self.runs]
@@ -130,24 +137,24 @@ class _Look:
         return self.kinematics.mismatch(self._without(mistake)).total < 1.25 * given + 0.01
 
     def _readings(self) -> Iterator[Mistake]:
-        """Units of what was measured; of time first where the log has a row a minute."""
+        """Units of what was measured."""
+        # Pose rates have been held against velocities: with them the clock was.
+        yield from () if self.kinematics else likely_time_units(self.runs, self.mapping)
         known = reading_mistakes(self.mapping, self.runs)
-        units = [m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id]
-        times = [m for m, _ in time_units(self.mapping)]
-        yield from [*times, *units] if usual_step(self.runs) > self.settings.slow else [*units, *times]
+        yield from (m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id)
 
-    def _commands(self, far: dict[tuple[str, str], Response]) -> Iterator[Mistake]:
+    def _commands(self, far: _Known) -> Iterator[Mistake]:
         """Units of commands: those that are known, one command, or all of them times a factor."""
         yield from other_units(self.vehicle, self.runs)
         by_name: dict[str, list[float]] = {}
         for (_, name), r in far.items():
             by_name.setdefault(name, []).append(r.gain)
-        for name, gains in by_name.items():
-            if name:
-                yield times((name,), float(np.median(np.abs(gains))))
-        if len(self.vehicle.command_names) > 1:
-            everything = np.concatenate([np.abs(gains) for gains in by_name.values()])
-            yield times(self.vehicle.command_names, float(np.median(everything)))
+        factors = {name: float(np.median(np.abs(gains))) for name, gains in by_name.items()}
+        one = {(name,): factor for name, factor in factors.items() if name}
+        everything = {self.vehicle.command_names: float(np.median([*factors.values()]))}
+        for names, factor in (one | everything).items():
+            if _within(factor, self.settings.command):
+                yield times(names, factor)
 
     # --- size ------------------------------------------------------------------------------------
     def by_size(self) -> Impossible | None:
@@ -237,7 +244,8 @@ def _force_text(r: Response, settings: Settings) -> str:
     else:
         ratio = f"{abs(r.gain):.3g} of what {what} gives"
         limit = f"at least {1 / settings.gain:g}"
-    return f"the {r.degree_of_freedom} of the log needs {ratio} ({r.needed:.3g} {unit} against {r.given:.3g}; {limit})"
+    forces = f"{r.needed:.3g} {unit} against {r.given:.3g} {unit} rms"
+    return f"the {r.degree_of_freedom} of the log needs {ratio} ({forces}; {limit} can be)"
 
 
 def _force_evidence(r: Response) -> dict[str, float]:

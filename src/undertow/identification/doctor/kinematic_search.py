@@ -64,7 +64,7 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
 
 
 def contradicts(found: Explained) -> bool:
-    """Whether pose rates and velocities are too far apart for any sensor, and a mistake explains just that."""
+    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them."""
     gone = found.after.excess <= found.before.excess / DECISIVE
     return bool(np.any(found.before.excess[gone] > SETTINGS.contradiction))
 

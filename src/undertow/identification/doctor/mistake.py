@@ -82,9 +82,9 @@ def both(first: Mistake, second: Mistake) -> Mistake:
 class Settings:
     """From where on a log is not only suspicious but cannot be.
 
-    Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles, every
-    effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real data
-    sets, and well below the factors of the units that it is to find.
+    Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles,
+    every effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real
+    data sets, and well below the factors of the units that it is to find.
 
     Attributes
     ----------
@@ -110,12 +110,16 @@ class Settings:
     limit : float
         Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the
         limit; thousandths and pulse widths (1500) are far beyond.
+    scale : float
+        Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
     ratio : float
         Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do
         less, and neighbouring units of time are farther apart.
-    slow : float
-        Usual step, s, beyond which a log is likelier one in milliseconds than one of a vehicle that hardly
-        moves: vehicles are logged at 1 Hz and more.
+    command : float
+        Factor beyond which no unit of a command is off: kN, percent, microseconds and rpm are within.
+    quick, slow : float
+        Usual steps, s, between which vehicles are logged: at 0.2 to 250 Hz. A log that is outside as it is
+        read, and inside in another unit of time, is likelier in that than anything else is wrong with it.
     samples : int
         Samples that are looked at, the liveliest: more would only cost time.
     width : float
@@ -137,7 +141,10 @@ class Settings:
     fastest: float = 75.0
     turning: float = 1.0
     limit: float = 10.0
+    scale: float = 0.35
     ratio: float = 0.3
+    command: float = 2e4
+    quick: float = 0.004
     slow: float = 5.0
     samples: int = 4000
     width: float = 2.0

@@ -14,6 +14,7 @@ import numpy as np
 from ..logs import Run
 from ..logs.run import VELOCITY
 from .kinematics import Array, Kinematics, Mismatch, Rates, Samples, Stretch
+from .mistake import SETTINGS
 
 # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
 _CLUSTER = 8
@@ -105,7 +106,8 @@ def sensors(kinematics: Kinematics) -> list[Sensor]:
 def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
     found = [
         Sensor("sensor_bias", tuple(f"b_{n} m/s" for n in linear), _chosen(_bias, linear)),
-        Sensor("sensor_scale", ("s",), _common_scale, 0.5),
+        # A Doppler log set for another speed of sound is some percent off; knots are half of what they say.
+        Sensor("sensor_scale", ("s",), _common_scale, SETTINGS.scale),
         Sensor("sensor_delay", ("delay s",), _late, 3.0),
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]

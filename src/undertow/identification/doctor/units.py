@@ -31,8 +31,8 @@ UNITS_OF_MOTION = frozenset({"length_unit", "speed_unit", "motion_unit"})
 def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: Mapping) -> Mistake | None:
     """The unit of the time column in which pose rates and velocities have the same size.
 
-    Where only positions can be held against velocities, a unit of velocity explains the same; a usual step
-    that is far too long then speaks for the time.
+    Where only positions, or only angles, can be held against velocities, a unit of those explains the same; a
+    usual step that is far too short or too long then speaks for the time.
 
     Parameters
     ----------
@@ -46,16 +46,27 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: Mappin
     if not kinematics or any(run.derived for run in runs):
         return None
     ratio = _pose_rate_over_velocity(kinematics, runs)
-    turns = not {*kinematics.rows} <= {*POSITIONS}
-    for mistake, factor in time_units(mapping):
-        if abs(ratio / factor - 1.0) < SETTINGS.ratio and (
-            turns or factor > 1 or usual_step(runs) > SETTINGS.slow
-        ):
-            return mistake
-    return None
+    linear = {*kinematics.rows} & {*POSITIONS}
+    both = bool(linear) and len(linear) < len(kinematics.rows)
+    units = _time_units(mapping) if both else _likely(runs, mapping)
+    return next((m for m, factor in units if abs(ratio / factor - 1.0) < SETTINGS.ratio), None)
 
 
-def time_units(mapping: Mapping) -> Iterator[tuple[Mistake, float]]:
+def likely_time_units(runs: Sequence[Run], mapping: Mapping) -> Iterator[Mistake]:
+    """Units of the time column in which logs have a usual step, where they have none as they are read."""
+    return (mistake for mistake, _ in _likely(runs, mapping))
+
+
+def _likely(runs: Sequence[Run], mapping: Mapping) -> Iterator[tuple[Mistake, float]]:
+    step = float(np.median(np.concatenate([np.diff(run.t) for run in runs])))
+    if SETTINGS.quick <= step <= SETTINGS.slow:
+        return
+    for mistake, factor in _time_units(mapping):
+        if SETTINGS.quick <= factor * step <= SETTINGS.slow:
+            yield mistake, factor
+
+
+def _time_units(mapping: Mapping) -> Iterator[tuple[Mistake, float]]:
     """Every other unit of the time column, and what it multiplies times by."""
     unit = mapping.time.unit
     for other, seconds in _SECONDS.items():
@@ -76,11 +87,6 @@ def _slower(run: Run, factor: float) -> Run:
     """A run whose clock goes by a factor; what was derived from its pose is slower by it."""
     moved = with_channels(run, {n: run.channels[n] / factor for n in run.derived})
     return replace(moved, t=factor * run.t, resolution=factor * run.resolution)
-
-
-def usual_step(runs: Sequence[Run]) -> float:
-    """Median step of the clock, s."""
-    return float(np.median(np.concatenate([np.diff(run.t) for run in runs])))
 
 
 def _pose_rate_over_velocity(kinematics: Kinematics, runs: Sequence[Run]) -> float:
