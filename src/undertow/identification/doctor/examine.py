@@ -190,7 +190,7 @@ class _Case:
             self._doubt(chosen, text, evidence, others)
             return False
         # Water may well move as fast as a vehicle does.
-        gross = chosen.id != "velocity_through_water" and contradicts(found)
+        gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)
         self._undo(chosen, text, evidence, rivals, impossible=gross)
         return True
 

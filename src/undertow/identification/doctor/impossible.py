@@ -93,7 +93,7 @@ class _Look:
         except UndertowError:  # actuation that depends on the motion cannot be told from the log alone
             return None
         before = self._sure(responses.of(self.runs))
-        far = {key: r for key, r in before.items() if not _within(r.gain, self.settings.gain)}
+        far = {key: r for key, r in before.items() if not self._possible(r)}
         if not far:
             return None
         worst = max(far.values(), key=lambda r: abs(np.log(abs(r.gain))))
@@ -122,9 +122,12 @@ class _Look:
                 found.append(((mistake.count, round(score), place), mistake))
         return [mistake for _, mistake in sorted(found, key=lambda pair: pair[0])]
 
+    def _possible(self, r: Response) -> bool:
+        return self.settings.weakest < abs(r.gain) < self.settings.strongest
+
     def _agree(self, far: _Known, after: _Known) -> bool:
         near = all(_within(after[key].gain, self.settings.near) for key in far)
-        return near and all(_within(r.gain, self.settings.gain) for r in after.values())
+        return near and all(map(self._possible, after.values()))
 
     def _without(self, mistake: Mistake) -> list[Run]:
         return [rederived(run, mistake.undo) for run in self.runs]
@@ -237,13 +240,13 @@ def times(names: tuple[str, ...], found: float) -> Mistake:
 
 
 def _force_text(r: Response, settings: Settings) -> str:
-    what = f"command {r.command}" if r.command else "the commands"
+    what = f"command {r.command} gives" if r.command else "the commands give"
     unit = "N" if r.degree_of_freedom in ("surge", "sway", "heave") else "N m"
     if abs(r.gain) > 1:
-        ratio, limit = f"{abs(r.gain):.3g} times what {what} gives", f"at most {settings.gain:g}"
+        ratio, limit = f"{abs(r.gain):.3g} times what {what}", f"at most {settings.strongest:g}"
     else:
-        ratio = f"{abs(r.gain):.3g} of what {what} gives"
-        limit = f"at least {1 / settings.gain:g}"
+        ratio = f"{abs(r.gain):.3g} of what {what}"
+        limit = f"at least {settings.weakest:g}"
     forces = f"{r.needed:.3g} {unit} against {r.given:.3g} {unit} rms"
     return f"the {r.degree_of_freedom} of the log needs {ratio} ({forces}; {limit} can be)"
 

@@ -53,8 +53,14 @@ def with_channels(run: Run, channels: Mapping[str, Array]) -> Run:
 
 
 def scaling(factors: Mapping[str, float]) -> Undo:
-    """Multiply channels by factors."""
-    return lambda run: with_channels(run, {n: f * run.channels[n] for n, f in factors.items() if run.has(n)})
+    """Multiply channels by factors, and what is known of their noise."""
+
+    def undo(run: Run) -> Run:
+        sigma = {n: abs(f) * run.sigma[n] for n, f in factors.items() if n in run.sigma}
+        scaled = {n: f * run.channels[n] for n, f in factors.items() if run.has(n)}
+        return replace(with_channels(run, scaled), sigma={**run.sigma, **sigma})
+
+    return undo
 
 
 def turning(swap: Callable[[Mapping[str, Array]], Channels]) -> Undo:
@@ -91,16 +97,20 @@ class Settings:
     contradiction : float
         Share of the motion (mean square) by which pose rates and velocities disagree, if one usual mistake
         explains it. Misaligned sensors reach 0.12, a current that is as fast as the vehicle is told apart.
-    gain : float
-        Factor between the force that the motion needs and the one commanded. Sound logs stay within 3, lags
-        included; degrees make 57, cm/s 100.
+    other_unit : float
+        The same where a unit explains it: a factor is no matter of frames or angles. Knots make 0.19, the
+        largest scale error of a sensor (see `scale`) 0.09.
+    weakest, strongest : float
+        Force that the motion needs over the one commanded. Simulated logs stay within 0.3 and 3, lags
+        included; a work-class ROV answers in yaw with 0.08 of what its file has. Degrees make 57, cm/s 100,
+        the usual pulse widths 0.02 and less.
     near : float
         Factor within which the two must agree once a mistake is undone.
     errors : float
         Standard errors by which a gain stands out of its scatter.
     share : float
         Of the motion, beside what other forces explain, that commands must explain to be a witness. With a
-        gain below 1 / `gain`, commands of a sound log explain a hundredth of that.
+        gain below `weakest`, commands of a sound log explain a hundredth of that.
     froude : float
         Speed over sqrt(g V^(1/3)), V the volume of the mass in water: torpedoes reach 11, fast ships 4.
     slowest, fastest : float
@@ -132,10 +142,12 @@ class Settings:
     """
 
     contradiction: float = 0.3
-    gain: float = 20.0
+    other_unit: float = 0.12
+    weakest: float = 0.025
+    strongest: float = 20.0
     near: float = 4.0
     errors: float = 8.0
-    share: float = 0.2
+    share: float = 0.3
     froude: float = 12.0
     slowest: float = 10.0
     fastest: float = 75.0

@@ -175,7 +175,7 @@ def _tested(
     steady = np.zeros((len(length), run[1]))
     steady[:, run[0]] = 1.0
     beside = np.column_stack([functions.value @ columns / length, steady])
-    return inertial, commanded.reshape(-1, *force.shape[1:]), beside
+    return inertial, commanded.reshape(len(length), *force.shape[1:]), beside
 
 
 def _without(beside: Array, columns: Array) -> Array:

@@ -20,7 +20,7 @@ from .mistake import SETTINGS, Mistake, scaling, with_channels
 
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 # Units that people log in, the likelier first; the unit of a velocity stands below that of its position.
-_LENGTHS = {"m": "m/s", "mm": "mm/s", "cm": "cm/s", "ft": "ft/s", "km": "km/s"}
+_LENGTHS = {"m": "m/s", "mm": "mm/s", "cm": "cm/s", "ft": "ft/s"}
 _SPEEDS = ("m/s", "mm/s", "cm/s", "knot", "km/h", "ft/s")
 POSITIONS, SPEEDS = ("x", "y", "z"), ("u", "v", "w")
 UNITS_OF_MOTION = frozenset({"length_unit", "speed_unit", "motion_unit"})
