@@ -80,8 +80,8 @@ class Estimator:
         Raises
         ------
         UndertowError
-            If a channel is missing, a log is too short or cannot be, constraints contradict each other, or the method has
-            no such loss.
+            If a channel is missing, a log is too short or cannot be, constraints contradict each other, or
+            the method has no such loss.
         """
         refuse_impossible(vehicle, runs, trust_log=trust_log)
         if self.method in _FAMILIES:

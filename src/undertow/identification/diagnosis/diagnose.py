@@ -87,8 +87,8 @@ def diagnose(
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, nothing moved in it, or `false_alarms` is out
-        of bounds.
+        If a channel is missing, a log is too short or cannot be, nothing moved in it, or `false_alarms` is
+        out of bounds.
     """
     check_false_alarms(false_alarms)
     began = time.perf_counter()
