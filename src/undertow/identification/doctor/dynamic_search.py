@@ -17,7 +17,7 @@ from .kinematic_search import inconsistent
 from .kinematics import Kinematics
 from .mistake import Mistake
 from .reading_mistakes import reading_mistakes
-from .units import UNITS_OF_MOTION
+from .units import SPEEDS, UNITS_OF_MOTION
 
 # Candidates that are fitted to the end after a first look at all of them.
 _FITTED, _UNITS_FITTED = 4, 2
@@ -101,8 +101,10 @@ def dynamic_mistakes(
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
     signs = reversed_commands(vehicle)
-    # A single velocity in another unit, and by no more than a force can have missed, is a scale.
-    known = [m for m in reading_mistakes(mapping, runs) if m.id != "speed_unit" or len(m.edits(mapping)) > 1]
+    # One velocity in another unit than the others, by less than no force could give, is a scale.
+    speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
+    known = reading_mistakes(mapping, runs)
+    known = [m for m in known if m.id != "speed_unit" or len(m.edits(mapping)) == speeds]
     unseen = allowed(kinematics, runs, at, known)
     found = best_of(at, [*unseen, *signs, *commands])
     return found or _two_reversed(at, signs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from undertow import __version__
@@ -13,7 +13,7 @@ from undertow.model.vehicle import Vehicle
 from ..logs import Mapping, Run, velocities_from_pose
 from . import angles, consistency, excitation
 from .clocks import clock_findings
-from .command_clock import command_drift
+from .command_clock import command_clock
 from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
@@ -26,7 +26,7 @@ from .mistake import Mistake, Undo
 from .model_mistakes import lost_signs, other_mass
 from .reading_mistakes import reading_mistakes
 from .sampling import DROP, sampling
-from .units import other_time_unit
+from .units import UNITS_OF_MOTION, other_time_unit
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
 Report = Callable[[float, str], None]
@@ -94,6 +94,8 @@ def examine(
     rows = excitation.excitation(vehicle, case.runs)
     case.look_at_the_rest()
     case.findings += excitation.findings(rows, vehicle, case.runs)
+    if case.refused is None and len(runs) > 1:
+        case.findings += _of_one_alone(vehicle, runs)
     result = Examination(
         undertow=__version__,
         vehicle=vehicle.name,
@@ -142,6 +144,14 @@ def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
     case.undo_reading_mistakes()
     case.undo_what_cannot_be()
     return None if case.refused is None else (case.refused, tuple(case.edits))
+
+
+def _of_one_alone(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """What cannot be in some of the logs, and does not show in all of them together."""
+    for run in runs:
+        if found := _refused(vehicle, run):
+            finding, _ = found
+            yield finding.model_copy(update={"text": f"{run.name}, and not all of the logs: {finding.text}"})
 
 
 class _Case:
@@ -213,6 +223,11 @@ class _Case:
             if found is None:
                 break
             text, evidence = dynamic_text(self.vehicle, found)
+            if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
+                # In one motion alone, a weaker or stronger thruster does the same.
+                others = ["thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"]
+                self._doubt(found.mistake, text, evidence, others)
+                break
             self._undo(found.mistake, text, evidence, found.rivals)
         if at is not None:
             self._look_at_numbers(at)
@@ -220,8 +235,8 @@ class _Case:
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""
         if at.unexplained:
-            drift = command_drift(at)
-            self.findings += [] if drift is None else [drift]
+            clock = command_clock(at)
+            self.findings += [] if clock is None else [clock]
             for lost in lost_signs(self.vehicle):
                 fit = at.refitted(vehicle=lost.vehicle)
                 if fit is not None and (gain := at.gain(fit)).decisive:
