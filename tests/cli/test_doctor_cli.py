@@ -126,7 +126,9 @@ def test_diagnose_tells_the_mistake_before_it_blames_physics(
     columns = simulated.runs["multisine"]
     Path("box.toml").write_text(toml_text(simulated.vehicle))
     Path("log.csv").write_text(text_of({**columns, "u": -columns["u"]}))
-    assert main(["diagnose", "box.toml", "log.csv", "--json", "out.json"]) == 0
+    assert main(["diagnose", "box.toml", "log.csv", "--json", "out.json"]) == 2
+    assert "u has the opposite sign" in capsys.readouterr().err
+    assert main(["diagnose", "box.toml", "log.csv", "--json", "out.json", "--trust-log"]) == 0
     out = _lines(capsys)
     assert out[0].startswith("mistake: u has the opposite sign")
     assert 'u = { channel = "u", scale = -1.0 }' in out[:5]

@@ -28,6 +28,7 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
+from undertow.identification.doctor import refuse_impossible
 from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare
@@ -109,7 +110,9 @@ class Addition:
         return self.evidence.beyond_chance(FALSE_ALARM_RATE) and self.after.error < self.before.error
 
 
-def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = ()) -> Ground:
+def lay_ground(
+    vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
+) -> Ground:
     """Fit a model as it is, and get ready to judge what is added to it.
 
     Parameters
@@ -118,12 +121,15 @@ def lay_ground(vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (
         The model; parameters marked `estimate` are refitted.
     runs, holdout : sequence of Run
         Logs to fit to and to judge by; without `holdout`, stretches of `runs` are kept aside.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short, or nothing moved in it.
+        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
     """
+    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
     check_excitation(vehicle, train_runs, train.sigma)

@@ -17,6 +17,7 @@ from undertow.identification.compare.windows import Prediction, cut, predict, pr
 from undertow.identification.diagnosis.estimates import estimates
 from undertow.identification.diagnosis.excitation import check_excitation
 from undertow.identification.diagnosis.split import keep_blocks_aside
+from undertow.identification.doctor import refuse_impossible
 from undertow.identification.estimators import Estimator
 from undertow.identification.fitted import Fitted, correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.logs import Run
@@ -68,6 +69,8 @@ def refit(
     estimator: Estimator,
     horizon: float,
     tell: Report,
+    *,
+    trust_log: bool = False,
 ) -> Refit:
     """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
 
@@ -81,10 +84,12 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
+    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
     train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
     tell(0.0, "fitting")
-    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words))
+    # Whole logs have been looked at: what is left of them after some was kept aside need not be.
+    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
     tell(0.8, "predicting kept-aside data")
     longest = max(float(r.t[-1] - r.t[0]) for r in test)
     windows = cut(test, vehicle, min(horizon, 0.9 * longest))

@@ -35,9 +35,10 @@ def diagnosed(
     map: Path | None,
     effects: Sequence[Path] | None,
     fill: Fill | None,
+    trust_log: bool,
 ) -> int:
     """Diagnose a fleet, print and write the report; 1 where files are missing in it."""
-    job = _job(vehicle, daily, map, effects, fill)
+    job = _job(vehicle, daily, map, effects, fill, trust_log)
     store = Store(out)
     with progress("looking at files") as tell:
         found = diagnose(Question(logs, job, passes), engine, store, tell)
@@ -55,6 +56,7 @@ def _job(
     map: Path | None,
     effects: Sequence[Path] | None,
     fill: Fill | None,
+    trust_log: bool,
 ) -> Job:
     from undertow.identification.logs import Mapping, read_mapping
     from undertow.model.loading import load_vehicle
@@ -71,7 +73,7 @@ def _job(
             "read: give the time as a number, and leave out the others"
         )
     chosen = DAILY if daily is None else tuple(daily)
-    return Job(seen, files, mapping.model_dump_json(), daily=chosen, fill=fill)
+    return Job(seen, files, mapping.model_dump_json(), daily=chosen, fill=fill, trust_log=trust_log)
 
 
 def show(found: Fleet) -> None:

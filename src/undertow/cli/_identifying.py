@@ -64,19 +64,32 @@ class Identified:
         return chosen(self.stated, self.taken) if self.taken else None
 
 
-def identified(vehicle: Vehicle, runs: Sequence[Run], cases: str, edges: Edges) -> Identified:
+def identified(
+    vehicle: Vehicle, runs: Sequence[Run], cases: str, edges: Edges, *, trust_log: bool = False
+) -> Identified:
     """All chosen cases for every motion that the logs hold."""
     wanted = chosen_cases(cases)
-    found = [(e, [estimate(e, case, edges) for case in wanted]) for e in experiments(vehicle, runs)]
+    found = [
+        (e, [estimate(e, case, edges) for case in wanted])
+        for e in experiments(vehicle, runs, trust_log=trust_log)
+    ]
     return Identified(vehicle, found, edges)
 
 
 def identified_in_parts(
-    vehicle: Vehicle, logs: Sequence[LongLog], cases: str, edges: Edges, tell: Report
+    vehicle: Vehicle,
+    logs: Sequence[LongLog],
+    cases: str,
+    edges: Edges,
+    tell: Report,
+    *,
+    trust_log: bool = False,
 ) -> Identified:
     """The same from logs that are read in parts."""
     return Identified(
-        vehicle, estimate_streaming(vehicle, logs, chosen_cases(cases), edges, progress=tell), edges
+        vehicle,
+        estimate_streaming(vehicle, logs, chosen_cases(cases), edges, progress=tell, trust_log=trust_log),
+        edges,
     )
 
 

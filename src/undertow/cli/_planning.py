@@ -137,21 +137,29 @@ def _number(option: str, word: str) -> float:
     return value
 
 
-def planned_for(wish: Wish, vehicle: Vehicle, runs: Sequence[Run], request: Request, tell: Report) -> Planned:
+def planned_for(
+    wish: Wish,
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    request: Request,
+    tell: Report,
+    *,
+    trust_log: bool = False,
+) -> Planned:
     """Make the plan."""
     from undertow.identification.planning.diagnosed import read_diagnosis, specs_of
     from undertow.model.catalogue import catalogue, load_effects, merge
 
     request = replace(request, report=tell)
     if not wish.separates:
-        return plan_parameters(vehicle, runs, request, _words(wish.only))
+        return plan_parameters(vehicle, runs, request, _words(wish.only), trust_log=trust_log)
     known = merge(catalogue(), [cls for file in wish.effects for cls in load_effects(file)])
     if wish.diagnosis is not None:
         specs = specs_of(read_diagnosis(wish.diagnosis), vehicle, known)
     else:
         named = _words(wish.between)
         specs = [RivalSpec(n, {}) for n in (named if len(named) > 1 else [*named, NONE])]
-    return plan_separation(vehicle, specs, runs, request, known=known)
+    return plan_separation(vehicle, specs, runs, request, known=known, trust_log=trust_log)
 
 
 # --- what is printed --------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ def rolled(
     map: Path | None,
     effects: Sequence[Path] | None,
     fill: Fill | None,
+    trust_log: bool,
 ) -> int:
     """Roll out, print how the logs lie in the bands, write the bands; 1 where something is missing."""
     from undertow.identification.logs import Mapping, read_mapping
@@ -42,7 +43,7 @@ def rolled(
         raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
     seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
     mapping = (Mapping() if map is None else read_mapping(map)).model_dump_json()
-    flights = Flights(seen, files, mapping, fill, horizon, coverage, seed)
+    flights = Flights(seen, files, mapping, fill, horizon, coverage, seed, trust_log)
     with progress("rolling out") as tell:
         bands, failed, source = rollouts(flights, [str(p.absolute()) for p in logs], count, engine, tell)
     heads = ("channel", "within the band, %", "half width at the end", "half width in noise")

@@ -57,6 +57,10 @@ FillOption = Annotated[
         show_default="refuse, or what the mapping file says",
     ),
 ]
+TrustOption = Annotated[
+    bool,
+    typer.Option("--trust-log", help="Go on with logs that cannot be: wrong units, contradicting channels."),
+]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
 ]

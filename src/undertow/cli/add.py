@@ -27,6 +27,7 @@ from undertow.cli._vehicle_and_logs import (
     MapOption,
     OutOption,
     ToOption,
+    TrustOption,
     VehicleArgument,
 )
 
@@ -57,6 +58,7 @@ def add(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
     codegen: Annotated[bool, _CODEGEN] = True,
     build: Annotated[Path, _BUILD] = Path("build"),
     picture: Annotated[Path | None, _PICTURE] = None,
@@ -73,7 +75,7 @@ def add(
     loaded = load(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
     )
-    ground, addition = _added(wanted, loaded, all)
+    ground, addition = _added(wanted, loaded, all, trust_log)
     show(addition)
     code, taken = None, target if addition.helps or force else None
     with together() as files:
@@ -91,12 +93,12 @@ def add(
     return 0
 
 
-def _added(effect: type[Effect], loaded: Loaded, keep_all: bool) -> tuple[Ground, Addition]:
+def _added(effect: type[Effect], loaded: Loaded, keep_all: bool, trust_log: bool) -> tuple[Ground, Addition]:
     from undertow.cli._addition import add_effect, lay_ground
     from undertow.cli._progress import progress
 
     with progress("fitting the model as it is") as tell:
-        ground = lay_ground(loaded.vehicle, loaded.train, loaded.holdout)
+        ground = lay_ground(loaded.vehicle, loaded.train, loaded.holdout, trust_log=trust_log)
         tell(0.3, f"fitting it with {effect.id}")
         return ground, add_effect(effect, ground, keep_all=keep_all)
 

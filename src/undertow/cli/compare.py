@@ -23,6 +23,7 @@ from undertow.cli._vehicle_and_logs import (
     LogsArgument,
     MapOption,
     ToOption,
+    TrustOption,
     VehicleArgument,
     load,
 )
@@ -44,6 +45,7 @@ def compare(
     from_: FromOption = None,
     to: ToOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
     horizon: Annotated[float, _HORIZON] = 5.0,
     json: Annotated[Path | None, _JSON] = None,
     plots: Annotated[Path | None, _PLOTS] = None,
@@ -56,7 +58,9 @@ def compare(
         check_folder(plots)
     loaded = load(vehicle, logs, map=map, effects=effects, window=(from_, to), fill=fill)
     with progress("comparing") as report:
-        comparison = compared(loaded.vehicle, loaded.train, horizon=horizon, progress=report)
+        comparison = compared(
+            loaded.vehicle, loaded.train, horizon=horizon, progress=report, trust_log=trust_log
+        )
     _show(comparison.result)
     drawn = 0
     with together():

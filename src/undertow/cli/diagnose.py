@@ -31,6 +31,7 @@ from undertow.cli._vehicle_and_logs import (
     LogsArgument,
     MapOption,
     ToOption,
+    TrustOption,
     VehicleArgument,
 )
 
@@ -44,6 +45,7 @@ def diagnose(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
     false_alarms: Annotated[
         float,
         typer.Option(
@@ -80,7 +82,13 @@ def diagnose(
     known = merge(catalogue(), [cls for file in effects or [] for cls in load_effects(file)])
     with progress("looking for what is missing") as tell:
         outcome = run(
-            loaded.vehicle, loaded.train, loaded.holdout, known=known, report=tell, false_alarms=false_alarms
+            loaded.vehicle,
+            loaded.train,
+            loaded.holdout,
+            known=known,
+            report=tell,
+            false_alarms=false_alarms,
+            trust_log=trust_log,
         )
     show(outcome)
     write_outcome(outcome, loaded.path, json=json, report=report, apply=apply)

@@ -40,6 +40,7 @@ from undertow.cli._vehicle_and_logs import (
     MapOption,
     OutOption,
     ToOption,
+    TrustOption,
     VehicleArgument,
 )
 
@@ -74,6 +75,7 @@ def fit(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
 ) -> None:
     from undertow.cli._adding import target_of
     from undertow.cli._fitting import refit, show, show_correlation, write
@@ -92,7 +94,9 @@ def fit(
     constraints = Constraints(read_equalities(equal or [], loaded.vehicle), dissipative)
     estimator = Estimator(method, horizon, constraints, loss)
     with progress("fitting") as tell:
-        done = refit(loaded.vehicle, loaded.train, loaded.holdout, estimator, horizon, tell)
+        done = refit(
+            loaded.vehicle, loaded.train, loaded.holdout, estimator, horizon, tell, trust_log=trust_log
+        )
     show(done)
     if correlation:
         show_correlation(done.fit)

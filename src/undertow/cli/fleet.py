@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption, FillOption, MapOption
+from undertow.cli._vehicle_and_logs import EffectsOption, FillOption, MapOption, TrustOption
 
 app = typer.Typer(add_completion=False)
 
@@ -74,6 +74,7 @@ def diagnose(
     map: MapOption = None,
     effects: EffectsOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
 ) -> int:
     """A table for each vehicle and month: parameters, and which effect grew (fouling, thruster wear).
 
@@ -96,7 +97,7 @@ def diagnose(
     from undertow.fleet.engine import engine
 
     with engine(scheduler, workers, patience, listen) as doing:
-        return diagnosed(doing, vehicle, logs, out, daily, passes, map, effects, fill)
+        return diagnosed(doing, vehicle, logs, out, daily, passes, map, effects, fill, trust_log)
 
 
 @app.command()
@@ -125,6 +126,7 @@ def rollouts(
     map: MapOption = None,
     effects: EffectsOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
 ) -> int:
     """Simulate logs many times with parameters drawn from what a fit left open, and hold them to the bands.
 
@@ -144,4 +146,6 @@ def rollouts(
     from undertow.fleet.engine import engine
 
     with engine(scheduler, workers, patience, listen) as doing:
-        return rolled(doing, vehicle, logs, count, horizon, coverage, seed, out, map, effects, fill)
+        return rolled(
+            doing, vehicle, logs, count, horizon, coverage, seed, out, map, effects, fill, trust_log
+        )

@@ -37,6 +37,7 @@ from undertow.cli._vehicle_and_logs import (
     MapOption,
     OutOption,
     ToOption,
+    TrustOption,
     VehicleArgument,
 )
 
@@ -67,6 +68,7 @@ def identify(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
 ) -> None:
     from undertow.cli._adding import target_of
     from undertow.cli._identifying import show, write, written
@@ -76,7 +78,7 @@ def identify(
     read: list[str | Path] = [*logs, *(effects or []), *([map] if map else [])]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
     given: dict[str, Any] = {"map": map, "effects": effects, "window": (since, until), "fill": fill}
-    path, done = _estimated(vehicle, logs, cases, edges, stream, given)
+    path, done = _estimated(vehicle, logs, cases, edges, stream, given, trust_log)
     show(done)
     with together():
         if json is not None:
@@ -91,7 +93,13 @@ def identify(
 
 
 def _estimated(
-    vehicle: str, logs: list[Path], cases: str, edges: Edges, stream: bool, given: dict[str, Any]
+    vehicle: str,
+    logs: list[Path],
+    cases: str,
+    edges: Edges,
+    stream: bool,
+    given: dict[str, Any],
+    trust_log: bool,
 ) -> tuple[Path, Identified]:
     """File of the vehicle and estimates; from parts of the logs where that is asked for or they are long."""
     from undertow.cli._identifying import identified, identified_in_parts
@@ -103,9 +111,9 @@ def _estimated(
         model, path, long = load_in_parts(vehicle, logs, **given)
         try:
             with progress("reading logs") as tell:
-                return path, identified_in_parts(model, long, cases, edges, tell)
+                return path, identified_in_parts(model, long, cases, edges, tell, trust_log=trust_log)
         except NeedsWhole:
             if stream:
                 raise
     loaded = load(vehicle, logs, one_motion=True, **given)
-    return loaded.path, identified(loaded.vehicle, loaded.train, cases, edges)
+    return loaded.path, identified(loaded.vehicle, loaded.train, cases, edges, trust_log=trust_log)

@@ -36,6 +36,7 @@ from undertow.cli._vehicle_and_logs import (
     FromOption,
     MapOption,
     ToOption,
+    TrustOption,
     VehicleArgument,
 )
 
@@ -105,6 +106,7 @@ def plan(
     since: FromOption = None,
     until: ToOption = None,
     fill: FillOption = None,
+    trust_log: TrustOption = False,
 ) -> None:
     from undertow.cli._planning import Wish, asked_of, planned_for, show, write
     from undertow.cli._progress import progress
@@ -121,6 +123,6 @@ def plan(
         vehicle, logs or [], map=map, effects=effects, window=(since, until), fill=fill, to_fit=bool(logs)
     )
     with progress("planning") as tell:
-        done = planned_for(wish, loaded.vehicle, loaded.train, request, tell)
+        done = planned_for(wish, loaded.vehicle, loaded.train, request, tell, trust_log=trust_log)
     show(done)
     write(done, out=out, picture=picture, json=json)

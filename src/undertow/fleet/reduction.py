@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
+from undertow.identification.doctor import refuse_impossible
 from undertow.identification.logs import Mapping, Run, velocities_from_pose
 from undertow.identification.logs.chunks import LongLog, hash_of
 from undertow.identification.logs.mapping import CommandPolicy
@@ -55,6 +56,8 @@ class Job:
         Rows that are read at a time.
     fill : str, optional
         What to do where a command has no sample.
+    trust_log : bool
+        Whether logs count that cannot be.
     fingerprint : str
         Hash of all that decides what comes out; empty where it is not known yet.
     """
@@ -66,6 +69,7 @@ class Job:
     daily: tuple[str, ...] = DAILY
     rows: int = ROWS
     fill: CommandPolicy | None = None
+    trust_log: bool = False
     fingerprint: str = ""
 
     @cached_property
@@ -154,7 +158,7 @@ def fingerprint(job: Job, panel: Panel) -> str:
         "environment": dict(panel.vehicle.environment),
         "columns": [*panel.daily, *panel.names],
         "mapping": json.loads(job.mapping),
-        "reading": [job.rows, job.fill],
+        "reading": [job.rows, job.fill, job.trust_log],
     }
     return digest(content)
 
@@ -194,22 +198,24 @@ def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
     """
     panel = panel_of(job)
     log = LongLog(Path(path), job.log_mapping, panel.vehicle.command_names, (None, None), job.fill)
-    reduced = reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path)
+    reduced = reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path, trust_log=job.trust_log)
     if sha256 and sha256_of(path) != sha256:  # after it was read: it may still be written to
         raise UndertowError(f"{path} was changed while it was read, or is another for this worker: run again")
     return reduced
 
 
-def reduce_runs(runs: Iterable[Run], panel: Panel, where: str) -> Reduced:
-    """Reduce the parts of a log."""
+def reduce_runs(runs: Iterable[Run], panel: Panel, where: str, *, trust_log: bool = False) -> Reduced:
+    """Reduce the parts of a log; one that cannot be is refused, unless it is trusted."""
     triangle, samples, seconds, refusal = Triangle(len(panel.daily) + len(panel.names)), 0, 0.0, ""
     for run in runs:
         samples, seconds = samples + len(run.t), seconds + float(run.t[-1] - run.t[0])
         try:
-            table = panel.table(velocities_from_pose(run, panel.vehicle.degrees_of_freedom))
+            part = velocities_from_pose(run, panel.vehicle.degrees_of_freedom)
+            table = panel.table(part)
         except UndertowError as error:  # the last few rows of a log may be too few
             refusal = str(error)
             continue
+        refuse_impossible(panel.vehicle, [part], trust_log=trust_log)
         triangle.add(np.column_stack([table.J, -table.r]), len(table.r))
     if not triangle.count:
         raise UndertowError(f"{where}: {refusal or 'it has fewer than two rows'}")

@@ -14,6 +14,7 @@ from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.identification.compare.cutting import Windows, cut
 from undertow.identification.compare.predictor import Predictor
+from undertow.identification.doctor import refuse_impossible
 from undertow.identification.logs import Mapping, read_log, velocities_from_pose
 from undertow.identification.logs.mapping import CommandPolicy
 from undertow.identification.weak.residual import WeakModel
@@ -53,6 +54,8 @@ class Flights:
         Share of the rollouts within the band.
     seed : int
         Of all that is drawn.
+    trust_log : bool
+        Whether logs count that cannot be.
     files : str
         Hash of the vehicle file and the effects, by which workers see that they have the same; empty where
         it is not known yet.
@@ -65,6 +68,7 @@ class Flights:
     horizon: float = 10.0
     coverage: float = 0.9
     seed: int = 0
+    trust_log: bool = False
     files: str = ""
 
 
@@ -241,7 +245,9 @@ def _cut(flights: Flights, source: Source) -> Windows:
         raise UndertowError(
             f"{source.log} is another file for this worker, or was changed meanwhile: try again"
         )
-    return cut([velocities_from_pose(run, vehicle.degrees_of_freedom)], vehicle, flights.horizon)
+    run = velocities_from_pose(run, vehicle.degrees_of_freedom)
+    refuse_impossible(vehicle, [run], trust_log=flights.trust_log)
+    return cut([run], vehicle, flights.horizon)
 
 
 def rollouts(

@@ -9,6 +9,7 @@ from typing import Literal
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
+from .doctor import refuse_impossible
 from .fitted import Fitted
 from .logs import Run
 from .output_error import fit_output_error
@@ -58,6 +59,8 @@ class Estimator:
         runs: Sequence[Run],
         free: Sequence[str] | None = None,
         progress: Report = lambda done, words: None,
+        *,
+        trust_log: bool = False,
     ) -> Fitted:
         """Fit the free parameters of a vehicle, by default those that its file marks.
 
@@ -71,13 +74,16 @@ class Estimator:
             Names of the parameters to fit.
         progress : callable
             Told what share is done, and what is being done.
+        trust_log : bool
+            Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
         Raises
         ------
         UndertowError
-            If a channel is missing, a log is too short, constraints contradict each other, or the method has
-            no such loss.
+            If a channel is missing, a log is too short or cannot be, constraints contradict each other, or
+            the method has no such loss.
         """
+        refuse_impossible(vehicle, runs, trust_log=trust_log)
         if self.method in _FAMILIES:
             data = prepare(runs, vehicle, family=_FAMILIES[self.method])
             data = data if self.loss == "gaussian" else without_spikes(data)

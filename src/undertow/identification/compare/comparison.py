@@ -16,6 +16,7 @@ from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
 
+from ..doctor import refuse_impossible
 from ..weak.data import WeakData, prepare
 from .forces import Forces, residual_forces
 from .profiles import CORRELATED, Profile, profiles
@@ -78,6 +79,7 @@ def compare(
     horizon: float = HORIZON,
     compiled: bool | None = None,
     progress: Report = lambda done, words: None,
+    trust_log: bool = False,
 ) -> Comparison:
     """Compare a model, as it is, with logs.
 
@@ -93,13 +95,16 @@ def compare(
         As for `Simulator`.
     progress : callable
         Told what share is done, and what is being done.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, or no stretch without gaps is long enough.
+        If a channel is missing, a log cannot be, or no stretch without gaps is long enough.
     """
     began = time.perf_counter()
+    refuse_impossible(vehicle, runs, trust_log=trust_log)
     functions = Functions(vehicle)
     progress(0.0, "residual force")
     data = prepare(runs, vehicle)

@@ -11,7 +11,7 @@ from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 
-from ..doctor import Examination, examine
+from ..doctor import Examination, examine, refuse_impossible
 from ..fitted import Fitted
 from ..logs import Run
 from ..parallel import aside
@@ -63,6 +63,7 @@ def diagnose(
     known: Catalogue | None = None,
     report: Report = lambda done, words: None,
     false_alarms: float = FALSE_ALARM_RATE,
+    trust_log: bool = False,
 ) -> Outcome:
     """Find out which effect a model lacks, judged on data kept aside.
 
@@ -80,14 +81,18 @@ def diagnose(
         Told what share is done, and what is being done.
     false_alarms : float
         Chance of naming an effect where nothing is missing, that the evidence is held to.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short, nothing moved in it, or `false_alarms` is out of bounds.
+        If a channel is missing, a log is too short or cannot be, nothing moved in it, or `false_alarms` is
+        out of bounds.
     """
     check_false_alarms(false_alarms)
     began = time.perf_counter()
+    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
     train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
     train = prepare(train_runs, vehicle)
     check_excitation(vehicle, train_runs, train.sigma)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from undertow.identification.doctor.examine import Examined, examine
+from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
 from undertow.identification.doctor.findings import Examination, Excited, Finding
 
-__all__ = ["Examination", "Examined", "Excited", "Finding", "examine"]
+__all__ = ["Examination", "Examined", "Excited", "Finding", "examine", "refuse_impossible"]

@@ -1,4 +1,4 @@
-"""Commands and motion on two clocks: commands that arrive later and later, or earlier and earlier."""
+"""Commands and motion on two clocks: commands that are late, or arrive later and later."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ _CLUSTER = 8  # neighbouring test functions that count as one
 _GAINED = 0.1  # share of the misfit that a drift must explain
 
 
-def command_drift(at: Dynamics) -> Finding | None:
-    """Tell whether the time from command to motion grows or shrinks along the logs; None where it does not.
+def command_clock(at: Dynamics) -> Finding | None:
+    """Tell how late the motion follows the commands, or whether that grows or shrinks along the logs.
 
-    A constant delay is an effect of its own (actuation_delay); a delay that drifts is one of the clocks.
+    None where it does neither. A constant delay is an effect of its own (actuation_delay), which real
+    vehicles have; a motion before its command, or a delay that drifts, is a matter of the clocks.
     """
     step = float(np.median(np.diff(at.runs[0].t)))
     found, error = np.zeros(2), np.full(2, np.inf)
@@ -36,17 +37,45 @@ def command_drift(at: Dynamics) -> Finding | None:
         found = found + np.clip(change, -1.0, 1.0)
         if np.all(np.abs(change) < 0.2 * step):
             break
-    drift, spread = float(found[1]), float(error[1])
-    if abs(drift) < max(_SURE * spread, _STEPS * step) or left > (1 - _GAINED) * start:
+    if left > (1 - _GAINED) * start:
         return None
-    begin, end = (found[0] - drift / 2, found[0] + drift / 2)
+    if abs(found[1]) > max(_SURE * float(error[1]), _STEPS * step):
+        return _drifting(found, float(error[1]))
+    if abs(found[0]) > max(_SURE * float(error[0]), _STEPS * step):
+        return _late(at, float(found[0]), float(error[0]))
+    return None
+
+
+def _drifting(found: Array, spread: float) -> Finding:
+    begin, end = (found[0] - found[1] / 2, found[0] + found[1] / 2)
     return Finding(
         id="two_clocks",
         severity="warning",
         text=f"commands and motion are on two clocks: the motion follows the commands by {begin:+.2f} s at "
-        f"the beginning of a run and by {end:+.2f} s at its end (drift {drift:+.2f} ± {spread:.1g} s); write "
-        "both with the stamps of one clock",
-        evidence={"delay": float(found[0]), "drift": drift},
+        f"the beginning of a run and by {end:+.2f} s at its end (drift {found[1]:+.2f} ± {spread:.1g} s); "
+        "write both with the stamps of one clock",
+        evidence={"delay": float(found[0]), "drift": float(found[1])},
+    )
+
+
+def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
+    """A delay, where the refitted model is decisively better for it."""
+    fit = at.refitted(undo=_later(delay, 0.0))
+    if fit is None or not at.gain(fit).decisive:
+        return None
+    size = f"{abs(delay):.2f} ± {error:.1g} s"
+    if delay > 0:
+        told = (
+            f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
+        )
+        told += "actuation_delay or thruster_lag), or commands that are logged too early"
+    else:
+        told = f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
+    return Finding(
+        id="late_commands",
+        severity="warning" if delay > 0 else "mistake",
+        text=f"{told}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
+        evidence={"delay": delay, "error": error},
     )
 
 

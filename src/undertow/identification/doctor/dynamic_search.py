@@ -17,9 +17,10 @@ from .kinematic_search import inconsistent
 from .kinematics import Kinematics
 from .mistake import Mistake
 from .reading_mistakes import reading_mistakes
+from .units import SPEEDS, UNITS_OF_MOTION
 
 # Candidates that are fitted to the end after a first look at all of them.
-_FITTED = 4
+_FITTED, _UNITS_FITTED = 4, 2
 _WORTH_A_FIT = 1.1
 # Explanations within this factor of the best one's are as good as it.
 _AS_GOOD = 1.5
@@ -49,7 +50,12 @@ class Explanation:
 
 def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
     """The mistake whose undoing explains the motion decisively; None where none does."""
-    leading = [m for _, m in _promising(at, known)[:_FITTED]]
+    promising = [m for _, m in _promising(at, known)]
+    # Units are many, and neighbours promise alike: they must not crowd out the others.
+    units, others = (
+        [m for m in promising if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
+    )
+    leading = [*others[:_FITTED], *units[:_UNITS_FITTED]]
     return _chosen(at, [(m, fit) for m in leading if (fit := at.refitted(undo=m.undo)) is not None])
 
 
@@ -95,7 +101,11 @@ def dynamic_mistakes(
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
     signs = reversed_commands(vehicle)
-    unseen = allowed(kinematics, runs, at, reading_mistakes(mapping, runs))
+    # One velocity in another unit than the others, by less than no force could give, is a scale.
+    speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
+    known = reading_mistakes(mapping, runs)
+    known = [m for m in known if m.id != "speed_unit" or len(m.edits(mapping)) == speeds]
+    unseen = allowed(kinematics, runs, at, known)
     found = best_of(at, [*unseen, *signs, *commands])
     return found or _two_reversed(at, signs)
 

@@ -229,7 +229,9 @@ def rederived(run: Run, undo: Undo) -> Run:
     plain = replace(run, wrapped={})
     moved = with_channels(plain, {n: run.channels[n] + rate[:, POSE.index(n)] for n in POSE if run.has(n)})
     before, later = (_six(undo(r), POSE) for r in (plain, moved))
-    velocity = np.linalg.solve(jacobian(before), (later - before)[..., None])
+    # The clock may be another one, too.
+    slower = (after.t[-1] - after.t[0]) / (run.t[-1] - run.t[0])
+    velocity = np.linalg.solve(jacobian(before), (later - before)[..., None]) / slower
     new = {VELOCITY[i]: np.asarray(velocity[:, i, 0]) for i in places}
     spread = [np.array([np.nanstd(of[n]) for n in new]) for of in (run.channels, new)]
     noise = zip(new, _other_unit(*spread), strict=True)

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from undertow import __version__
+from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..logs import Mapping, Run, velocities_from_pose
 from . import angles, consistency, excitation
 from .clocks import clock_findings
-from .command_clock import command_drift
+from .command_clock import command_clock
 from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
 from .findings import Examination, Finding, most_serious_first
-from .kinematic_search import best_explanation
+from .impossible import impossible
+from .kinematic_search import best_explanation, contradicts
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
 from .mistake import Mistake, Undo
 from .model_mistakes import lost_signs, other_mass
 from .reading_mistakes import reading_mistakes
 from .sampling import DROP, sampling
-from .time_unit import other_time_unit
+from .units import UNITS_OF_MOTION, other_time_unit
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
 Report = Callable[[float, str], None]
@@ -85,12 +87,15 @@ def examine(
     case.look_at_samples()
     report(0.1, "holding pose rates against velocities")
     case.undo_reading_mistakes()
+    case.undo_what_cannot_be()
     report(0.4, "holding motion against commands")
     case.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
     rows = excitation.excitation(vehicle, case.runs)
     case.look_at_the_rest()
     case.findings += excitation.findings(rows, vehicle, case.runs)
+    if case.refused is None and len(runs) > 1:
+        case.findings += _of_one_alone(vehicle, runs)
     result = Examination(
         undertow=__version__,
         vehicle=vehicle.name,
@@ -102,6 +107,53 @@ def examine(
     return Examined(result, list(runs), case.runs, tuple(case.edits))
 
 
+def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
+    """Refuse logs that cannot be, by the quick checks of `examine`; each log is held to them alone.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs; one that lacks a velocity or a command of the vehicle is not looked at.
+    trust_log : bool
+        Whether they are taken as they are.
+
+    Raises
+    ------
+    UndertowError
+        If pose rates and velocities contradict each other, or the motion is one that no vehicle of this mass,
+        size and thrust can have, and a usual mistake explains it. The message has the channel, its value, the
+        limit, and the line of the mapping file that mends it.
+    """
+    needed = [*vehicle.velocity_names, *vehicle.command_names]
+    for run in runs:
+        if not trust_log and all(run.has(n) for n in needed) and (found := _refused(vehicle, run)):
+            finding, edits = found
+            raise UndertowError(
+                f"log '{run.source or run.name}' cannot be: {finding.text}; write {_on_one_line(edits)} into "
+                "the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
+                "(trust_log=True)"
+            )
+
+
+def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
+    """What cannot be in a log, and all that mends it."""
+    case = _Case(vehicle, [run], run.mapping or Mapping())
+    case.look_at_samples()
+    case.undo_reading_mistakes()
+    case.undo_what_cannot_be()
+    return None if case.refused is None else (case.refused, tuple(case.edits))
+
+
+def _of_one_alone(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """What cannot be in some of the logs, and does not show in all of them together."""
+    for run in runs:
+        if found := _refused(vehicle, run):
+            finding, _ = found
+            yield finding.model_copy(update={"text": f"{run.name}, and not all of the logs: {finding.text}"})
+
+
 class _Case:
     """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
 
@@ -110,6 +162,7 @@ class _Case:
         self.kinematics = Kinematics(runs, vehicle)
         self.findings: list[Finding] = []
         self.edits: list[Edit] = []
+        self.refused: Finding | None = None
 
     def look_at_samples(self) -> None:
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
@@ -117,10 +170,12 @@ class _Case:
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
-            self._undo(unit, f"{unit.told}: only then have pose rates and velocities the same size", {})
+            text = f"{unit.told}: only then have pose rates and velocities the same size"
+            self._undo(unit, text, {}, impossible=True)
         unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
         if degrees := angles.in_degrees(self.runs, self.mapping, unasked):
-            self._undo(degrees, f"{degrees.told}, which is no vehicle's in radians", {}, apply=self._afresh)
+            text = f"{degrees.told}, which is no vehicle's in radians"
+            self._undo(degrees, text, {}, apply=self._afresh, impossible=True)
         for mistake, count in angles.wrapped_angles(self.runs):
             self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
         self.findings += angles.halfway(self.runs)
@@ -140,12 +195,23 @@ class _Case:
             return False
         others = [f.told() for f in consistency.as_good_as(found, fits)]
         chosen, rivals = decided(self.vehicle, self.runs, found)
-        text, evidence = kinematic_text(kinematics, found, chosen)
+        text, evidence = kinematic_text(kinematics, found, chosen, self.runs)
         if others:
             self._doubt(chosen, text, evidence, others)
             return False
-        self._undo(chosen, text, evidence, rivals)
+        # Water may well move as fast as a vehicle does.
+        gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)
+        self._undo(chosen, text, evidence, rivals, impossible=gross)
         return True
+
+    def undo_what_cannot_be(self) -> None:
+        """Undo what pose rates and velocities leave open, but no vehicle of this mass and thrust can do."""
+        for _ in range(_MOST_MISTAKES):
+            found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
+            if found is None:
+                return
+            text = f"{found.mistake.told}: {found.why}"
+            self._undo(found.mistake, text, found.evidence, found.rivals, impossible=True)
 
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
@@ -157,6 +223,11 @@ class _Case:
             if found is None:
                 break
             text, evidence = dynamic_text(self.vehicle, found)
+            if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
+                # In one motion alone, a weaker or stronger thruster does the same.
+                others = ["thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"]
+                self._doubt(found.mistake, text, evidence, others)
+                break
             self._undo(found.mistake, text, evidence, found.rivals)
         if at is not None:
             self._look_at_numbers(at)
@@ -164,8 +235,8 @@ class _Case:
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""
         if at.unexplained:
-            drift = command_drift(at)
-            self.findings += [] if drift is None else [drift]
+            clock = command_clock(at)
+            self.findings += [] if clock is None else [clock]
             for lost in lost_signs(self.vehicle):
                 fit = at.refitted(vehicle=lost.vehicle)
                 if fit is not None and (gain := at.gain(fit)).decisive:
@@ -198,19 +269,20 @@ class _Case:
         evidence: dict[str, float],
         rivals: Sequence[Mistake] = (),
         apply: Callable[[Run, Undo], Run] = rederived,
+        impossible: bool = False,
     ) -> None:
         edits = mistake.edits(self.mapping)
-        self.findings.append(
-            Finding(
-                id=mistake.id,
-                severity="mistake",
-                text=text,
-                evidence=evidence,
-                mapping=as_toml(edits),
-                vehicle=mistake.vehicle,
-                alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
-            )
+        finding = Finding(
+            id=mistake.id,
+            severity="mistake",
+            text=text,
+            evidence=evidence,
+            mapping=as_toml(edits),
+            vehicle=mistake.vehicle,
+            alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
         )
+        self.findings.append(finding)
+        self.refused = self.refused or (finding if impossible else None)
         self.runs = [apply(run, mistake.undo) for run in self.runs]
         self.kinematics = Kinematics(self.runs, self.vehicle)
         self._write(edits)
@@ -234,4 +306,8 @@ class _Case:
 
 
 def _on_one_line(edits: Edits) -> str:
-    return "; ".join(f"[{e.table}] {as_toml([Edit('', e.key, e.value)])}" for e in edits)
+    """Changes of a mapping file as `[table] key = value; key = value; [table] ...`."""
+    tables: dict[str, list[str]] = {}
+    for e in edits:
+        tables.setdefault(e.table, []).append(as_toml([Edit("", e.key, e.value)]))
+    return "; ".join(f"[{table}] {'; '.join(lines)}" for table, lines in tables.items())

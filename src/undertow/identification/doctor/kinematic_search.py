@@ -12,7 +12,8 @@ from undertow.model.vehicle import Vehicle
 
 from ..logs import Run
 from .kinematics import Kinematics, Mismatch
-from .mistake import Array, Mistake, both
+from .mistake import SETTINGS, Array, Mistake, both
+from .units import UNITS_OF_MOTION
 
 # A mismatch below this share of the motion is left to the effects that describe real sensors.
 MATTERS = 0.02
@@ -63,6 +64,18 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
     return bool(np.any(wrong & gone) and not np.any(worse))
 
 
+def contradicts(found: Explained, chosen: Mistake) -> bool:
+    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them."""
+    limit = SETTINGS.other_unit if chosen.id in UNITS_OF_MOTION else SETTINGS.contradiction
+    return _explained(found.before, found.after) > limit
+
+
+def _explained(before: Mismatch, after: Mismatch) -> float:
+    """Largest mismatch that has gone."""
+    gone = after.excess <= before.excess / DECISIVE
+    return float(np.max(before.excess[gone], initial=0.0))
+
+
 def best_explanation(
     kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake], vehicle: Vehicle
 ) -> Explained | None:
@@ -90,19 +103,42 @@ def _pairs(
     kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, distinct: list[Mistake], vehicle: Vehicle
 ) -> list[tuple[Mistake, Mismatch]]:
     """Pairs of mistakes that explain a mismatch, looked for in few samples and confirmed in all."""
-    pairs = [both(a, b) for a, b in combinations(distinct, 2) if a.id != b.id]
     few = Kinematics(runs, vehicle, most=_FEW)
     if not few:
         return []
-    likely = _decisive(few, runs, few.mismatch(runs), pairs)
-    return _decisive(kinematics, runs, before, [m for m, _ in likely])
+    likely = [m for m in distinct if m.id not in UNITS_OF_MOTION or _nearer(few, runs, m)]
+    pairs = [both(a, b) for a, b in combinations(likely, 2) if a.id != b.id]
+    found = _decisive(few, runs, few.mismatch(runs), pairs)
+    return _decisive(kinematics, runs, before, [m for m, _ in found])
+
+
+def _nearer(kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake) -> bool:
+    """Whether pose rates and velocities are nearer in size without a mistake, whatever their directions."""
+    now, then = (_sizes(kinematics, of) for of in (runs, [mistake.undo(run) for run in runs]))
+    return bool(np.any(then < now - np.log(1.0 + SETTINGS.ratio)))
+
+
+def _sizes(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
+    """How far pose rates and velocities are apart in size, as a logarithm, for each block."""
+    rates = kinematics.rates(runs)
+    pose, velocity = (
+        np.array([np.sum(np.mean(a[:, b] ** 2, axis=0)) for b in kinematics.blocks])
+        for a in (rates.pose, rates.velocity)
+    )
+    return np.abs(np.log(np.maximum(pose, 1e-300) / np.maximum(velocity, 1e-300))) / 2
 
 
 def _decisive(
     kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, known: Iterable[Mistake]
 ) -> list[tuple[Mistake, Mismatch]]:
     tried = ((m, kinematics.mismatch([m.undo(run) for run in runs])) for m in known)
-    return [(m, after) for m, after in tried if explains(before, after)]
+    found = [(m, after) for m, after in tried if explains(before, after)]
+    # A little less mismatch is no other unit: that makes much of it.
+    return [
+        (m, after)
+        for m, after in found
+        if m.id not in UNITS_OF_MOTION or _explained(before, after) > SETTINGS.other_unit
+    ]
 
 
 def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake]) -> list[Mistake]:

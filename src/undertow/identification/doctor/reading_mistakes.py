@@ -15,6 +15,7 @@ from ..logs import Run, frames
 from ..logs.run import POSE, VELOCITY
 from .mending import Edit, Edits, attitude_of, column_edit, column_of, frames_edits, reassigned
 from .mistake import Array, Channels, Mistake, Undo, scaling, turning, with_channels
+from .units import other_units_of_motion
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")
 _SWAPS: dict[str, Callable[[Mapping[str, Array]], Channels]] = {
@@ -54,11 +55,17 @@ def _changes(run: Run, name: str) -> bool:
 # --- units ------------------------------------------------------------------------------------
 def in_degrees(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """Angles, rates or both in degrees and read as radians, or the other way round."""
-    groups = ((*ANGLES, *RATES), ANGLES, RATES, ("psi",), ("r",))
-    for group in groups:
-        names = tuple(n for n in group if n in moving)
-        if not names:
-            continue
+    tilt, turn = (("phi", "theta"), ("p", "q")), (("psi",), ("r",))
+    groups = [
+        (*ANGLES, *RATES),
+        ANGLES,
+        RATES,
+        *((*angles, *rates) for angles, rates in (tilt, turn)),
+        *tilt,
+        *turn,
+    ]
+    found = (tuple(n for n in group if n in moving) for group in groups)
+    for names in filter(None, dict.fromkeys(found)):
         deg = any("deg" in (column_of(mapping, n)[1].unit or "") for n in names)
         is_in, read_as = ("radians", "degrees") if deg else ("degrees", "radians")
         factor = 180 / np.pi if deg else np.pi / 180
@@ -233,6 +240,7 @@ def _listed(names: tuple[str, ...]) -> str:
 
 KINDS: tuple[Callable[[LogMapping, set[str]], Iterator[Mistake]], ...] = (
     in_degrees,
+    other_units_of_motion,
     other_frames,
     velocity_along_the_earth,
     swapped_position,

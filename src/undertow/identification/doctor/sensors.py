@@ -14,6 +14,7 @@ import numpy as np
 from ..logs import Run
 from ..logs.run import VELOCITY
 from .kinematics import Array, Kinematics, Mismatch, Rates, Samples, Stretch
+from .mistake import SETTINGS
 
 # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
 _CLUSTER = 8
@@ -105,7 +106,8 @@ def sensors(kinematics: Kinematics) -> list[Sensor]:
 def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
     found = [
         Sensor("sensor_bias", tuple(f"b_{n} m/s" for n in linear), _chosen(_bias, linear)),
-        Sensor("sensor_scale", ("s",), _common_scale, 0.5),
+        # A Doppler log set for another speed of sound is some percent off; knots are half of what they say.
+        Sensor("sensor_scale", ("s",), _common_scale, SETTINGS.scale),
         Sensor("sensor_delay", ("delay s",), _late, 3.0),
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]
@@ -192,17 +194,20 @@ def _tested(kinematics: Kinematics, run: Run, s: Stretch, sensor: Sensor) -> Arr
     return np.asarray(flat).reshape(-1, *columns.shape[1:]) / s.length[:, None, None]
 
 
-def clustered_least_squares(table: Array, target: Array, size: int) -> tuple[Array, Array]:
+def clustered_least_squares(
+    table: Array, target: Array, size: int, rcond: float = 1e-10
+) -> tuple[Array, Array]:
     """Least squares with standard errors from clusters of `size` neighbouring rows (sandwich estimator).
 
     Rows are in units of their noise; errors are never less than independent rows of that noise would give,
-    since few clusters say little.
+    since few clusters say little. Combinations of columns whose share of the whole is below `rcond` (squared)
+    are left at zero.
     """
     scale = np.linalg.norm(table, axis=0)
     seen = scale > 0
     value, error = np.zeros(len(scale)), np.full(len(scale), np.inf)
     scaled = table[:, seen] / scale[seen]
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=rcond, hermitian=True)
     solution = inverse @ (scaled.T @ target)
     left = target - scaled @ solution
     scores = scaled * left[:, None]

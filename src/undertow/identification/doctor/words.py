@@ -2,29 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
+from ..logs import Run
 from .dynamic_search import Explanation
 from .dynamics import Gain
 from .findings import Finding, percent
 from .kinematic_search import Explained, inconsistent
-from .kinematics import Kinematics
+from .kinematics import Array, Kinematics
 from .mistake import Mistake
 from .model_mistakes import LostSign, OtherMass
+from .units import POSITIONS, UNITS_OF_MOTION
 
 
-def kinematic_text(kinematics: Kinematics, found: Explained, chosen: Mistake) -> tuple[str, dict[str, float]]:
-    """One line on a mistake that shows in the kinematics, and its evidence."""
+def kinematic_text(
+    kinematics: Kinematics, found: Explained, chosen: Mistake, runs: Sequence[Run]
+) -> tuple[str, dict[str, float]]:
+    """One line on a mistake that shows in the kinematics of runs, and its evidence."""
     names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
     parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
-    text = f"{chosen.told}: undone, the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
+    sizes = _sizes(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
+    mismatch = f"the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
+    text = f"{chosen.told}: {sizes}undone, {mismatch}"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
     return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
+
+
+def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
+    """How fast the position changes where that contradicts the velocities most, by both."""
+    linear = [i for i, block in enumerate(kinematics.blocks) if kinematics.rows[block[0]] in POSITIONS]
+    block = kinematics.blocks[max(linear, key=lambda i: found.before.excess[i])]
+    rates = kinematics.rates(runs)
+    pose, velocity = (_rms(a[:, block]) for a in (rates.pose, rates.velocity))
+    names = ", ".join(kinematics.rows[i] for i in block)
+    return f"{names} change by {pose:.3g} m/s rms, and the velocities say {velocity:.3g} m/s; "
+
+
+def _rms(table: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
 
 
 def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:

@@ -12,6 +12,7 @@ from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..base_parameters import base_parameters, undetermined
+from ..doctor import refuse_impossible
 from ..logs import Run
 from ..triangle import Triangle
 from .axis import Axis, axis_of, moving
@@ -101,17 +102,27 @@ class Estimation:
         return not self.impossible
 
 
-def experiments(vehicle: Vehicle, runs: Sequence[Run]) -> list[Experiment]:
+def experiments(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> list[Experiment]:
     """Sort logs by the motion and the direction that they hold.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs of one motion each.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
     UndertowError
-        If a log holds no motion of the vehicle with its force, or more than one.
+        If a log holds no motion of the vehicle with its force, or more than one, or cannot be.
     """
     found: dict[tuple[str, str, tuple[str, ...]], Experiment] = {}
     for run in runs:
         axis = axis_of(vehicle, _motion(vehicle, run), run)
+        refuse_impossible(axis.vehicle, [run], trust_log=trust_log)
         # A log with the force and one with thrusters are experiments of their own.
         key = (axis.motion, axis.direction, axis.vehicle.command_names)
         known = found.get(key) or Experiment(Regression(axis), ())

@@ -9,6 +9,7 @@ import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
+from ..doctor import refuse_impossible
 from ..logs import Run
 from ..logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
 from ..triangle import Triangle
@@ -27,6 +28,8 @@ def estimate_streaming(
     edges: Edges = "interp",
     rows: int = ROWS,
     progress: Report = lambda done, words: None,
+    *,
+    trust_log: bool = False,
 ) -> list[tuple[Experiment, list[Estimation]]]:
     """Estimates of every motion that logs hold, after each case of smoothing, in constant memory.
 
@@ -48,6 +51,8 @@ def estimate_streaming(
         Rows that are read at a time.
     progress : callable
         Told what share is done, and what is being done.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
@@ -58,14 +63,14 @@ def estimate_streaming(
     """
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
-    found = experiments(vehicle, seen)
+    found = experiments(vehicle, seen, trust_log=True)  # outlines only: each part is looked at
     reduced = [{c.name: Triangle(len(e.regression.free)) for c in cases} for e in found]
     for k, (log, outlined) in enumerate(zip(logs, seen, strict=True)):
         progress(0.3 + 0.7 * k / len(logs), f"reducing {log.path.name}")
         place = next(i for i, e in enumerate(found) if any(run is outlined for run in e.runs))
         _refuse_clock(found[place])
         parts = log.parts(max(rows, 3 * overlap), overlap)
-        _reduce(found[place], parts, cases, edges, reduced[place])
+        _reduce(found[place], parts, cases, edges, reduced[place], trust_log)
     pairs = zip(found, reduced, strict=True)
     return [(e, [estimated_by(e, c, triangles[c.name]) for c in cases]) for e, triangles in pairs]
 
@@ -97,10 +102,12 @@ def _reduce(
     cases: Sequence[Case],
     edges: Edges,
     triangles: Mapping[str, Triangle],
+    trust_log: bool,
 ) -> None:
     """Take the rows of a log into the triangles, one for each case."""
     after, part = -np.inf, next(parts, None)
     while part is not None:
+        refuse_impossible(experiment.axis.vehicle, [part.run], trust_log=trust_log)
         following = next(parts, None)
         until = np.inf if following is None else part.border
         for case in cases:

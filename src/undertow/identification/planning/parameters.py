@@ -13,6 +13,7 @@ from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from ..base_parameters import undetermined
+from ..doctor import refuse_impossible
 from ..logs import Run
 from ..weak.fit import free_parameters
 from ..weak.residual import WeakModel
@@ -49,6 +50,8 @@ def plan_parameters(
     runs: Sequence[Run] = (),
     request: Request | None = None,
     only: Sequence[str] = (),
+    *,
+    trust_log: bool = False,
 ) -> Planned:
     """Find the manoeuvre after which the parameters are known best.
 
@@ -66,12 +69,15 @@ def plan_parameters(
         Duration, limits and the like.
     only : sequence of str
         The parameters that matter; the others are still to be estimated. All by default.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
     UndertowError
         If nothing is to be estimated, a limit is missing, or no manoeuvre is within the limits.
     """
+    refuse_impossible(vehicle, runs, trust_log=trust_log)
     request = request or Request()
     free = free_parameters(vehicle)
     _refuse(vehicle, free, only)

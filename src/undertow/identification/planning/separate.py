@@ -14,6 +14,7 @@ from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 
+from ..doctor import refuse_impossible
 from ..logs import Run
 from .families import Design
 from .flight import Flight, Plant
@@ -40,6 +41,7 @@ def plan_separation(
     request: Request | None = None,
     *,
     known: Catalogue | None = None,
+    trust_log: bool = False,
 ) -> Planned:
     """Find the manoeuvre that best tells models apart.
 
@@ -59,6 +61,8 @@ def plan_separation(
         Duration, limits and the like.
     known : mapping, optional
         Effects by id.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
@@ -66,6 +70,7 @@ def plan_separation(
         If there are fewer than two models, an effect is unknown or adds nothing, a limit is missing, or no
         manoeuvre is within the limits.
     """
+    refuse_impossible(vehicle, runs, trust_log=trust_log)
     request, known = request or Request(), known or catalogue()
     names = [s.name for s in specs]
     if len(set(names)) < 2:
