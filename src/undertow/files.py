@@ -90,11 +90,13 @@ def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STAT
         If the file cannot be read, is too large or is not UTF-8.
     """
     try:
-        with open(path, "rb") as stream:
+        with Path(path).open("rb") as stream:
             data = stream.read(limits.size + 1)  # a device or a pipe tells no size
     except (OSError, ValueError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error)
-        raise UndertowError(f"{path}: cannot be read: {reason}: give the path of a readable file") from error
+        raise UndertowError(
+            f"{kind} {path}: cannot be read: {reason}: give the path of a readable file"
+        ) from error
     if len(data) > limits.size:
         size = max(len(data), os.stat(path).st_size)
         raise UndertowError(

@@ -303,12 +303,12 @@ def test_the_diagnosis_itself_is_not_replaced(undertow: Undertow, found: Path) -
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "cannot read"),
+        (None, "cannot be read"),
         ("no json", "is no diagnosis (Invalid JSON"),
         ("[]", "is no diagnosis"),
         ("{}", "is no diagnosis (undertow: Field required)"),
         ('{"schema_id": "undertow/comparison/1"}', "is no diagnosis"),
-        (b"\xff\xfe\x00", "is no diagnosis"),
+        (b"\xff\xfe\x00", "not UTF-8 text"),
     ],
 )
 def test_what_is_no_diagnosis(

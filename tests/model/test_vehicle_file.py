@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from undertow import files
 from undertow.errors import UndertowError
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.vehicle import Value, Vehicle
@@ -444,6 +443,6 @@ def test_an_unreadable_file_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     file = tmp_path / "vehicle.toml"
     file.write_text(FILE, encoding="utf-8")
-    monkeypatch.setattr(files, "open", denied, raising=False)
+    monkeypatch.setattr(Path, "open", denied)
     with pytest.raises(UndertowError, match=r"vehicle.toml: cannot be read: Permission denied"):
         load_vehicle(file)
