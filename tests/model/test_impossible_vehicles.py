@@ -200,6 +200,12 @@ def test_a_vehicle_from_a_program_faces_the_same_checks(load: Load) -> None:
         check_vehicle(replace(vehicle, environment={"rho": 1000.0, "g": 1.0}))
 
 
+@pytest.mark.parametrize("surplus", [1430.0, -1430.0])
+def test_a_net_buoyancy_of_many_weights_is_refused(surplus: float, load: Load) -> None:
+    with pytest.raises(UndertowError, match=r"possible: up to 515 N either way"):
+        check_vehicle(load(FILE).with_effect(catalogue()["net_buoyancy"], {"B_net": Value(surplus)}))
+
+
 def test_two_quantities_of_one_name_are_refused(load: Load) -> None:
     class Twin(catalogue()["net_buoyancy"]):  # type: ignore[misc]
         """A second effect with a parameter of the first one's name."""

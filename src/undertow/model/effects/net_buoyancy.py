@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Set
+
 import sympy as sm
 
 from undertow.model.effect import Wrench
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
+from undertow.model.parameter import Limits, Parameter
 from undertow.model.symbols import Signals
 
 
@@ -23,3 +25,14 @@ class NetBuoyancy(Wrench):
     def wrench(self, s: Signals) -> sm.Matrix:
         upward = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, -self.B_net])
         return sm.Matrix([*upward, 0, 0, 0])
+
+    @classmethod
+    def impossible(
+        cls, values: Mapping[str, float], limits: Limits, moved: Set[str] = frozenset()
+    ) -> Iterator[str]:
+        surplus, most = values.get("B_net", 0.0), (limits.buoyancy - 1) * values.get("m", 0.0) * values["g"]
+        if most and abs(surplus) > most and "B_net" not in moved:
+            yield (
+                f"B_net = {surplus:g} N cannot be of a vehicle that weighs {values['m'] * values['g']:.4g} N "
+                f"(possible: up to {most:.4g} N either way): correct it or its unit"
+            )
