@@ -42,7 +42,10 @@ def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
         for n in (*POSE, *VELOCITY)
         if all(r.has(n) and n not in r.derived for r in runs) and any(_changes(r, n) for r in runs)
     }
-    return [mistake for kind in KINDS for mistake in kind(mapping, moving)]
+    few = runs[0].slice(None, float(runs[0].t[min(9, len(runs[0].t) - 1)]))
+    # North taken for east leaves no north where only one of them was logged: that cannot be tried.
+    known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
+    return [mistake for mistake in known if {*mistake.undo(few).channels} >= {*few.channels}]
 
 
 def _changes(run: Run, name: str) -> bool:
