@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from undertow import __version__
@@ -18,7 +18,7 @@ from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
 from .findings import Examination, Finding, most_serious_first
-from .impossible import impossible
+from .impossible import impossible, suspicious
 from .kinematic_search import best_explanation, contradicts
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
@@ -31,6 +31,8 @@ from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
 Report = Callable[[float, str], None]
 _MOST_MISTAKES = 3
+# In one motion alone, or for all of them alike, this does the same as a unit.
+_WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Examined:
     result : Examination
         What is written to JSON.
     given, mended : list of Run
-        The logs, and what they are once the mistakes found are undone.
+        The logs, less those that are wrong alone, and what they are once the mistakes found are undone.
     edits : tuple of Edit
         What to change in the mapping file.
     """
@@ -82,7 +84,9 @@ def examine(
     for run in runs:
         run.matrix([*vehicle.velocity_names, *vehicle.command_names])
     read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), Mapping())
-    case = _Case(vehicle, list(runs), read_by)
+    alone = _wrong_alone(vehicle, runs)
+    case = _Case(vehicle, [run for run in runs if run.name not in alone], read_by)
+    case.findings += alone.values()
     report(0.0, "looking at clock and samples")
     case.look_at_samples()
     report(0.1, "holding pose rates against velocities")
@@ -94,8 +98,6 @@ def examine(
     rows = excitation.excitation(vehicle, case.runs)
     case.look_at_the_rest()
     case.findings += excitation.findings(rows, vehicle, case.runs)
-    if case.refused is None and len(runs) > 1:
-        case.findings += _of_one_alone(vehicle, runs)
     result = Examination(
         undertow=__version__,
         vehicle=vehicle.name,
@@ -104,7 +106,7 @@ def examine(
         excitation=rows,
         seconds=time.perf_counter() - began,
     )
-    return Examined(result, list(runs), case.runs, tuple(case.edits))
+    return Examined(result, case.given, case.runs, tuple(case.edits))
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
@@ -146,19 +148,26 @@ def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
     return None if case.refused is None else (case.refused, tuple(case.edits))
 
 
-def _of_one_alone(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
-    """What cannot be in some of the logs, and does not show in all of them together."""
-    for run in runs:
-        if found := _refused(vehicle, run):
-            finding, _ = found
-            yield finding.model_copy(update={"text": f"{run.name}, and not all of the logs: {finding.text}"})
+def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
+    """What cannot be in some of the logs, by their names, where the others are of another mind.
+
+    All together, logs with a mistake and logs without would tell nothing, or what is true of neither.
+    """
+    found = {r.name: _refused(vehicle, r) for r in runs} if len(runs) > 1 else {}
+    wrong = {name: one[0] for name, one in found.items() if one is not None}
+    if len(wrong) == len(runs):
+        return {}
+    return {
+        name: finding.model_copy(update={"text": f"{name}, and not all of the logs: {finding.text}"})
+        for name, finding in wrong.items()
+    }
 
 
 class _Case:
     """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
 
     def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: Mapping) -> None:
-        self.vehicle, self.runs, self.mapping = vehicle, runs, mapping
+        self.vehicle, self.given, self.runs, self.mapping = vehicle, list(runs), runs, mapping
         self.kinematics = Kinematics(runs, vehicle)
         self.findings: list[Finding] = []
         self.edits: list[Edit] = []
@@ -213,6 +222,14 @@ class _Case:
             text = f"{found.mistake.told}: {found.why}"
             self._undo(found.mistake, text, found.evidence, found.rivals, impossible=True)
 
+    def doubt_forces(self) -> None:
+        """Ask for the unit where a motion needs a few times the force commanded."""
+        found = suspicious(self.vehicle, self.runs, self.mapping, self.kinematics)
+        if found is not None:
+            others = [r.told for r in found.rivals]
+            text = f"{found.mistake.told}: {found.why}"
+            self._doubt(found.mistake, text, found.evidence, [*others, _WEAK_THRUSTERS])
+
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
         for _ in range(_MOST_MISTAKES):
@@ -224,11 +241,11 @@ class _Case:
                 break
             text, evidence = dynamic_text(self.vehicle, found)
             if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
-                # In one motion alone, a weaker or stronger thruster does the same.
-                others = ["thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"]
-                self._doubt(found.mistake, text, evidence, others)
+                self._doubt(found.mistake, text, evidence, [_WEAK_THRUSTERS])
                 break
             self._undo(found.mistake, text, evidence, found.rivals)
+        if not any(f.severity == "mistake" for f in self.findings):
+            self.doubt_forces()
         if at is not None:
             self._look_at_numbers(at)
 

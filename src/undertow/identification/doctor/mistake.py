@@ -104,6 +104,11 @@ class Settings:
         Force that the motion needs over the one commanded. Simulated logs stay within 0.3 and 3, lags
         included; a work-class ROV answers in yaw with 0.08 of what its file has. Degrees make 57, cm/s 100,
         the usual pulse widths 0.02 and less.
+    doubtful : float
+        Force that the motion needs over the one commanded from which the doctor asks for the unit; weak
+        thrusters and added mass that is held too small stay below.
+    alike : float
+        Factor within which a unit must explain that.
     near : float
         Factor within which the two must agree once a mistake is undone.
     errors : float
@@ -145,6 +150,8 @@ class Settings:
     other_unit: float = 0.12
     weakest: float = 0.025
     strongest: float = 20.0
+    doubtful: float = 2.5
+    alike: float = 1.25
     near: float = 4.0
     errors: float = 8.0
     share: float = 0.3

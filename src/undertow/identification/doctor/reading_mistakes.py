@@ -43,6 +43,7 @@ def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
         for n in (*POSE, *VELOCITY)
         if all(r.has(n) and n not in r.derived for r in runs) and any(_changes(r, n) for r in runs)
     }
+    # North taken for east leaves no north where only one of them was logged: that cannot be tried.
     few = [run.head(2) for run in runs]
     known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
     return [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]

@@ -1,0 +1,318 @@
+"""Logs in the wrong units: the doctor names each mistake, and what cannot be is refused before a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as TypingMapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import Case, make_case
+from benchmarks.hidden_effects.conversion import convert_vehicles
+from tests.identification import broken
+from tests.identification.broken import Break, both, scaled
+from tests.identification.logs_of import run_of, runs_of, vehicle_of
+from undertow.errors import UndertowError
+from undertow.identification import Mapping, Run, read_log, read_mapping, velocities_from_pose
+from undertow.identification.compare.comparison import compare
+from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.doctor import examine, refuse_impossible
+from undertow.identification.estimators import Estimator
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Vehicle
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+POSE, VELOCITY = ("x", "y", "z", "phi", "theta", "psi"), ("u", "v", "w", "p", "q", "r")
+MMPS, CMPS, KNOTS, KMH, FTPS = 1000.0, 100.0, 1 / 0.514444, 3.6, 1 / 0.3048
+
+
+@cache
+def _case(name: str) -> Case:
+    return make_case(name, (), 4, duration=40.0, runs=("multisine",))
+
+
+def _vehicle(name: str) -> Vehicle:
+    return vehicle_of(_case(name))
+
+
+def _commands(name: str, by: float, plus: float = 0.0) -> Break:
+    return scaled(*_vehicle(name).command_names, by=by, plus=plus)
+
+
+def _speeds(by: float) -> Break:
+    return scaled("u", "v", "w", by=by)
+
+
+def _positions(by: float) -> Break:
+    return scaled("x", "y", "z", by=by)
+
+
+def _late(name: str, seconds: float) -> Break:
+    """Commands as they are logged that much after (or, negative, before) they acted."""
+
+    def write(c: TypingMapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        t = c["t"]
+        then = np.clip(np.searchsorted(t, t - seconds + 1e-9, side="right") - 1, 0, len(t) - 1)
+        return {n: d[then] if n in _vehicle(name).command_names else d for n, d in c.items()}
+
+    return write
+
+
+def _log(name: str, wrong: Break, left_out: tuple[str, ...] = ()) -> Run:
+    """A log of a vehicle with a mistake, with the channels that it would have."""
+    vehicle, (columns,) = _vehicle(name), _case(name).runs.values()
+    own = {"t", *vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names} - {*left_out}
+    kept = {n: data for n, data in wrong(columns).items() if n in own}
+    return velocities_from_pose(run_of(name, kept), vehicle.degrees_of_freedom)
+
+
+def _refusal(vehicle: Vehicle, *runs: Run) -> str:
+    """What a log is refused with; empty where it is not."""
+    try:
+        refuse_impossible(vehicle, runs)
+    except UndertowError as error:
+        return str(error)
+    return ""
+
+
+# --- what cannot be is refused -----------------------------------------------------------------------------
+NO_XY, NO_POSE, NO_VELOCITY = ("x", "y"), POSE, VELOCITY
+ALL: tuple[str, ...] = ()
+REFUSED: list[tuple[str, str, Break, tuple[str, ...], str, str]] = [
+    # pose rates against velocities
+    ("mm/s", "usv", _speeds(MMPS), ALL, "u, v are in mm/s, read as m/s", 'unit = "mm/s"'),
+    ("mm/s", "rov", _speeds(MMPS), ALL, "u, v, w are in mm/s", 'w = { channel = "w", unit = "mm/s" }'),
+    ("cm/s", "mini-auv", _speeds(CMPS), ALL, "u, v, w are in cm/s", 'unit = "cm/s"'),
+    ("knots", "usv", _speeds(KNOTS), ALL, "u, v are in knot", 'u = { channel = "u", unit = "knot" }'),
+    ("knots", "rov", _speeds(KNOTS), ALL, "u, v, w are in knot", 'unit = "knot"'),
+    ("km/h", "catamaran", _speeds(KMH), ALL, "u, v are in km/h", 'unit = "km/h"'),
+    ("ft/s", "mini-auv", _speeds(FTPS), ALL, "u, v, w are in ft/s", 'unit = "ft/s"'),
+    ("u in mm/s", "usv", scaled("u", by=MMPS), ALL, "u is in mm/s", 'u = { channel = "u", unit = "mm/s" }'),
+    ("mm", "ship", _positions(1000.0), ALL, "x, y are in mm, read as m", 'unit = "mm"'),
+    ("cm", "box", _positions(100.0), ALL, "x is in cm", 'x = { channel = "x", unit = "cm" }'),
+    ("feet", "rov", _positions(1 / 0.3048), ALL, "x, y, z are in ft", 'unit = "ft"'),
+    ("z in feet", "mini-auv", scaled("z", by=1 / 0.3048), ALL, "z is in ft", 'unit = "ft"'),
+    ("psi in deg", "usv", broken.in_degrees("psi"), ALL, "psi is in degrees", 'unit = "deg" }'),
+    ("r in deg", "usv", broken.in_degrees("r"), ALL, "r is in degrees", 'unit = "deg/s" }'),
+    ("psi, r in deg", "mini-auv", broken.in_degrees("psi", "r"), ALL, "psi, r are in degrees", '"deg/s"'),
+    ("z up", "mini-auv", scaled("z", by=-1.0), ALL, "z counts upwards", "scale = -1.0"),
+    ("world", "mini-auv", broken.north_east_velocity, ALL, "north, east, down", 'velocity = "NED"'),
+    ("t in ms", "usv", scaled("t", by=1e3), ALL, "the times are in ms", '[time] unit = "ms"'),
+    ("t in min", "rov", scaled("t", by=1 / 60), ALL, "the times are in min", '[time] unit = "min"'),
+    # both wrong alike, one of them not measured, or commands: the force that the motion needs
+    ("all mm", "usv", both(_speeds(1e3), _positions(1e3)), ALL, "in mm and mm/s, read as m", '"mm/s"'),
+    ("all cm", "rov", both(_speeds(1e2), _positions(1e2)), ALL, "in cm and cm/s, read as m", '"cm/s"'),
+    ("mm/s", "box", _speeds(MMPS), NO_POSE, "u is in mm/s", 'u = { channel = "u", unit = "mm/s" }'),
+    ("cm/s", "float", _speeds(CMPS), NO_POSE, "w is in cm/s", 'unit = "cm/s"'),
+    ("u in mm/s", "usv", scaled("u", by=MMPS), NO_POSE, "u is in mm/s", 'unit = "mm/s"'),
+    ("mm", "usv", _positions(1000.0), NO_VELOCITY, "x, y are in mm", 'unit = "mm"'),
+    ("r in deg", "catamaran", broken.in_degrees("r"), NO_POSE, "r is in degrees", '"deg/s"'),
+    ("psi, r in deg", "usv", broken.in_degrees("psi", "r"), NO_XY, "psi, r are in degrees", '"deg/s"'),
+    ("t in ms", "box", scaled("t", by=1e3), NO_POSE, "the times are in ms", '[time] unit = "ms"'),
+    ("t in us", "usv", scaled("t", by=1e6), NO_VELOCITY, "the times are in us", '[time] unit = "us"'),
+    ("t in min", "usv", scaled("t", by=1 / 60), NO_POSE, "the times are in min", '[time] unit = "min"'),
+    ("one command", "usv", scaled("f1", by=1e3), ALL, "f1 is 1000 times too large", "scale = 0.001"),
+    ("one command", "rov", scaled("f1", by=1e3), ALL, "f1 is 1000 times too large", "scale = 0.001"),
+    ("one command", "box", scaled("f2", by=1e3), NO_POSE, "f2 is 1000 times too large", "scale = 0.001"),
+    ("commands", "catamaran", _commands("catamaran", 1e3), ALL, "f1, f2 are 1000 times", "scale = 0.001"),
+    ("kN", "usv", _commands("usv", 1e-3), NO_POSE, "f1, f2, f3 are 1000 times too small", "scale = 1000.0"),
+    ("pulse widths", "mini-auv", _commands("mini-auv", 400 / 6, 1500.0), ALL, "pulse", "offset = -22.5"),
+    ("pulse widths", "heavy-rov", _commands("heavy-rov", 5.0, 1500.0), ALL, "pulse", "offset = -300.0"),
+    # several at once
+    ("mm/s, world", "usv", both(broken.north_east_velocity, _speeds(1e3)), ALL, "u, v are in mm/s", '"NED"'),
+    ("mm/s, deg", "mini-auv", both(_speeds(1e3), broken.in_degrees("psi", "r")), ALL, "mm/s", '"deg/s"'),
+    ("knots, command", "usv", both(_speeds(KNOTS), scaled("f1", by=1e3)), ALL, "knot", "scale = 0.001"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "wrong", "left_out", "told", "line"),
+    REFUSED,
+    ids=[f"{m[0]}-{m[1]}-{len(m[3])}" for m in REFUSED],
+)
+def test_what_cannot_be_is_refused_with_value_limit_and_line(
+    what: str, name: str, wrong: Break, left_out: tuple[str, ...], told: str, line: str
+) -> None:
+    message = _refusal(_vehicle(name), _log(name, wrong, left_out))
+    assert message.startswith(f"log '{name}' cannot be: ")
+    assert told in message
+    assert line in message
+    assert "\n" not in message
+    assert "--trust-log" in message
+    refuse_impossible(_vehicle(name), [_log(name, wrong, left_out)], trust_log=True)
+
+
+def test_a_refusal_tells_sizes_and_limit() -> None:
+    message = _refusal(_vehicle("usv"), _log("usv", _speeds(MMPS)))
+    assert "x, y change by 0.1" in message
+    assert "and the velocities say 1" in message
+    message = _refusal(_vehicle("usv"), _log("usv", scaled("f1", by=1e3)))
+    assert "the surge of the log needs 0.00" in message
+    assert "at least 0.025 can be" in message
+
+
+def test_a_vehicle_that_only_drifts_is_known_by_its_size() -> None:
+    """Nothing is commanded, so no force can tell: 300 m/s and 15 rad/s are beyond any vehicle of 24 kg."""
+    t = np.arange(0.0, 40.0, 0.05)
+    still = {n: np.zeros(len(t)) for n in ("f1", "f2", "f3")}
+    drift = {"u": 300.0 + 20 * np.sin(t), "v": 30 * np.cos(t), "r": 0.1 * np.sin(t)}
+    message = _refusal(_vehicle("usv"), Run("drift", t, {**still, **drift}))
+    assert "u, v reach 3" in message
+    assert "no vehicle of 23.8 kg exceeds 20.2 m/s" in message
+    assert 'u = { channel = "u", unit = "mm/s" }' in message
+    turning = {"u": 0.3 + 0.02 * np.sin(t), "v": 0.03 * np.cos(t), "r": 15.0 + np.sin(t)}
+    message = _refusal(_vehicle("usv"), Run("spin", t, {**still, **turning}))
+    assert "no vehicle of 23.8 kg exceeds 5.84 rad/s" in message
+    assert 'r = { channel = "r", unit = "deg/s" }' in message
+
+
+def test_one_bad_log_among_good_ones_is_named() -> None:
+    good, bad = _log("usv", dict), _log("usv", _speeds(MMPS))
+    runs = [good, Run("second", bad.t, bad.channels), Run("third", good.t, good.channels)]
+    assert _refusal(_vehicle("usv"), *runs).startswith("log 'second' cannot be: u, v are in mm/s")
+    (mistake, *_) = examine(_vehicle("usv"), runs).result.mistakes
+    assert mistake.text.startswith("second, and not all of the logs: u, v are in mm/s")
+
+
+def test_the_line_mends_a_mapping_that_is_itself_the_mistake(tmp_path: Path) -> None:
+    """The log is in m/s, and its mapping file says mm/s."""
+    (columns,) = _case("usv").runs.values()
+    path = tmp_path / "log.csv"
+    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+    path.write_text("\n".join([",".join(columns), *(",".join(map(repr, r)) for r in rows)]) + "\n")
+    said = {"columns": {n: {"channel": n, "unit": "mm/s"} for n in ("u", "v")}}
+    run = read_log(path, Mapping.model_validate(said), _vehicle("usv").command_names)
+    message = _refusal(_vehicle("usv"), run)
+    assert "u, v are in m/s, read as mm/s" in message
+    assert 'u = { channel = "u", unit = "m/s" }' in message
+
+
+# --- what may be is left to the doctor ---------------------------------------------------------------------
+SUSPECT: list[tuple[str, str, Break, tuple[str, ...], str, str, str]] = [
+    ("knots", "usv", _speeds(KNOTS), NO_POSE, "speed_unit", "mistake", 'unit = "knot"'),
+    ("km/h", "usv", _speeds(KMH), NO_POSE, "speed_unit", "mistake", 'unit = "km/h"'),
+    ("km/h", "box", _speeds(KMH), NO_POSE, "speed_unit", "warning", 'unit = "km/h"'),
+    ("all feet", "usv", both(_speeds(FTPS), _positions(FTPS)), ALL, "motion_unit", "mistake", '"ft/s"'),
+    ("percent", "mini-auv", _commands("mini-auv", 100 / 6), ALL, "command_unit", "mistake", "scale = 0.06"),
+    ("reversed", "usv", _commands("usv", -1.0), ALL, "reversed_thruster", "mistake", "scale = -1.0"),
+    ("early", "usv", _late("usv", -0.5), ALL, "late_commands", "warning", ""),
+    ("late", "mini-auv", _late("mini-auv", 0.5), ALL, "late_commands", "mistake", ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "wrong", "left_out", "kind", "severity", "line"),
+    SUSPECT,
+    ids=[f"{m[0]}-{m[1]}-{len(m[3])}" for m in SUSPECT],
+)
+def test_what_may_be_is_found_by_the_doctor_and_not_refused(
+    what: str, name: str, wrong: Break, left_out: tuple[str, ...], kind: str, severity: str, line: str
+) -> None:
+    run = _log(name, wrong, left_out)
+    assert _refusal(_vehicle(name), run) == ""
+    findings = examine(_vehicle(name), [run]).result.findings
+    (found,) = [f for f in findings if f.id == kind]
+    assert found.severity == severity
+    assert line in found.mapping
+
+
+@pytest.mark.parametrize("seconds", [0.5, -0.5])
+def test_the_doctor_tells_how_late_commands_are(seconds: float) -> None:
+    """A motion after its command may be a dead time; a motion before it cannot."""
+    findings = examine(_vehicle("usv"), [_log("usv", _late("usv", seconds))]).result.findings
+    (found,) = [f for f in findings if f.id == "late_commands"]
+    assert found.evidence["delay"] == pytest.approx(-seconds, abs=0.15)
+    assert ("actuation_delay" in found.text) is (seconds < 0)
+    assert ("before the commands" in found.text) is (seconds > 0)
+
+
+DOCTORED = [
+    ("mm/s", "usv", _speeds(MMPS), "speed_unit"),
+    ("knots", "usv", _speeds(KNOTS), "speed_unit"),
+    ("psi, r in deg", "usv", broken.in_degrees("psi", "r"), "degrees_for_radians"),
+    ("one command", "usv", scaled("f1", by=1e3), "command_unit"),
+    ("all mm", "usv", both(_speeds(1e3), _positions(1e3)), "motion_unit"),
+]
+
+
+@pytest.mark.parametrize(("what", "name", "wrong", "kind"), DOCTORED, ids=[m[0] for m in DOCTORED])
+def test_the_doctor_names_what_is_refused_and_mends_it(what: str, name: str, wrong: Break, kind: str) -> None:
+    examined = examine(_vehicle(name), [_log(name, wrong)])
+    assert [m.id for m in examined.result.mistakes] == [kind]
+    (sound,) = _case(name).runs.values()
+    (mended,) = examined.mended
+    for channel in ("u", "v", "r", "psi", "x", "f1"):
+        np.testing.assert_allclose(mended.channels[channel], sound[channel], rtol=1e-3, atol=1e-6)
+
+
+# --- sound logs --------------------------------------------------------------------------------------------
+HIDDEN = {
+    "usv": "ocean_current thruster_gain thruster_lag thruster_deadband actuation_delay sensor_scale "
+    "sensor_bias velocity_misalignment water_speed_log waves",
+    "mini-auv": "velocity_lever_arm attitude_bias supply_droop net_buoyancy",
+    "rov": "tether_drag sensor_delay thruster_asymmetry",
+}
+NOTHING_HIDDEN = ("usv", "mini-auv", "rov", "box", "float", "catamaran", "ship", "micro-auv", "torpedo")
+SOUND: list[tuple[str, tuple[str, ...]]] = [(name, ()) for name in NOTHING_HIDDEN]
+SOUND += [(name, (effect,)) for name, effects in HIDDEN.items() for effect in effects.split()]
+
+
+@pytest.mark.parametrize(("name", "hidden"), SOUND, ids=[f"{n}-{'-'.join(h)}" for n, h in SOUND])
+def test_hidden_physics_is_not_refused(name: str, hidden: tuple[str, ...]) -> None:
+    case = make_case(name, hidden, 21, duration=25.0, runs=("steps",), strength=2.0 if hidden else 1.0)
+    vehicle = vehicle_of(case)
+    for run in runs_of(case):
+        for left_out in (ALL, NO_POSE):
+            kept = {n: d for n, d in run.channels.items() if n not in left_out}
+            refuse_impossible(vehicle, [Run(run.name, run.t, kept)])
+
+
+def test_a_current_as_fast_as_the_vehicle_is_not_refused() -> None:
+    (columns,) = _case("usv").runs.values()
+    for north, east in ((1.0, 0.0), (-0.6, 0.8)):
+        drifting = {
+            **columns,
+            "x": columns["x"] + north * columns["t"],
+            "y": columns["y"] + east * columns["t"],
+        }
+        assert _refusal(_vehicle("usv"), run_of("through the water", drifting)) == ""
+
+
+@pytest.mark.parametrize(
+    "case", ["auv-null", "auv-current", "auv-lag", "rov-dvl-lever-arm", "rov-tether-drag"]
+)
+def test_logs_with_hidden_effects_of_others_are_not_refused(case: str, tmp_path: Path) -> None:
+    if not (DATA / "hidden-effects").exists():
+        pytest.skip("the data set hidden-effects is not here")
+    convert_vehicles(DATA / "hidden-effects" / "vehicles.json", tmp_path)
+    vehicle = load_vehicle(str(tmp_path / f"{'rov' if case.startswith('rov') else 'mini-auv'}.toml"))
+    for path in sorted((DATA / "hidden-effects" / case).glob("*.csv"))[:2]:
+        refuse_impossible(vehicle, [read_log(path, Mapping(), vehicle.command_names)])
+
+
+REAL = [
+    ("sf30k/vehicle-4dof.toml", "sf30k/log.toml", "ntnu-rov-sf30k/sf30k_20150518_1829.csv"),
+    ("cse1/vehicle.toml", "cse1/log.toml", "ntnu-cse1/freerun/manual_run1.csv"),
+]
+
+
+@pytest.mark.parametrize(("vehicle_file", "map_file", "log"), REAL, ids=[r[2] for r in REAL])
+def test_real_logs_are_not_refused(vehicle_file: str, map_file: str, log: str) -> None:
+    if not (DATA / log).exists():
+        pytest.skip(f"the data set {log} is not here")
+    vehicle, mapping = load_vehicle(str(EXAMPLES / vehicle_file)), read_mapping(EXAMPLES / map_file)
+    run = read_log(DATA / log, mapping, vehicle.command_names, missing_commands="hold")
+    refuse_impossible(vehicle, [velocities_from_pose(run, vehicle.degrees_of_freedom)])
+
+
+# --- the functions behind the commands ---------------------------------------------------------------------
+def test_fit_compare_and_diagnose_refuse_and_can_be_told_to_trust() -> None:
+    vehicle, bad = _vehicle("box"), _log("box", _speeds(MMPS))
+    for function in (Estimator().fit, compare, diagnose):
+        with pytest.raises(UndertowError, match=r"cannot be: u is in mm/s, read as m/s"):
+            function(vehicle, [bad])
+    trusted = Estimator().fit(vehicle, [bad], trust_log=True)
+    assert np.isfinite([*trusted.values.values()]).all()
