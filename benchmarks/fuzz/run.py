@@ -16,7 +16,7 @@ from typing import NamedTuple
 from .cases import case
 from .judging import Outcome, outcome
 
-#: Seconds after which a case counts as hanging; the slowest sound one takes eight, a minute on a busy machine.
+#: Seconds after which a case counts as hanging; the slowest sound one takes eight, on a busy machine sixty.
 LIMIT = 180.0
 #: Memory that a case may take, bytes; ten times what the greediest sound one takes.
 MEMORY = 6 << 30
