@@ -17,6 +17,7 @@ _ROUNDS = 8
 _SURE = 6.0  # standard errors
 _STEPS = 3.0  # sampling steps below which a drift does not matter
 _CLUSTER = 8  # neighbouring test functions that count as one
+_LATE = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays to begin with, s
 _GAINED = 0.1  # share of the misfit that a drift must explain
 
 
@@ -27,23 +28,47 @@ def command_clock(at: Dynamics) -> Finding | None:
     vehicles have; a motion before its command, or a delay that drifts, is a matter of the clocks.
     """
     step = float(np.median(np.diff(at.runs[0].t)))
-    found, error = np.zeros(2), np.full(2, np.inf)
-    start = left = float(np.sum(at.fit.at.r**2))
+    start = float(np.sum(at.fit.at.r**2))
+    constant = _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+    both = None if constant is None else _search(at, step, constant[0], drifts=True)
+    if constant is None or both is None:
+        return None
+    # A drift is judged beside the best constant delay: alone it would take a share of that, too.
+    (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
+    if both[2] < (1 - _GAINED) * min(constant[2], start) and abs(drift) > max(_SURE * spread, _STEPS * step):
+        return _drifting(both[0], float(spread))
+    if constant[2] < (1 - _GAINED) * start and abs(found[0]) > max(_SURE * float(error[0]), _STEPS * step):
+        return _late(at, float(found[0]), float(error[0]))
+    return None
+
+
+def _nearest(at: Dynamics, step: float) -> float:
+    """The delay to begin with: of commands that step, Gauss-Newton does not find one of many samples, s."""
+    tried = np.unique([0.0, *(sign * max(late, step) for late in _LATE for sign in (1, -1))])
+    return float(min(tried, key=lambda late: _misfit(at, late)))
+
+
+def _misfit(at: Dynamics, late: float) -> float:
+    """What the refitted model leaves with commands that much later; infinite where one is missing."""
+    here = _residual(at, _later(late, 0.0))
+    if here is None:
+        return np.inf
+    value, *_ = np.linalg.lstsq(at.fit.at.J, -here, rcond=None)
+    return float(np.sum((here + at.fit.at.J @ value) ** 2))
+
+
+def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
+    """Delay, and drift if free, by Gauss-Newton, their errors, and the misfit that is left."""
+    found, error, left = start, np.full(2, np.inf), np.inf
     for _ in range(_ROUNDS):
-        stepped = _step(at, found, 2 * step)
+        stepped = _step(at, found, 2 * step, drifts)
         if stepped is None:
             return None
         change, error, left = stepped
         found = found + np.clip(change, -1.0, 1.0)
         if np.all(np.abs(change) < 0.2 * step):
             break
-    if left > (1 - _GAINED) * start:
-        return None
-    if abs(found[1]) > max(_SURE * float(error[1]), _STEPS * step):
-        return _drifting(found, float(error[1]))
-    if abs(found[0]) > max(_SURE * float(error[0]), _STEPS * step):
-        return _late(at, float(found[0]), float(error[0]))
-    return None
+    return found, error, left
 
 
 def _drifting(found: Array, spread: float) -> Finding:
@@ -79,7 +104,7 @@ def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
     )
 
 
-def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float] | None:
+def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array, Array, float] | None:
     """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
 
     None where a command that is missing would come into the data.
@@ -88,10 +113,13 @@ def _step(at: Dynamics, shift: Array, small: float) -> tuple[Array, Array, float
     if here is None or moved is None:
         return None
     late = (moved - here) / small
-    table = np.column_stack([at.fit.at.J, late, late * _along(at)])
+    table = np.column_stack([at.fit.at.J, late, *([late * _along(at)] if drifts else [])])
     rows = len(at.data.rows)
     value, error = clustered_least_squares(table, -here, _CLUSTER * rows)
-    return value[-2:], error[-2:], float(np.sum((here + table @ value) ** 2))
+    known = at.fit.at.J.shape[1]
+    unmoved = np.zeros(1 - int(drifts))
+    left = float(np.sum((here + table @ value) ** 2))
+    return np.append(value[known:], unmoved), np.append(error[known:], unmoved), left
 
 
 def _residual(at: Dynamics, undo: Undo) -> Array | None:
