@@ -135,3 +135,41 @@ def test_diagnose_tells_the_mistake_before_it_blames_physics(
     diagnosis = Diagnosis.model_validate_json(Path("out.json").read_text())
     assert diagnosis.doctor[0].id == "flipped_axis"
     assert diagnosis.warnings[0] == f"mistake: {diagnosis.doctor[0].text}"
+
+
+FITTING = [
+    ["fit", "box.toml", "log.csv"],
+    ["add", "thruster_lag", "box.toml", "log.csv"],
+    ["diagnose", "box.toml", "log.csv"],
+    ["compare", "box.toml", "log.csv"],
+    ["identify", "box.toml", "log.csv"],
+    ["identify", "box.toml", "log.csv", "--stream"],
+    ["plan", "box.toml", "log.csv"],
+]
+
+
+@pytest.mark.parametrize(
+    "words", FITTING, ids=[f"{w[0]}{w[3] if w[-1] == '--stream' else ''}" for w in FITTING]
+)
+def test_every_command_that_fits_refuses_what_cannot_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    simulated = make_case("box", (), 4, duration=25.0, runs=("multisine",))
+    columns = simulated.runs["multisine"]
+    Path("box.toml").write_text(toml_text(simulated.vehicle))
+    Path("log.csv").write_text(
+        text_of({n: columns[n] for n in ("t", "u", "f1", "f2")} | {"u": 1e3 * columns["u"]})
+    )
+    line = refusal(words, capsys, tmp_path)
+    assert "cannot be: u is in mm/s, read as m/s: the surge of the log needs" in line
+    assert 'write [columns] u = { channel = "u", unit = "mm/s" } into the mapping file' in line
+    assert "--trust-log" in line
+
+
+@pytest.mark.parametrize(
+    "words", ["fit", "add", "diagnose", "compare", "identify", "plan", "fleet diagnose", "fleet rollouts"]
+)
+def test_every_command_that_fits_can_be_told_to_trust(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*words.split(), "--help"]) == 0
+    assert "--trust-log" in capsys.readouterr().out

@@ -2,8 +2,10 @@
 
 Looked at are the clock and the samples, the rate of the pose against the body velocities, and the motion
 against the commands. Where they disagree, the usual mistakes are undone one after the other: degrees for
-radians, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis, velocities north-east-down or
-through the water, swapped or reversed thrusters, commands in percent, the dry mass. A mistake is told only
+radians, mm/s, knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis,
+velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or a
+thousand times too large, the dry mass. Where pose and velocity are wrong alike, or one of them is missing, the
+force that the motion needs and the size of the vehicle tell. A mistake is told only
 where undoing it explains the log; with it comes the line for the mapping file that mends it. What could not
 be looked at, for want of velocities or of a pose, is noted.
 
@@ -19,6 +21,9 @@ might print
 
 and `undertow diagnose rov.toml run1.csv run2.csv --map mended.toml` goes on from there. What else is found
 are warnings (a velocity sensor that is late or off the origin, a motion never excited) and notes.
+
+The quick ones of these checks stand before every command that fits to logs: what cannot be is refused there,
+with the line that mends it, unless --trust-log is given.
 
 The exit code is 0 when no mistake was found, 1 when there are mistakes.
 """

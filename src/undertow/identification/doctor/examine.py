@@ -17,9 +17,9 @@ from .command_clock import command_clock
 from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
-from .findings import Examination, Finding, most_serious_first
+from .findings import Examination, Finding, most_serious_first, percent
 from .impossible import impossible, suspicious
-from .kinematic_search import best_explanation, contradicts
+from .kinematic_search import best_explanation, contradicts, possible_mismatch
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
 from .mistake import Mistake, Undo
@@ -210,6 +210,7 @@ class _Case:
             return False
         # Water may well move as fast as a vehicle does.
         gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)
+        text += f"; sensors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
         self._undo(chosen, text, evidence, rivals, impossible=gross)
         return True
 

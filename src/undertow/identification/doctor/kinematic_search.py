@@ -66,8 +66,12 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
 
 def contradicts(found: Explained, chosen: Mistake) -> bool:
     """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them."""
-    limit = SETTINGS.other_unit if chosen.id in UNITS_OF_MOTION else SETTINGS.contradiction
-    return _explained(found.before, found.after) > limit
+    return _explained(found.before, found.after) > possible_mismatch(chosen)
+
+
+def possible_mismatch(chosen: Mistake) -> float:
+    """Share of the motion by which sensors let pose rates and velocities disagree where this explains it."""
+    return SETTINGS.other_unit if chosen.id in UNITS_OF_MOTION else SETTINGS.contradiction
 
 
 def _explained(before: Mismatch, after: Mismatch) -> float:

@@ -42,7 +42,8 @@ def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str
     rates = kinematics.rates(runs)
     pose, velocity = (_rms(a[:, block]) for a in (rates.pose, rates.velocity))
     names = ", ".join(kinematics.rows[i] for i in block)
-    return f"{names} change by {pose:.3g} m/s rms, and the velocities say {velocity:.3g} m/s; "
+    verb = "change" if len(block) > 1 else "changes"
+    return f"{names} {verb} by {pose:.3g} m/s rms, and the velocities say {velocity:.3g} m/s; "
 
 
 def _rms(table: Array) -> float:
