@@ -5,9 +5,9 @@ against the commands. Where they disagree, the usual mistakes are undone one aft
 radians, mm/s, knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis,
 velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or
 a thousand times too large, the dry mass. Where pose and velocity are wrong alike, or one of them is missing,
-the force that the motion needs and the size of the vehicle tell. A mistake is told only
-where undoing it explains the log; with it comes the line for the mapping file that mends it. What could not
-be looked at, for want of velocities or of a pose, is noted.
+the force that the motion needs and the size of the vehicle tell. A mistake is told only where undoing it
+explains the log; with it comes the line for the mapping file that mends it. What could not be looked at, for
+want of velocities or of a pose, is noted.
 
     undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml
 
