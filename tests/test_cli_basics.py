@@ -99,7 +99,7 @@ NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
         ("effects show lift", NO_NUMBERS),
         ("vehicles show mini-auv", NO_NUMBERS),
         ("audit mini-auv", NO_NUMBERS),
-        ("gains mini-auv paper-pd", NO_NUMBERS),
+        ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
         ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
         ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
         ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),

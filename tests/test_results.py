@@ -67,7 +67,9 @@ def test_the_pictures_of_the_page_are_there(page: str) -> None:
 
 @needs_data
 def test_every_case_of_the_data_is_in_the_table() -> None:
-    assert {p.name for p in DATA.iterdir() if p.is_dir()} == set(CASES)
+    # A case with a vehicle file of its own (rov-no-righting) asks something else than what is hidden.
+    cases = {p.name for p in DATA.iterdir() if p.is_dir() and not (p / "vehicle.toml").exists()}
+    assert cases == set(CASES)
 
 
 def test_what_counts_as_right(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,8 +58,7 @@ def inconsistent(mismatch: Mismatch) -> np.ndarray:
 
 def explains(before: Mismatch, after: Mismatch) -> bool:
     """Whether a mismatch goes away decisively, and none appears elsewhere."""
-    wrong = inconsistent(before)
-    gone = after.excess <= before.excess / DECISIVE
+    wrong, gone = inconsistent(before), _gone(before, after)
     worse = after.excess > _WORSE * before.excess + _SLIGHTLY
     return bool(np.any(wrong & gone) and not np.any(worse))
 
@@ -76,8 +75,15 @@ def possible_mismatch(chosen: Mistake) -> float:
 
 def _explained(before: Mismatch, after: Mismatch) -> float:
     """Largest mismatch that has gone."""
-    gone = after.excess <= before.excess / DECISIVE
-    return float(np.max(before.excess[gone], initial=0.0))
+    return float(np.max(before.excess[_gone(before, after)], initial=0.0))
+
+
+def _gone(before: Mismatch, after: Mismatch) -> np.ndarray:
+    """Blocks whose mismatch goes away, so that pose rates and velocities have more in common than apart.
+
+    Else noise that is scaled away with its motion would count as explained.
+    """
+    return (after.excess <= before.excess / DECISIVE) & (after.share < SETTINGS.agreement)
 
 
 def best_explanation(

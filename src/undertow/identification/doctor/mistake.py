@@ -100,6 +100,9 @@ class Settings:
     other_unit : float
         The same where a unit explains it: a factor is no matter of frames or angles. Knots make 0.19, the
         largest scale error of a sensor (see `scale`) 0.09.
+    agreement : float
+        Share of the motion by which the two may still disagree once a mistake is undone: beyond a half they
+        have more apart than in common, and a motion that is scaled away agrees with anything.
     weakest, strongest : float
         Force that the motion needs over the one commanded. Simulated logs stay within 0.3 and 3, lags
         included; a work-class ROV answers in yaw with 0.08 of what its file has. Degrees make 57, cm/s 100,
@@ -148,6 +151,7 @@ class Settings:
 
     contradiction: float = 0.3
     other_unit: float = 0.12
+    agreement: float = 0.5
     weakest: float = 0.025
     strongest: float = 20.0
     doubtful: float = 2.5
