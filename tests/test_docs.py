@@ -8,6 +8,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,17 @@ def test_the_glossary_is_short() -> None:
     (body,) = _blocks("glossary.md", "{glossary}")
     terms = [line for line in body.splitlines() if line and not line.startswith(" ")]
     assert 1 <= len(terms) <= 15
+
+
+# --- the version ------------------------------------------------------------------------------------
+def test_the_version_stands_in_one_place() -> None:
+    assert not re.search(r"^version:", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert "version" not in project and "version" in project["dynamic"]
+
+
+def test_the_changelog_knows_the_version() -> None:
+    assert undertow.__version__ in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 # --- links ------------------------------------------------------------------------------------------

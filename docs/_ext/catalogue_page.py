@@ -15,10 +15,10 @@ PAGE = "catalogue.md"
 _HEAD = """\
 # Catalogue of effects
 
-Every effect that undertow can put into a model, as its file declares it. Written from the code when this site is
-built; `undertow effects show ID` prints the same. Forces and moments X, Y, Z, K, M, N act on the vehicle in body
-axes; signs of parameters are those of SNAME. Thruster effects are shown for two thrusters, *port* and
-*starboard*. To add one: [Write an effect](write-an-effect.md).
+Every effect that undertow can put into a model, as its file declares it. Written from the code when this
+site is built; `undertow effects show ID` prints the same. Forces and moments X, Y, Z, K, M, N act on the
+vehicle in body axes; signs of parameters are those of SNAME. Thruster effects are shown for two thrusters,
+*port* and *starboard*. To add one: [Write an effect](write-an-effect.md).
 """
 
 
