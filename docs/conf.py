@@ -13,7 +13,7 @@ sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "src")]
 import undertow  # noqa: E402
 
 project = "undertow"
-author = "the undertow developers"
+author = "the undertow authors"
 copyright = author
 release = version = undertow.__version__
 
@@ -25,7 +25,8 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 myst_heading_anchors = 4
-nitpicky = True
+# Types of other packages have no page here (no inventories are fetched), so names of types need not be links.
+autodoc_typehints = "signature"
 exclude_patterns = ["_build", "README.md"]
 numpydoc_show_class_members = False
 
@@ -48,6 +49,13 @@ def _without_links_out(app: Any, name: str, source: list[str]) -> None:
     source[0] = _OUTWARD.sub(shown, source[0])
 
 
+def _without_module_text(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """The docstring of the package is for those who edit it; the page of the API has its own words."""
+    if what == "module":
+        lines.clear()
+
+
 def setup(app: Any) -> None:
     """Connect what happens to each page."""
     app.connect("source-read", _without_links_out)
+    app.connect("autodoc-process-docstring", _without_module_text)
