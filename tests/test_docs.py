@@ -122,6 +122,24 @@ def test_the_glossary_is_short() -> None:
     assert 1 <= len(terms) <= 15
 
 
+# --- commands on pages ------------------------------------------------------------------------------
+@pytest.mark.parametrize("page", ["quickstart.md", "your-own-log.md", "write-an-effect.md"])
+def test_options_on_the_page_exist(page: str) -> None:
+    reference = (DOCS / "cli.md").read_text(encoding="utf-8")
+    sections = dict(
+        re.findall(r"^##+ undertow ([\w -]+)\n(.*?)(?=^##|\Z)", reference, re.DOTALL | re.MULTILINE)
+    )
+    lines = [
+        x.split("#")[0] for b in _blocks(page, "sh") for x in b.splitlines() if x.startswith("undertow ")
+    ]
+    assert lines
+    for line in lines:
+        words = line.split()[1:]
+        name = next(n for n in (" ".join(words[:2]), words[0]) if n in sections)
+        missing = [w for w in words if w.startswith("--") and f"`{w}`" not in sections[name]]
+        assert not missing, f"{page}: undertow {name} has no {missing}"
+
+
 # --- the version ------------------------------------------------------------------------------------
 def test_the_version_stands_in_one_place() -> None:
     assert not re.search(r"^version:", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
