@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11) and "undertow needs Python 3.11 or newer: make PYTHON=python3.12")
 
-.PHONY: demo test test-all check-fuzz bench docs clean
+.PHONY: demo test test-all check-docs check-fuzz bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/undertow demo
@@ -31,8 +31,15 @@ check-fuzz: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m benchmarks.speed --out docs/results.md
 
-docs: $(VENV)/.installed
+# The page of commands anew, then the site: open docs/_build/html/index.html.
+docs: $(VENV)/.installed-docs
 	$(BIN)/python -m undertow.cli._docs docs/cli.md
+	$(BIN)/python -m sphinx -b html -q -W --keep-going docs docs/_build/html
+
+# Warnings are errors; links between pages, to files and in the README lead somewhere; code on pages runs.
+check-docs: $(VENV)/.installed-docs $(VENV)/.installed-dev
+	$(BIN)/python -m sphinx -b html -q -W --keep-going -E -d docs/_build/check docs docs/_build/html
+	$(BIN)/python -m pytest -q tests/test_docs.py
 
 # The stamps stand in the environment: when it is thrown away, so are they. A half-made one is made again.
 $(VENV)/.installed: pyproject.toml | $(VENV)/.made
@@ -41,6 +48,10 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/.made
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/.made
 	$(PIP) install --editable ".[dev]"
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: pyproject.toml | $(VENV)/.made
+	$(PIP) install --editable ".[docs]"
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-bench: pyproject.toml | $(VENV)/.made
@@ -53,4 +64,4 @@ $(VENV)/.made:
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache demo-output
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache demo-output docs/_build docs/catalogue.md
