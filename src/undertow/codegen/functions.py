@@ -33,44 +33,22 @@ class Functions:
         own entry of p has no effect.
     """
 
-    # C source of the prepared form where it is known without the model.
-    known_model_source: str | None = None
-
     def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
         self.vehicle, self.equal = vehicle, dict(equal or {})
-        self.symbols: dict[str, ca.SX] = {}
-        self._derive()
-
-    def _derive(self) -> None:
-        vehicle = self.vehicle
         composition = vehicle.composition
         self._chain, self._chain_rates, self._chain_rest = composition.chain
         self._memory = composition.wrench_states
-        sizes = {
-            "eta": composition.eta,
-            "nu": composition.nu,
-            "nu_dot": composition.nu_dot,
-            "memory": self._memory,
-            "actuator": self._chain_rates,
-            "u": composition.commands,
-            "p": vehicle.parameter_names,
-            "t": [composition.signals.t],
-            "actuation": composition.signals.actuation,
-        }
-        self._draw({name: len(entries) for name, entries in sizes.items()})
+        self.eta, self.nu, self.nu_dot = (
+            ca.SX.sym(name, len(getattr(composition, name))) for name in ("eta", "nu", "nu_dot")
+        )
+        self.memory = ca.SX.sym("memory", len(self._memory))
+        self.actuator_states = ca.SX.sym("actuator", len(self._chain_rates))
+        self.u = ca.SX.sym("u", len(composition.commands))
+        self.p = ca.SX.sym("p", len(vehicle.parameter_names))
+        self.t = ca.SX.sym("t")
+        self.actuation = ca.SX.sym("actuation", len(composition.signals.actuation))
         self.convert = Converter(self._environment())
         self._define_relations()
-
-    def _draw(self, sizes: Mapping[str, int]) -> None:
-        """The symbols that expressions are made of; those that are there already stay."""
-        for name, size in sizes.items():
-            if name not in self.symbols:
-                self.symbols[name] = ca.SX.sym(name, size)
-        drawn = self.symbols
-        self.eta, self.nu, self.nu_dot = drawn["eta"], drawn["nu"], drawn["nu_dot"]
-        self.memory, self.actuator_states = drawn["memory"], drawn["actuator"]
-        self.u, self.p, self.t = drawn["u"], drawn["p"], drawn["t"]
-        self.actuation = drawn["actuation"]
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

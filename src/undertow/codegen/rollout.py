@@ -98,7 +98,7 @@ def _address(array: Array) -> ctypes.c_void_p:
 
 def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
     """C source of a simulation and the name of its entry point, which carries the hash of the source."""
-    model = functions.known_model_source or model_source(functions)
+    model = model_source(functions)
     loop = (files("undertow.codegen") / "rollout.c").read_text(encoding="utf-8")
     text = "\n".join([defines([("LANES", lanes)]), EXPORTED, LANES_HEADER, model, loop])
     return with_entry(text, "RUN", "simulate")

@@ -26,7 +26,7 @@ _STEPS_PER_CALL = 200_000
 # A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
 _REACH = 0.7
 # What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds. That
-# is stable down to microseconds; what is faster yet needs `AdaptiveSimulator`.
+# is stable down to microseconds.
 _MOST_PARTS, _STABLE, _MOST_STEPS = 16, 2.0, 20_000
 
 
