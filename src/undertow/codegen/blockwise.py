@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
 from .driver import loaded
-from .problem import Array
 from .tape import Tape, tape_source
 
 # Samples in a block: the registers of a large model (a thousand) stay in the second-level cache.

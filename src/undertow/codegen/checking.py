@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .functions import Functions
-from .problem import Array
 
 
 def checked_runs(

@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from undertow.typing import Array
+
 from .cache import library_for
 from .compiler import Compiler
 from .driver import loaded, pointer
 from .functions import Functions
 from .lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from .plain import LANES, plain_c
-from .problem import Array, Problem
+from .problem import Problem
 from .source import EXPORTED, with_entry
 
 _SHARED = ("t", "count", "u", "p")

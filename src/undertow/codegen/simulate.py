@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.typing import Array, Integers
 
 from .checking import checked_runs
 from .compiler import Compiler, compiled_or_virtual
@@ -16,7 +17,7 @@ from .driver import CompiledStepper
 from .functions import Functions
 from .gauss_newton import CompiledProducts, Products, products_of
 from .lanes import in_threads, shares
-from .problem import Array, Problem, Stepper
+from .problem import Problem, Stepper
 from .rollout import CompiledRollout
 from .uncompiled import UncompiledStepper
 from .virtual import VirtualStepper
@@ -165,7 +166,7 @@ class Simulator:
         wrt: Sequence[int],
         measured: Array,
         weight: Array,
-        group: Array,
+        group: Integers,
         *,
         max_step: float = 0.05,
     ) -> Products:
@@ -273,7 +274,7 @@ def _pauses(problem: Problem) -> list[int]:
     return [int(i) for i in np.searchsorted(work, limits)]
 
 
-def _steps(t: Array, max_step: Array) -> Array:
+def _steps(t: Array, max_step: Array) -> Integers:
     intervals = np.diff(t, axis=1)
     # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
     return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)

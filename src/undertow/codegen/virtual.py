@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from undertow.typing import Array, Flags, Integers
+
 from .buffers import Evaluator
 from .functions import Functions
-from .problem import Array, Problem
+from .problem import Problem
 
 
 class VirtualStepper:
@@ -31,7 +33,7 @@ class VirtualStepper:
             running = (k < count) & np.isfinite(x).all(axis=1)
             new = self._step(problem, i, problem.t[:, i] + k * h, h, x, s)
             x, s = (_where(running, a, b) for a, b in zip(new, (x, s), strict=True))
-        finite = np.isfinite(x).all(axis=1)
+        finite = np.asarray(np.isfinite(x).all(axis=1))
         for target, last in ((problem.x, x), (problem.s, s)):
             target[:, i + 1] = _where(finite, last, np.full_like(last, np.nan))
 
@@ -51,7 +53,7 @@ class VirtualStepper:
             self._evaluators[len(x)] = Evaluator(self._function, len(x))
         return self._evaluators[len(x)](x, *others)
 
-    def _tangent_rate(self, slopes: list[Array], z: Array, wrt: Array) -> Array:
+    def _tangent_rate(self, slopes: list[Array], z: Array, wrt: Integers) -> Array:
         if not slopes:
             return np.zeros_like(z)
         inverse, r_x, r_p = slopes
@@ -62,6 +64,6 @@ class VirtualStepper:
         return rate
 
 
-def _where(runs: Array, then: Array, otherwise: Array) -> Array:
+def _where(runs: Flags, then: Array, otherwise: Array) -> Array:
     """`then` for the selected runs, `otherwise` for the others."""
     return np.where(runs.reshape(-1, *[1] * (then.ndim - 1)), then, otherwise)

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from undertow.identification.weak.step import prior_of
+from undertow.typing import Array
 
 from .combine import Day, Prior, Solved, choosing, joined, no_prior, solve
 from .panel import Panel
 
-Array = NDArray[np.float64]
 Profile = Callable[[Day], float]
 Kind = Literal["drag", "thrust", "inertia"]
 KINDS: tuple[Kind, ...] = ("drag", "thrust", "inertia")

@@ -14,10 +14,10 @@ from undertow.model.evaluation import function_of
 from undertow.model.hints import hints
 from undertow.model.symbols import symbol
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .finding import OPEN, WRONG, Finding
 
-Array = np.ndarray
 _TRIALS, _SEED, _ROUNDING = 200, 20210405, 1e-9
 
 

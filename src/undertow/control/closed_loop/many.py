@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ import numpy as np
 from undertow.codegen.lanes import in_threads, shares
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
+from undertow.typing import Progress
 
 from .blocks import blocks
 from .measures import CREDIBLE
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from .scenario import Scenario
     from .simulate import ClosedLoop
 
-Report = Callable[[float, str], None]
 Varied = Mapping[str, np.ndarray]
 NONE: Varied = MappingProxyType({})
 
@@ -119,7 +119,7 @@ class Runs:
 
 @np.errstate(over="ignore", invalid="ignore")  # runs that diverge are NaN
 def run_many(
-    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Report | None
+    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Progress | None
 ) -> Runs:
     """What `ClosedLoop.run_many` does."""
     parts = loop.parts

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen import Compiled, Functions
 from undertow.codegen.buffers import Evaluator
@@ -18,8 +17,8 @@ from undertow.model.effect import Actuation
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Value, Vehicle
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 _WAYS = {1: "forward", -1: "backward"}
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 _ROUNDS = 12
 _SECANT = 1e-6
 _SHARES = np.array([1.0, 0.3, 0.1, 0.03, 0.0])

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow import __version__
 from undertow.codegen.functions import Functions
@@ -15,6 +14,7 @@ from undertow.identification.logs import Run
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
 
 from ..doctor import refuse_impossible
 from ..weak.data import WeakData, prepare
@@ -33,8 +33,6 @@ from .result import (
 from .whiteness import correlation, whiteness
 from .windows import Prediction, Predictor, cut, predict, prediction_error
 
-Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 HORIZON = 5.0
 # Test functions that a field of the error map needs.
 _FEWEST = 20
@@ -78,7 +76,7 @@ def compare(
     *,
     horizon: float = HORIZON,
     compiled: bool | None = None,
-    progress: Report = lambda done, words: None,
+    progress: Progress = lambda done, words: None,
     trust_log: bool = False,
 ) -> Comparison:
     """Compare a model, as it is, with logs.

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..weak.data import channel_noise
 from .starting import start_values
 
-Array = NDArray[np.float64]
 _ANGLES = ("phi", "psi")
 _FEWEST = 3  # samples of a window
 # The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.

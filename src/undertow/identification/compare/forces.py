@@ -15,6 +15,7 @@ from scipy.sparse import bsr_array, csr_array
 from undertow.codegen.functions import Functions
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..weak.data import Segment, WeakData, prepare
 from ..weak.drive import Chain, Memory
@@ -22,8 +23,6 @@ from ..weak.lateness import Lateness
 from ..weak.mapping import mapped
 from ..weak.pointwise import Pointwise
 from ..weak.residual import WeakModel, whitened
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.typing import Array, Index
 
 from ..weak.carried import Carried, Inputs
 from ..weak.held import shifted_mean
@@ -23,8 +23,6 @@ from .beginning import best_start
 from .cutting import Windows
 from .drive import Drive, arriving
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
 # Seconds of the first window that its beginning is estimated from.
 _LOOK = 10.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
 
 
 def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Array:

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..weak.held import without_gaps
 from ..weak.lateness import Lateness
@@ -24,7 +24,6 @@ from .inherited import Inherited
 from .late import reported_late
 from .prediction import Prediction
 
-Array = NDArray[np.float64]
 # Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
 _KEPT = 24
 

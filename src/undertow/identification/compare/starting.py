@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
+
+from undertow.typing import Array, Index
 
 from ..weak.polynomial import around, local_polynomial
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 # Half-widths in samples of the fits that are tried, from narrow to wide.
 _WIDTHS = (2, 3, 5)
 # What is left of an angle once its rate is integrated is a line over a long time.

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 LAGS = 20
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from ..logs import Mapping, Run, velocities_from_pose
 from . import angles, consistency, excitation
@@ -29,7 +30,6 @@ from .sampling import DROP, sampling
 from .units import UNITS_OF_MOTION, other_time_unit
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
-Report = Callable[[float, str], None]
 _MOST_MISTAKES = 3
 
 
@@ -58,7 +58,7 @@ def examine(
     runs: Sequence[Run],
     *,
     mapping: Mapping | None = None,
-    report: Report = lambda done, words: None,
+    report: Progress = lambda done, words: None,
 ) -> Examined:
     """Look for what is wrong with logs before physics is blamed.
 

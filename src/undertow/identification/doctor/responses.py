@@ -18,12 +18,13 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..weak.drive import Chain
 from ..weak.held import without_gaps
 from ..weak.testfunctions import TestFunctions, knot_spacing, test_functions
-from .kinematics import Array, liveliest
+from .kinematics import liveliest
 from .mistake import Settings
 from .sensors import clustered_least_squares
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..base_parameters import base_parameters, undetermined
 from ..doctor import refuse_impossible
@@ -19,7 +19,6 @@ from .axis import Axis, axis_of, moving
 from .cases import Case, Edges
 from .rows import Regression
 
-Array = NDArray[np.float64]
 # Condition number of the scaled regressor from which rounding alone decides the estimates.
 _CONDITION = 1e7
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs import checks, frames
@@ -28,11 +27,11 @@ from undertow.identification.logs.table import (
     seconds,
 )
 from undertow.model.units import scale_offset, si_unit
+from undertow.typing import Array
 
 if TYPE_CHECKING:
     import polars as pl
 
-Array = NDArray[np.float64]
 Commands = dict[str, float]
 
 

@@ -14,8 +14,8 @@ from math import comb
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.checks import Array
 from undertow.identification.logs.run import UNITS, Run
+from undertow.typing import Array
 
 _FEWEST = 10  # reports of a channel
 _LOST = 3.0  # usual times between reports without one: what happened meanwhile is unknown

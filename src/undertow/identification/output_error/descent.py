@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.typing import Array, Progress
 
 from ..compare.cutting import Windows
 from ..weak.residual import Linearised, WeakModel
@@ -19,8 +18,6 @@ from .elimination import Reduced
 from .losses import Loss, robust_scale
 from .shooting import Shooting
 
-Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 _MAX_ITERATIONS = 40
 # Fall of the sum of squares below which nothing is left to gain.
 _ENOUGH = 1e-3
@@ -139,7 +136,7 @@ class Descent:
         model: WeakModel,
         windows: Windows,
         compiled: bool | None = None,
-        progress: Report = lambda done, words: None,
+        progress: Progress = lambda done, words: None,
         enough: float = _ENOUGH,
     ) -> None:
         self._enough = enough

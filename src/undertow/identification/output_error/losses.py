@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 LossName = Literal["gaussian", "huber", "student-t"]
 # Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber, Robust
 # Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).

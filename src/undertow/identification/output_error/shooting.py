@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.codegen.gauss_newton import Products, products_of
+from undertow.typing import Array
 
 from ..compare.cutting import Windows
 from ..compare.drive import Drive
@@ -19,7 +20,6 @@ from ..compare.predictor import Predictor
 from ..weak.mapping import mapped
 from .elimination import Reduced, eliminated
 
-Array = NDArray[np.float64]
 # First part of a window, s, to which its start is fitted before twice as much is taken; and steps for each.
 _OPENING = 1.0
 _START_STEPS = 3

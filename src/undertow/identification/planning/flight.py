@@ -14,6 +14,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..compare.drive import late_by
 from ..compare.predictor import Predictor
@@ -24,7 +25,6 @@ from .families import Design
 from .limits import MotionLimits, exceeded
 from .noise import ChannelNoise
 
-Array = NDArray[np.float64]
 # Shares of the excitation that are tried, largest first.
 _SHARES = np.array([0.85, 0.7, 0.55, 0.4, 0.28, 0.18, 0.1])
 _REACHES = np.array([1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03, 0.02, 0.01])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow import __version__
 from undertow.errors import UndertowError
@@ -25,8 +24,6 @@ from .search import Search, search
 from .setting import Ground, Request
 from .spread import depth_spread
 from .telling import channels_of, commands_of, extremes_of, finite, safety_remarks, table_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from ..weak.step import inverse_of
 from .flight import Airspace, Flight, Plant
 from .information import Knowledge
 
-Array = NDArray[np.float64]
 # What a value without a stated error may be off by, as a share of it.
 _LOOSE = 0.3
 # Step of the differences, as a share of a parameter's size.

@@ -6,14 +6,13 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .bodies import AddedMass, positive
 
-Array = NDArray[np.float64]
 _MOTIONS = 6
 #: Largest relative error of the table, its interpolation included.
 BOX_ERROR = 0.02

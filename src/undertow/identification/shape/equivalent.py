@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .bodies import AddedMass, ellipsoid
 from .boxes import box
 from .mesh import Mesh
 
-Array = NDArray[np.float64]
 _FILL_OF_ELLIPSOID = np.pi / 6
 # Cylinders and torpedoes are within this part of the distance from box to ellipsoid, a cone is not
 # everywhere (docs/shape.md).

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import tomlkit
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from undertow.errors import UndertowError
@@ -19,13 +18,13 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import vehicle_from_table
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.model.vehicle_schema import VehicleTable
+from undertow.typing import Array
 
 from .bodies import AddedMass
 from .drag import Drag, drag_of_hull
 from .mesh import Mesh
 from .priors import coupled, derivative, entry, sigma_of
 
-Array = NDArray[np.float64]
 GRAVITY = 9.81
 _WIDTH = 110
 # What the volume of a drawing misses of a real vehicle: hollows, cables, foam that is compressed.

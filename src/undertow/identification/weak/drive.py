@@ -9,16 +9,14 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .carried import Carried, Inputs
 from .held import change, share_of_step, shift_rate, shifted_mean
 from .mapping import mapped
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

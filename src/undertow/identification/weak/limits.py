@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.typing import Array
 
 from .mapping import call
 
-Array = NDArray[np.float64]
 # Least eigenvalue of the mass matrix, as a share of the stated inertia of each motion.
 _LEAST_MASS = 1e-3
 # Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at it.

@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
@@ -26,7 +26,6 @@ from .pointwise import Pointwise
 from .sums import tested
 from .testfunctions import kink_delay, meeting
 
-Array = NDArray[np.float64]
 # Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
 _MOST_DIRECTIONS = 240
 

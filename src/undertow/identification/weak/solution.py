@@ -5,15 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .constraints import active, fitted_vehicle
 from .residual import WeakModel
 from .step import inverse_of
-
-Array = NDArray[np.float64]
 
 
 class Solution(ABC):

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_array
 
+from undertow.typing import Array, Index
+
 from .windows import Windows
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 DEGREE = 3
 SAMPLES_PER_KNOT = 5
 

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from undertow.typing import Array, Index
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
 from undertow.model.symbols import POSE
+from undertow.typing import Array
 
 from ...fitted import Fitted
 from ...weak.covariance import banded
@@ -25,7 +25,6 @@ from ...weak.pointwise import Pointwise
 from ...weak.residual import Linearised, whitened
 from .terms import Along, Column
 
-Array = NDArray[np.float64]
 # Mean square, in units of the noise, up to which there is no disturbance to be matched.
 _NOISE_EXPLAINS = 1.3
 _MATCHING_STEPS = 12
