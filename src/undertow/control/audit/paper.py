@@ -18,13 +18,12 @@ from undertow.control.laws import LAWS, LawSignals
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.dimensions import dimension_of, unit_text
+from undertow.model.effect import Wrench
 from undertow.model.hints import hints
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import symbol
 
 from .finding import OPEN, WRONG, Finding
-
-_CORIOLIS = ("rigid_body_coriolis", "added_mass_coriolis")
 
 
 def audit_paper() -> list[Finding]:
@@ -47,7 +46,9 @@ class _Equations:
     def __init__(self) -> None:
         vehicle = load_vehicle("mini-auv")
         self.full = vehicle
-        self.vehicle = replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in _CORIOLIS))
+        self.vehicle = replace(
+            vehicle, effects=tuple(e for e in vehicle.effects if not (isinstance(e, Wrench) and e.workless))
+        )
         self.plant = Plant(self.vehicle)
         self.added = [symbol(n) for n in ("X_udot", "Y_vdot", "Z_wdot", "N_rdot")]
         self.r, self.psi = symbol("r"), symbol("psi")
