@@ -14,7 +14,7 @@ from .doctor import refuse_impossible
 from .fitted import Fitted
 from .logs import Run
 from .output_error import fit_output_error
-from .output_error.losses import LossName
+from .output_error.descent import LossName
 from .prediction_error import fit_prediction_error
 from .weak.constraints import Constraints
 from .weak.data import prepare

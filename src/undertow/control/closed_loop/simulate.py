@@ -13,9 +13,8 @@ from undertow.control.gains import GainSet
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Progress
 
-from .blocks import blocks
 from .compiled import CompiledLoop
-from .many import NONE, Differences, Runs, Varied, run_many
+from .many import NONE, Differences, Runs, Varied, blocks, run_many
 from .measures import Measures
 from .parts import Parts
 from .problem import LoopProblem, LoopStepper, problem_of

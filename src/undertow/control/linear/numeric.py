@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from undertow.codegen import Compiled, Functions
-from undertow.codegen.buffers import Evaluator
+from undertow.codegen.library import Evaluator
 from undertow.codegen.manifest import dead_time, describe, output_delay
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation

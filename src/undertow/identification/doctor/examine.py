@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
@@ -15,12 +17,11 @@ from ..logs import Mapping, Run, velocities_from_pose
 from . import angles, consistency, excitation
 from .clocks import clock_findings
 from .command_clock import command_clock
-from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
 from .findings import Examination, Finding, most_serious_first
 from .impossible import impossible
-from .kinematic_search import best_explanation, contradicts
+from .kinematic_search import Explained, best_explanation, contradicts
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
 from .mistake import Mistake, Undo
@@ -311,3 +312,36 @@ def _on_one_line(edits: Edits) -> str:
     for e in edits:
         tables.setdefault(e.table, []).append(as_toml([Edit("", e.key, e.value)]))
     return "; ".join(f"[{table}] {'; '.join(lines)}" for table, lines in tables.items())
+
+
+# --- mistakes that agree alike --------------------------------------------------------------------
+_TRIED = 4
+# Factor between what the model leaves beyond the noise after one and after another that decides.
+_DECIDES = 2.0
+
+
+def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
+    """The mistake that the model speaks for, and those that it does not speak against.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs with the mistake.
+    found : Explained
+        What kinematics says.
+    """
+    tied = [found.mistake, *found.rivals][:_TRIED]
+    if len(tied) == 1:
+        return found.mistake, []
+    left = [_left(vehicle, runs, m) for m in tied]
+    best = min(left)
+    good = [m for m, value in zip(tied, left, strict=True) if not value > _DECIDES * best]
+    return good[0], good[1:]
+
+
+def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
+    """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
+    at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
+    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.quiet, 1.0)))))

@@ -21,7 +21,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from ..logs import Run
-from ..weak.drive import Chain
+from ..weak.drive import ActuatorStates
 from ..weak.held import without_gaps
 from ..weak.testfunctions import TestFunctions, knot_spacing, test_functions
 from .kinematics import liveliest
@@ -92,7 +92,7 @@ class Responses:
         self._functions = Functions(vehicle)
         self._p = np.array(self._functions.values(), dtype=float)
         self._mass = _mass_matrix(self._functions, self._p)
-        self._chain = Chain(self._functions, ())
+        self._chain = ActuatorStates(self._functions, ())
 
     def of(self, runs: Sequence[Run]) -> list[Response]:
         """Responses of every motion whose inertia is known to every command and to all together."""

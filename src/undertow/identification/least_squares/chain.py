@@ -233,3 +233,12 @@ def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) ->
 def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:
     declared = axis.vehicle.declared_parameters
     return tuple(n for n, v in values.items() if not declared[n].bounds[0] <= v <= declared[n].bounds[1])
+
+
+# --- which estimate is taken ----------------------------------------------------------------------
+RULE = "of the cases whose estimates are all physical, the one with the least residual variance"
+
+
+def selected(found: Sequence[Estimation]) -> Estimation | None:
+    """The estimate that `RULE` takes; None where no case is physical."""
+    return min((e for e in found if e.valid), key=lambda e: e.residual_variance, default=None)

@@ -17,8 +17,7 @@ from ..weak.data import prepare
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import WeakModel
 from ..weak.step import bounds_of, physical
-from .descent import Descent, OutputErrorFit
-from .losses import LOSSES, LossName
+from .descent import LOSSES, Descent, LossName, OutputErrorFit
 
 HORIZON = 5.0
 _PLAIN = Constraints()

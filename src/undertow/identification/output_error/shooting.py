@@ -15,8 +15,7 @@ from undertow.typing import Array
 
 from ..compare.cutting import Windows
 from ..compare.drive import Drive
-from ..compare.late import reported_late
-from ..compare.predictor import Predictor
+from ..compare.predictor import Predictor, reported_late
 from ..weak.mapping import mapped
 from .elimination import Reduced, eliminated
 

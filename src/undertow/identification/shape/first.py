@@ -86,7 +86,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Table:
+class EffectTable:
     """One effect of the file."""
 
     id: str
@@ -173,23 +173,23 @@ def _size(mesh: Mesh) -> str:
 
 
 # --- effects --------------------------------------------------------------------------------------
-def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[Table]:
+def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[EffectTable]:
     turns = len(wish.own) > 1
-    yield Table("rigid_body", list(_rigid_body(mesh, wish)))
+    yield EffectTable("rigid_body", list(_rigid_body(mesh, wish)))
     if turns:
-        yield Table("rigid_body_coriolis", [])
+        yield EffectTable("rigid_body_coriolis", [])
     if wish.volume is not None:
-        yield Table("entrained_water", list(_water(mesh, wish, wish.volume)))
+        yield EffectTable("entrained_water", list(_water(mesh, wish, wish.volume)))
     told = tuple(textwrap.wrap(_plain(f"Limits: {added.limits}."), _WIDTH))
-    yield Table("added_mass", list(_added_mass(added, wish)), told)
-    yield Table("added_mass_coupling", list(_couplings(added, wish)))
+    yield EffectTable("added_mass", list(_added_mass(added, wish)), told)
+    yield EffectTable("added_mass_coupling", list(_couplings(added, wish)))
     if turns:
-        yield Table("added_mass_coriolis", [])
-    yield Table("linear_damping", list(_linear_drag(mesh, drag, wish)))
-    yield Table("quadratic_damping", list(_quadratic_drag(drag, wish)))
+        yield EffectTable("added_mass_coriolis", [])
+    yield EffectTable("linear_damping", list(_linear_drag(mesh, drag, wish)))
+    yield EffectTable("quadratic_damping", list(_quadratic_drag(drag, wish)))
     if {"heave", "roll", "pitch"} & set(wish.degrees_of_freedom):
         told = ("Weight and centre of gravity are those of rigid_body.",)
-        yield Table("restoring", list(_restoring(mesh, wish)), told)
+        yield EffectTable("restoring", list(_restoring(mesh, wish)), told)
 
 
 def _rigid_body(mesh: Mesh, wish: Wish) -> Iterator[str]:

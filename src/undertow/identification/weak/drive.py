@@ -56,7 +56,7 @@ class Actuated(Driven):
         return cls(now.value, now.slope, now.start, before)
 
 
-class Chain:
+class ActuatorStates:
     """Actuation along the logged commands: mean output over each sampling interval.
 
     Parameters

@@ -7,7 +7,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.blockwise import blockwise
+from undertow.codegen.tape import blockwise
 from undertow.typing import Array
 
 # Making a map costs time in proportion to its length; one of this length serves segments of any length.

@@ -7,8 +7,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.functions import Functions
-from undertow.codegen.solving import solve_symmetric
+from undertow.codegen.functions import Functions, solve_symmetric
 from undertow.typing import Array
 
 from .mapping import call

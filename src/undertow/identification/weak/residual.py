@@ -15,7 +15,7 @@ from undertow.typing import Array
 
 from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
-from .drive import Actuated, Chain, Driven, Memory
+from .drive import Actuated, ActuatorStates, Driven, Memory
 from .entries import Entries
 from .held import without_gaps
 from .lateness import Lateness
@@ -80,7 +80,7 @@ class WeakModel:
         self.functions, self._dissipative = functions, dissipative
         self.free = tuple(free)
         self.places = tuple(functions.parameter_names.index(n) for n in self.free)
-        self._chain = Chain(functions, self.places)
+        self._chain = ActuatorStates(functions, self.places)
         self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
         self._late = Lateness(functions, self.places)

@@ -16,7 +16,7 @@ from undertow.typing import Array
 from ...fitted import Fitted
 from ...weak.covariance import banded
 from ...weak.data import Segment, WeakData
-from ...weak.drive import Chain
+from ...weak.drive import ActuatorStates
 from ...weak.held import without_gaps
 from ...weak.lateness import Lateness
 from ...weak.mapping import mapped
@@ -188,7 +188,7 @@ class ForceRows:
     @cached_property
     def _along(self) -> list[tuple[Segment, Along, Array]]:
         functions, p, data = self._fit.model.functions, self._fit.p, self.data
-        chain, motion, late = Chain(functions, ()), self._motion, Lateness(functions)
+        chain, motion, late = ActuatorStates(functions, ()), self._motion, Lateness(functions)
         driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
         found = []
         for s in (late.in_time(s, p) for s in data.segments):
