@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import io
+import os
 import subprocess
 import sys
 import tarfile
@@ -15,8 +16,6 @@ import tempfile
 import tokenize
 from collections import Counter
 from pathlib import Path
-
-import grimp
 
 ROOT = Path(__file__).parents[1]
 SMALL, MANY = 60, 25
@@ -26,6 +25,13 @@ JOURNEYS = {
     "a log column to a verdict": "undertow.cli.diagnose",
     "a gain to its conditions": "undertow.cli.gains",
 }
+_REACHED = """
+import sys
+import grimp
+graph = grimp.build_graph("undertow", exclude_type_checking_imports=True, cache_dir=None)
+for start in sys.argv[1:]:
+    print(start, *graph.find_upstream_modules(start))
+"""
 _SOURCES = {".py", ".c", ".h"}
 _NO_CODE = {
     tokenize.COMMENT,
@@ -65,11 +71,6 @@ def _c_lines(text: str) -> int:
     return count
 
 
-def journey(graph: grimp.ImportGraph, start: str) -> set[str]:
-    """Modules that a command can reach through imports, late ones too; effects are not counted."""
-    return {m for m in {start, *graph.find_upstream_modules(start)} if not m.startswith(EFFECTS)}
-
-
 def measure(sources: Path) -> dict[str, int]:
     """Numbers of a folder `src` by their description."""
     texts = {p: p.read_text(encoding="utf-8") for p in sources.rglob("*") if p.suffix in _SOURCES}
@@ -91,27 +92,27 @@ def measure(sources: Path) -> dict[str, int]:
 
 
 def _hops(sources: Path) -> dict[str, int]:
-    sys.path.insert(0, str(sources))
-    try:
-        graph = grimp.build_graph("undertow", exclude_type_checking_imports=True, cache_dir=None)
-    finally:
-        sys.path.remove(str(sources))
-    return {f"modules from {name}": len(journey(graph, start)) for name, start in JOURNEYS.items()}
+    """Modules that a command can reach through imports, late ones too; effects are not counted."""
+    # In a process of its own: this one may have found another package of the name already.
+    done = subprocess.run(
+        [sys.executable, "-c", _REACHED, *JOURNEYS.values()],
+        env={**os.environ, "PYTHONPATH": str(sources)},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    reached = [line.split() for line in done.stdout.splitlines()]
+    counts = (sum(not module.startswith(EFFECTS) for module in modules) for modules in reached)
+    return {f"modules from {name}": count for name, count in zip(JOURNEYS, counts, strict=True)}
 
 
 def of_revision(revision: str) -> dict[str, int]:
     """The same numbers of a commit."""
-    archive = subprocess.run(
-        ["git", "archive", revision, "src"], cwd=ROOT, check=True, capture_output=True
-    ).stdout
+    command = ["git", "archive", revision, "src"]
+    archive = subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout
     with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         tar.extractall(folder, filter="data")
-        # In a process of its own: this one has found another package of the name already.
-        code = f"from benchmarks.size import *; print(measure(Path({folder!r}) / 'src'))"
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
-        )
-    return dict(ast.literal_eval(done.stdout))
+        return measure(Path(folder) / "src")
 
 
 def main(revisions: list[str]) -> None:
