@@ -18,9 +18,9 @@ from .output_error.descent import LossName
 from .prediction_error import fit_prediction_error
 from .weak.constraints import Constraints
 from .weak.data import prepare
-from .weak.enough import require_equations
 from .weak.fit import fit_weak, free_parameters
 from .weak.instrumental import fit_instrumental
+from .weak.solution import require_equations
 from .weak.spikes import without_spikes
 from .weak.testfunctions import boxes, test_functions
 

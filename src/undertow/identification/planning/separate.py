@@ -17,14 +17,13 @@ from undertow.typing import Array
 from ..doctor import refuse_impossible
 from ..logs import Run
 from .families import Design
-from .flight import Flight, Plant
+from .flight import Flight, Plant, depth_spread
 from .parameters import Planned
 from .result import Plan, Rival, Separation
 from .rivals import RivalModel, RivalSpec, rival_models
 from .search import Search, search
 from .separation import Separations
 from .setting import Ground, Request
-from .spread import depth_spread
 from .telling import channels_of, commands_of, extremes_of, finite, parameter_of, safety_remarks
 
 # Models nearer than this are the same for whoever flies the manoeuvre.

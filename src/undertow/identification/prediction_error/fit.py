@@ -23,10 +23,9 @@ from ..compare.cutting import Windows, cut_by_samples
 from ..output_error.descent import channel_weights
 from ..output_error.fit import started, weak_start
 from ..weak.constraints import Constraints
-from ..weak.enough import require_rows
 from ..weak.fit import free_parameters
 from ..weak.residual import Linearised, WeakModel
-from ..weak.solution import Solution, clustered
+from ..weak.solution import Solution, clustered, require_rows
 from ..weak.step import bounds_of, limited_step, prior_cost, prior_of
 from .filtering import Filtered, Noise, Smoothed, filtered, smoothed
 from .linear import Chained, LinearWindows

@@ -11,8 +11,7 @@ from undertow.typing import Array, Index
 
 from .entries import Entries
 from .sums import products
-from .testfunctions import TestFunctions, meeting
-from .windows import Windows
+from .testfunctions import TestFunctions, Windows, meeting
 
 # What rows feel is laid out for as many windows at a time as fit in this.
 _BYTES = 32_000_000

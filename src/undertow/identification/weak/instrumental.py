@@ -26,9 +26,9 @@ from ..compare.predictor import Predictor
 from .constraints import Constraints
 from .data import Segment, WeakData, prepare
 from .disturbance import disturbed
-from .enough import require_equations
 from .fit import WeakFit, fit_weak, free_parameters
 from .residual import Linearised, WeakModel, whitened
+from .solution import require_equations
 from .step import bounds_of, limited_step, prior_of
 
 _MAX_ITERATIONS = 25

@@ -15,10 +15,10 @@ from undertow.codegen.cache import library_for
 from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.codegen.driver import loaded, pointer
 from undertow.codegen.source import EXPORTED, digest
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .entries import Entries
-from .windows import Index, Windows
+from .testfunctions import Windows
 
 # Right-hand sides that go through an operation together.
 _SIDE = 8
