@@ -42,7 +42,7 @@ from undertow.identification.logs.chunks import LongLog
 from undertow.identification.planning.diagnosed import read_diagnosis as read_for_plan
 from undertow.identification.published import appendix
 from undertow.identification.published.tables import _numbers
-from undertow.identification.scaffold.reading import read_diagnosis
+from undertow.identification.scaffold.suggestion import read_diagnosis
 from undertow.identification.shape.reading import read_hull
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.saving import save_vehicle

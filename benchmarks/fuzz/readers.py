@@ -20,7 +20,7 @@ from undertow.fleet.store import Store
 from undertow.identification.logs import Mapping, Run, read_log, read_mapping
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.planning.diagnosed import read_diagnosis as read_for_plan
-from undertow.identification.scaffold.reading import read_diagnosis
+from undertow.identification.scaffold.suggestion import read_diagnosis
 from undertow.identification.shape.reading import read_hull
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle

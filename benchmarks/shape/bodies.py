@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.identification.shape import AddedMass, box, cylinder, ellipsoid, prolate_spheroid, sphere
-from undertow.identification.shape.equivalent import equivalent
+from undertow.identification.shape.boxes import equivalent
 from undertow.identification.shape.mending import mended
 from undertow.identification.shape.mesh import Mesh
 from undertow.identification.shape.panels import added_mass_of_hull

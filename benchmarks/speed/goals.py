@@ -12,7 +12,6 @@ REGRESSION = "regression, 10^6 samples x 6 rows x 30 parameters"
 FIT = "output-error fit, 60 s at 20 Hz, 20 parameters"
 DIAGNOSIS = "whole-catalogue diagnosis, 6 DOF, 4 x 100 s at 20 Hz"
 COLD = "derive, generate and compile, nothing in the cache"
-WARM = "load, everything in the cache"
 OURS = "undertow"
 
 
@@ -42,7 +41,6 @@ class Goal(NamedTuple):
 
 GOALS = (
     Goal(COLD, "", 1.5, "0.74"),
-    Goal(WARM, "", 0.020, "0.004"),
     Goal(EVALUATION, "hand-written C", 1.0, "1.1"),
     Goal(ROLLOUT, "hand-written C", 1 / 0.95, "1.23"),
     Goal(ROLLOUT, "CasADi mapaccum, compiled", 2, "2.5"),

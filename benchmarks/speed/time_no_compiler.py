@@ -10,7 +10,7 @@ import pytest
 
 from undertow.codegen import Simulator
 from undertow.codegen.problem import Stepper
-from undertow.codegen.virtual import VirtualStepper
+from undertow.codegen.simulate import VirtualStepper
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.closed_loop.virtual import VirtualLoop
 from undertow.control.gains import GainSet, load_gains

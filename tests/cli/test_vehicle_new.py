@@ -16,8 +16,8 @@ from undertow.codegen.export import Export
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.shape import ellipsoid, moved
+from undertow.identification.shape.boxes import equivalent
 from undertow.identification.shape.drag import drag_of_hull
-from undertow.identification.shape.equivalent import equivalent
 from undertow.model.hints import hints
 from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import mass_matrix_at

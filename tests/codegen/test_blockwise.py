@@ -8,8 +8,8 @@ import pytest
 
 from undertow import UndertowError
 from undertow.codegen import Functions
-from undertow.codegen.blockwise import _BLOCK, Blockwise, _compiled, blockwise
 from undertow.codegen.compiler import Compiler
+from undertow.codegen.tape import _BLOCK, Blockwise, _compiled, blockwise
 from undertow.model.loading import bundled_vehicles, load_vehicle
 
 from .test_plain import OPERATIONS, A, B

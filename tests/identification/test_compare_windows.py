@@ -11,9 +11,9 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.compare.beginning import best_start
+from undertow.identification.compare.cutting import local_value, start_values
 from undertow.identification.compare.drive import arriving
-from undertow.identification.compare.starting import local_value, start_values
+from undertow.identification.compare.inherited import best_start
 from undertow.identification.compare.windows import Predictor, cut, predict, prediction_error
 from undertow.identification.logs import Run
 from undertow.identification.output_error.shooting import Shooting

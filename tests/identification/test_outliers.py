@@ -12,7 +12,7 @@ from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.fitted import Fitted
 from undertow.identification.logs import Run
 from undertow.identification.output_error import fit_output_error
-from undertow.identification.output_error.losses import LOSSES
+from undertow.identification.output_error.descent import LOSSES
 from undertow.identification.weak.data import prepare
 from undertow.identification.weak.fit import fit_weak
 from undertow.identification.weak.spikes import despiked, without_spikes

@@ -12,7 +12,7 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of, with_effect
 from undertow.codegen.functions import Functions
 from undertow.identification.compare.cutting import cut
-from undertow.identification.compare.late import reported_late
+from undertow.identification.compare.predictor import reported_late
 from undertow.identification.compare.windows import predict
 from undertow.identification.logs import Run
 from undertow.identification.output_error import fit_output_error

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.errors import UndertowError
-from undertow.identification.weak.drive import Chain
+from undertow.identification.weak.drive import ActuatorStates
 from undertow.identification.weak.pointwise import Pointwise
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Actuation, Effect, Measurement, kinds_of
@@ -427,7 +427,7 @@ def test_simulation_and_weak_form_agree_on_thrust_that_fades() -> None:
     f = Functions(craft(("surge", "sway", "yaw"), values, *ids))
     t, p = np.arange(0, 20, 0.1), np.array(f.values())
     u = np.repeat(np.random.default_rng(4).uniform(-2, 2, (10, 2)), 20, axis=0)
-    mean = Chain(f, ()).along(t, u, p).value
+    mean = ActuatorStates(f, ()).along(t, u, p).value
     start = np.concatenate([np.zeros(6), u[0]])
     lagged = Simulator(f, compiled=False).run(start, t, u, p, max_step=0.01)[:, 6:]
     # T dx/dt = (1 - d t) u - x, so the mean of x over an interval follows from its ends.
@@ -439,7 +439,7 @@ def test_fading_thrust_without_lag_is_the_mean_over_each_interval() -> None:
     f = Functions(craft(("surge", "yaw"), {**BODY, "droop_rate": 0.02}, "rigid_body", "supply_droop"))
     place = f.parameter_names.index("droop_rate")
     t, u = np.array([0.0, 1.0, 3.0, 4.0]), np.array([[1.0, -1.0], [2.0, 0.0], [3.0, 1.0], [0.0, 0.0]])
-    driven = Chain(f, (place,)).along(t, u, np.array(f.values()))
+    driven = ActuatorStates(f, (place,)).along(t, u, np.array(f.values()))
     middle = np.array([0.5, 2.0, 3.5, 4.0])[:, None]
     np.testing.assert_allclose(driven.value, (1 - 0.02 * middle) * u)
     np.testing.assert_allclose(driven.slope[:, :, 0], -middle * u)
@@ -458,7 +458,7 @@ class Windmilling(Actuation):
 def test_a_chain_that_feels_the_motion_is_refused_by_the_fit() -> None:
     f = Functions(craft(("surge",), BODY, "rigid_body").with_effect(Windmilling, {}))
     with pytest.raises(UndertowError, match=r"depends on the motion.*as a Wrench in s\.actuation"):
-        Chain(f, ())
+        ActuatorStates(f, ())
 
 
 def test_effects_of_the_thrusters_need_thrusters() -> None:

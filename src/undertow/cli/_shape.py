@@ -14,15 +14,11 @@ from undertow.errors import UndertowError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from undertow.identification.shape import AddedMass
     from undertow.identification.shape.panels import PanelResult, Radiation
     from undertow.identification.shape.reading import Hull
     from undertow.model.vehicle import Vehicle
-
-    Array = NDArray[np.float64]
+    from undertow.typing import Array
 
 DensityOption = Annotated[
     float | None,

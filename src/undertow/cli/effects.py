@@ -21,7 +21,7 @@ from undertow.cli._show import console, print_json, section, table, text
 from undertow.cli._vehicle_and_logs import EffectsOption
 
 if TYPE_CHECKING:
-    from undertow.model.contract import Finding
+    from undertow.model.contract import ContractCheck
     from undertow.model.describe import Description, ParameterNote
     from undertow.model.effect import Effect
 
@@ -203,6 +203,6 @@ def _role(p: ParameterNote) -> str:
 
 
 # --- findings -------------------------------------------------------------------------------------
-def _print_findings(cls: type[Effect], findings: list[Finding]) -> None:
+def _print_findings(cls: type[Effect], findings: list[ContractCheck]) -> None:
     rows = [("ok" if f.ok else text("FAIL", "bold red"), f.check, f.message) for f in findings]
     section(f"{cls.__name__}: {getattr(cls, 'id', 'no id')}", table(("",) * 3, rows))

@@ -119,7 +119,7 @@ def _by_panels(method: Method) -> bool:
 
 def _added(mesh: Mesh, density: float, method: Method, finest: int, crease: float) -> AddedMass:
     from undertow.cli._progress import progress
-    from undertow.identification.shape.equivalent import equivalent
+    from undertow.identification.shape.boxes import equivalent
     from undertow.identification.shape.panels import added_mass_of_hull
 
     if not _by_panels(method):

@@ -1,9 +1,7 @@
 """From the symbolic model to CasADi functions, C source and compiled libraries."""
 
-from .adaptive import AdaptiveSimulator
 from .functions import Functions
-from .known import KnownFunctions
 from .library import Compiled
 from .simulate import Simulator
 
-__all__ = ["AdaptiveSimulator", "Compiled", "Functions", "KnownFunctions", "Simulator"]
+__all__ = ["Compiled", "Functions", "Simulator"]

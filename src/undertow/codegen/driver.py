@@ -8,15 +8,17 @@ from importlib.resources import files
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .cache import library_for
 from .compiler import Compiler
 from .functions import Functions
 from .lanes import LANES_HEADER, defines
 from .plain import plain_c
-from .problem import Array, Problem
+from .problem import Problem
 from .source import EXPORTED, integers, with_entry
 
 
@@ -72,7 +74,7 @@ def loaded(library: Path) -> ctypes.CDLL:
         raise UndertowError(f"compiled code cannot be loaded: {error}; set UNDERTOW_NO_COMPILER=1") from error
 
 
-def pointer(array: Array) -> ctypes.c_void_p:
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
     """Address of a contiguous array."""
     assert array.flags.c_contiguous
     return ctypes.c_void_p(array.ctypes.data)

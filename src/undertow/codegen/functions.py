@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 import sympy as sm
 
 from undertow.model.composition import stated
-from undertow.model.effect import Wrench
+from undertow.model.effect import Flow, Wrench
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
 
+from .collecting import Collector
 from .convert import Converter
-from .prepared import Prepared, prepared
-from .solving import solve_symmetric
+from .momentum import Inertia, find_inertia, is_galilean, kirchhoff
 
 
 class Functions:
@@ -33,44 +34,22 @@ class Functions:
         own entry of p has no effect.
     """
 
-    # C source of the prepared form where it is known without the model.
-    known_model_source: str | None = None
-
     def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
         self.vehicle, self.equal = vehicle, dict(equal or {})
-        self.symbols: dict[str, ca.SX] = {}
-        self._derive()
-
-    def _derive(self) -> None:
-        vehicle = self.vehicle
         composition = vehicle.composition
         self._chain, self._chain_rates, self._chain_rest = composition.chain
         self._memory = composition.wrench_states
-        sizes = {
-            "eta": composition.eta,
-            "nu": composition.nu,
-            "nu_dot": composition.nu_dot,
-            "memory": self._memory,
-            "actuator": self._chain_rates,
-            "u": composition.commands,
-            "p": vehicle.parameter_names,
-            "t": [composition.signals.t],
-            "actuation": composition.signals.actuation,
-        }
-        self._draw({name: len(entries) for name, entries in sizes.items()})
+        self.eta, self.nu, self.nu_dot = (
+            ca.SX.sym(name, len(getattr(composition, name))) for name in ("eta", "nu", "nu_dot")
+        )
+        self.memory = ca.SX.sym("memory", len(self._memory))
+        self.actuator_states = ca.SX.sym("actuator", len(self._chain_rates))
+        self.u = ca.SX.sym("u", len(composition.commands))
+        self.p = ca.SX.sym("p", len(vehicle.parameter_names))
+        self.t = ca.SX.sym("t")
+        self.actuation = ca.SX.sym("actuation", len(composition.signals.actuation))
         self.convert = Converter(self._environment())
         self._define_relations()
-
-    def _draw(self, sizes: Mapping[str, int]) -> None:
-        """The symbols that expressions are made of; those that are there already stay."""
-        for name, size in sizes.items():
-            if name not in self.symbols:
-                self.symbols[name] = ca.SX.sym(name, size)
-        drawn = self.symbols
-        self.eta, self.nu, self.nu_dot = drawn["eta"], drawn["nu"], drawn["nu_dot"]
-        self.memory, self.actuator_states = drawn["memory"], drawn["actuator"]
-        self.u, self.p, self.t = drawn["u"], drawn["p"], drawn["t"]
-        self.actuation = drawn["actuation"]
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -338,3 +317,87 @@ class Functions:
     def values(self) -> list[float]:
         """Values of p in the vehicle."""
         return [self.vehicle.value_of(n).value for n in self.parameter_names]
+
+
+# --- the dynamics in two steps --------------------------------------------------------------------
+@dataclass(frozen=True)
+class Prepared:
+    """The dynamics for many evaluations with the same parameters.
+
+    Attributes
+    ----------
+    prepare : casadi.Function
+        `q = prepare(p)`: coefficients, with the inverse of M where it depends on parameters alone.
+    dynamics : casadi.Function
+        `x_dot = dynamics(x, u, q, t)`.
+    hold : casadi.Function
+        `w = hold(u, q)`: what follows from q and inputs, for many evaluations with the same inputs.
+    held_dynamics : casadi.Function
+        `x_dot = held_dynamics(x, w, q, t)`.
+    """
+
+    prepare: ca.Function
+    dynamics: ca.Function
+    hold: ca.Function
+    held_dynamics: ca.Function
+
+
+def prepared(functions: Functions) -> Prepared:
+    """The dynamics of a vehicle in two steps."""
+    x, u, p, t = functions.x, functions.u, functions.p, functions.t
+    by_parameters = Collector(p, ca.vertcat(x, u, t), ready=ca.SX(0, 1), name="q")
+    rates = by_parameters.rewrite(functions.with_acceleration(acceleration(functions)))
+    q = by_parameters.symbols
+    by_inputs = Collector(ca.vertcat(u, q), ca.vertcat(x, t), ready=q, name="w")
+    held_rates = by_inputs.rewrite(rates)
+    w = by_inputs.symbols
+    return Prepared(
+        ca.Function("prepare", [p], [by_parameters.coefficients], ["p"], ["q"]),
+        ca.Function("dynamics", [x, u, q, t], [rates], ["x", "u", "q", "t"], ["x_dot"]),
+        ca.Function("hold", [u, q], [by_inputs.coefficients], ["u", "q"], ["w"]),
+        ca.Function("held_dynamics", [x, w, q, t], [held_rates], ["x", "w", "q", "t"], ["x_dot"]),
+    )
+
+
+def acceleration(functions: Functions) -> ca.SX:
+    """d(nu)/dt from x, u, p, t, with the inertial wrenches stated by their momentum."""
+    f, rows = functions, functions.vehicle.dof_indices
+    inertia = find_inertia(f.stated, f.vehicle.composition.signals, f.convert, f.p, rows)
+    others = sum((w for i, w in f.wrenches.items() if i not in inertia.ids), ca.SX(len(rows), 1))
+    others = ca.substitute(others, f.actuation, f.chain_output)
+    other_mass = -ca.jacobian(others, f.nu_dot)
+    still = ca.substitute(others, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
+    mass = (inertia.mass + inertia.water_mass)[list(rows), list(rows)] + other_mass
+    force, drift = _inertial_force(f, inertia)
+    force, drift = force[list(rows)], drift[list(rows)]
+    return solution(mass, still + force + other_mass @ drift, ca.vertcat(f.x, f.u, f.t)) - drift
+
+
+def _inertial_force(f: Functions, inertia: Inertia) -> tuple[ca.SX, ca.SX]:
+    """Inertial forces where nu_dot is the negative of a drift of the water, and that drift; shapes (6, 1)."""
+    composition = f.vehicle.composition
+    s, flows = composition.signals, composition.of_kind(Flow)
+    nu, nu_r, nu_r_dot = map(f.convert.matrix, (s.nu, s.nu_r, s.nu_r_dot))
+    drift = ca.substitute(nu_r_dot, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
+    if flows and not is_galilean(inertia, f.p, composition.dofs):
+        force = inertia.water_mass @ drift + kirchhoff(inertia.water_momentum, nu_r)
+        return -force - kirchhoff(inertia.momentum, nu), ca.SX(6, 1)
+    # A steady flow may as well be at rest, with the vehicle moving through it; its rate remains.
+    momentum = inertia.momentum + inertia.water_momentum
+    return -inertia.mass[:, :3] @ f.water_rate - kirchhoff(momentum, nu_r), drift
+
+
+# --- systems of linear equations, symbolically ----------------------------------------------------
+def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Solution of a symmetric positive definite system by L D L', keeping structural zeros."""
+    if matrix.shape == (1, 1):
+        return right / matrix
+    d, lt, permutation = ca.ldl(matrix)
+    return ca.ldl_solve(right, d, lt, permutation)
+
+
+def solution(matrix: ca.SX, right: ca.SX, moving: ca.SX) -> ca.SX:
+    """Solution of such a system, by the inverse of the matrix if no `moving` symbol is in it."""
+    if ca.depends_on(matrix, moving):
+        return solve_symmetric(matrix, right)
+    return solve_symmetric(matrix, ca.SX.eye(matrix.shape[0])) @ right

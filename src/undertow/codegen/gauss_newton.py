@@ -10,13 +10,15 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 
+from undertow.typing import Array, Integers
+
 from .cache import library_for
 from .compiler import Compiler
 from .driver import loaded, pointer, shared
 from .functions import Functions, solve_symmetric
 from .lanes import in_threads, shares
 from .plain import plain_c
-from .problem import Array, Problem
+from .problem import Problem
 from .source import EXPORTED, SEPARATE, integers, with_entry
 
 # Doubles side by side in a vector; the compiler splits it where the processor has narrower ones.
@@ -52,7 +54,7 @@ class Products:
     diverged: bool
 
 
-def products_of(value: Array, slope: Array, measured: Array, weight: Array, group: Array) -> Products:
+def products_of(value: Array, slope: Array, measured: Array, weight: Array, group: Integers) -> Products:
     """The same sums from what was simulated.
 
     Parameters
@@ -101,14 +103,21 @@ class CompiledProducts:
         self._products.restype = ctypes.c_int64
         self._size = len(places) + 2 * functions.nu_dot.numel()
 
-    def __call__(self, problem: Problem, measured: Array, weight: Array, group: Array) -> Products:
+    def __call__(self, problem: Problem, measured: Array, weight: Array, group: Integers) -> Products:
         """Sums over the samples of every window; `group` says of which sum of its window a sample is part."""
         b, _, channels = measured.shape
         groups = int(group.max(initial=0)) + 1
         found = Products(
             np.zeros((b, groups, self._size + 1, self._size + 1)), np.zeros((b, channels)), diverged=False
         )
-        arrays = (problem.x[:, 0].copy(), measured, weight, group, found.table, found.squares)
+        arrays: Sequence[np.ndarray] = (
+            problem.x[:, 0].copy(),
+            measured,
+            weight,
+            group,
+            found.table,
+            found.squares,
+        )
         diverged: list[int] = []
 
         def work(rows: slice) -> None:
@@ -123,8 +132,9 @@ class CompiledProducts:
         found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]
         return found
 
-    def _called(self, problem: Problem, rows: slice, groups: int, arrays: list[Array]) -> int:
-        t, steps, u, p = (_of(a, rows) for a in (problem.t, problem.steps, problem.u, problem.p))
+    def _called(self, problem: Problem, rows: slice, groups: int, arrays: Sequence[np.ndarray]) -> int:
+        given: Sequence[np.ndarray] = (problem.t, problem.steps, problem.u, problem.p)
+        t, steps, u, p = (_of(a, rows) for a in given)
         return int(
             self._products(
                 *map(ctypes.c_int64, (len(arrays[0]), problem.t.shape[1], groups)),
@@ -137,7 +147,7 @@ class CompiledProducts:
         )
 
 
-def _of(array: Array, rows: slice) -> Array:
+def _of(array: np.ndarray, rows: slice) -> np.ndarray:
     return array if len(array) == 1 else array[rows]
 
 

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .cache import library_for
 from .compiler import Compiler
@@ -20,7 +21,6 @@ from .driver import loaded, pointer
 from .functions import Functions
 from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
-from .problem import Array
 from .source import EXPORTED, digest, integers
 
 # As many samples as fit in one instruction.

@@ -9,16 +9,18 @@ import math
 
 import numpy as np
 
+from undertow.typing import Array, Integers
+
 from .functions import Functions
 from .instructions import ready, tape_of
 from .interpreter import call, put
 from .numba_code import by_numba, tried
-from .problem import Array, Problem
+from .problem import Problem
 
 REACH, WEIGHT = (0.0, 0.5, 0.5, 1.0), (1.0, 2.0, 2.0, 1.0)
 """Of the stages of a Runge-Kutta step: where in the step, and how often each counts in six."""
 
-Tuple = tuple[Array, ...]
+Tuple = tuple[np.ndarray, ...]
 
 
 class InterpretedStepper:
@@ -71,7 +73,7 @@ def _add_multiple(factor: float, given: Array, row: int, total: Array, to: int) 
 
 
 @by_numba
-def _tangent_rate(slopes: Tuple, found: Array, wrt: Array, z: Array, dz: Array, force: Array) -> None:
+def _tangent_rate(slopes: Tuple, found: Array, wrt: Integers, z: Array, dz: Array, force: Array) -> None:
     """dz = d(x_dot)/dx z + d(x_dot)/dp, column by column of what the sensitivities are wanted for."""
     begin, x_column, x_row, p_column, p_row = slopes
     n, w, rx, rp = begin[0], begin[2], begin[3], begin[4]
@@ -95,7 +97,7 @@ def _tangent_rate(slopes: Tuple, found: Array, wrt: Array, z: Array, dz: Array, 
 
 @by_numba
 def _step(
-    tape: Tuple, slopes: Tuple, wrt: Array, work: Tuple, t: float, h: float, x: Array, s: Array
+    tape: Tuple, slopes: Tuple, wrt: Integers, work: Tuple, t: float, h: float, x: Array, s: Array
 ) -> None:
     """One step of length h from t; states and sensitivities are advanced in place."""
     memory, at = tape[1], tape[3]
@@ -132,7 +134,7 @@ def _finite(x: Array) -> bool:
 
 @by_numba
 def _simulate(
-    tape: Tuple, slopes: Tuple, work: Tuple, grid: Tuple, u: Array, wrt: Array, x: Array, s: Array
+    tape: Tuple, slopes: Tuple, work: Tuple, grid: Tuple, u: Array, wrt: Integers, x: Array, s: Array
 ) -> None:
     """All samples of one run; states that are not finite become NaN and stay so."""
     t, steps = grid

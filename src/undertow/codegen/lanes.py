@@ -11,8 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from undertow.errors import UndertowError
-
-from .problem import Array
+from undertow.typing import Array
 
 T = TypeVar("T")
 LANES_HEADER = (files("undertow.codegen") / "lanes.h").read_text(encoding="utf-8")

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import numpy as np
-
-Array = np.ndarray
+from undertow.typing import Array, Integers
 
 
 @dataclass
@@ -33,11 +31,11 @@ class Problem:
     """
 
     t: Array
-    steps: Array
+    steps: Integers
     u: Array
     p: Array
     x: Array
-    wrt: Array
+    wrt: Integers
     s: Array
 
     def part(self, runs: slice) -> Problem:

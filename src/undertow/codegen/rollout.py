@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from undertow.typing import Array
+
 from .cache import library_for
 from .compiler import Compiler
 from .driver import loaded, pointer
 from .functions import Functions
 from .lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from .plain import LANES, plain_c
-from .problem import Array, Problem
+from .problem import Problem
 from .source import EXPORTED, with_entry
 
 _SHARED = ("t", "count", "u", "p")
@@ -98,7 +100,7 @@ def _address(array: Array) -> ctypes.c_void_p:
 
 def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
     """C source of a simulation and the name of its entry point, which carries the hash of the source."""
-    model = functions.known_model_source or model_source(functions)
+    model = model_source(functions)
     loop = (files("undertow.codegen") / "rollout.c").read_text(encoding="utf-8")
     text = "\n".join([defines([("LANES", lanes)]), EXPORTED, LANES_HEADER, model, loop])
     return with_entry(text, "RUN", "simulate")

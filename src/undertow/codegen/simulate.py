@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+import ctypes
+from collections.abc import Callable, Sequence
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.typing import Array, Flags, Integers
 
-from .checking import checked_runs
+from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
-from .driver import CompiledStepper
+from .driver import CompiledStepper, loaded, simulate
 from .functions import Functions
 from .gauss_newton import CompiledProducts, Products, products_of
 from .lanes import in_threads, shares
-from .problem import Array, Problem, Stepper
+from .library import Evaluator
+from .problem import Problem, Stepper
 from .rollout import CompiledRollout
-from .uncompiled import UncompiledStepper
-from .virtual import VirtualStepper
+from .tape import Tape, TapeData, tape_source
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
 # A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
 _REACH = 0.7
 # What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds. That
-# is stable down to microseconds; what is faster yet needs `AdaptiveSimulator`.
+# is stable down to microseconds.
 _MOST_PARTS, _STABLE, _MOST_STEPS = 16, 2.0, 20_000
 
 
@@ -165,7 +167,7 @@ class Simulator:
         wrt: Sequence[int],
         measured: Array,
         weight: Array,
-        group: Array,
+        group: Integers,
         *,
         max_step: float = 0.05,
     ) -> Products:
@@ -273,7 +275,7 @@ def _pauses(problem: Problem) -> list[int]:
     return [int(i) for i in np.searchsorted(work, limits)]
 
 
-def _steps(t: Array, max_step: Array) -> Array:
+def _steps(t: Array, max_step: Array) -> Integers:
     intervals = np.diff(t, axis=1)
     # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
     return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)
@@ -289,3 +291,167 @@ def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -
     problem.s = np.zeros((batch, samples, nx, problem.wrt.size))
     for k, i in enumerate(initial, start=len(wrt)):
         problem.s[:, 0, i, k] = 1.0
+
+
+# --- what a simulation is given -------------------------------------------------------------------
+def checked_runs(
+    functions: Functions, x0: Array, t: Array, u: Array, p: Array
+) -> tuple[Array, Array, Array, Array]:
+    """The same with a leading size of the batch, or of one where the runs share it.
+
+    Raises
+    ------
+    UndertowError
+        If a shape does not fit, or the times are not finite or decrease.
+    """
+    start = _checked("x0", x0, (len(functions.state_names),))
+    batch = len(start)
+    times = _checked("t", t, (None,), batch)
+    samples = times.shape[1]
+    if not samples:
+        raise UndertowError("t holds no samples: give at least the time of the initial state")
+    inputs = _checked("u", u, (samples, functions.u.numel()), batch)
+    parameters = _checked("p", p, (functions.p.numel(),), batch)
+    if not (np.isfinite(times).all() and (np.diff(times, axis=1) >= 0).all()):
+        raise UndertowError(
+            "times of the samples are not finite or go back: sort the log, drop samples without time"
+        )
+    return start, times, inputs, parameters
+
+
+def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int | None = None) -> Array:
+    """The array as contiguous floats with a leading size of one or of the batch."""
+    values = np.ascontiguousarray(array, dtype=float)
+    if values.ndim == len(shape):
+        values = values[None]
+    fits = values.ndim == len(shape) + 1 and all(
+        wanted in (None, size) for size, wanted in zip(values.shape[1:], shape, strict=True)
+    )
+    if not fits or (batch is not None and values.shape[0] not in (1, batch)):
+        wanted = ", ".join("n" if s is None else str(s) for s in shape)
+        runs = "" if batch is None else f" for each of {batch} runs"
+        raise UndertowError(f"{name} has shape {np.shape(array)}: give ({wanted}){runs}")
+    return values
+
+
+# --- steppers without compiled code ---------------------------------------------------------------
+class VirtualStepper:
+    """The driver's steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
+
+    def __init__(self, functions: Functions, *, sensitivities: bool) -> None:
+        self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
+        self._rows = functions.acceleration_rows
+        self._evaluators: dict[int, Evaluator] = {}
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        with np.errstate(all="ignore"):
+            for i in range(first, last):
+                self._interval(problem, i)
+
+    def _interval(self, problem: Problem, i: int) -> None:
+        """From sample i to i + 1; runs with fewer steps than others wait, runs that diverged are NaN."""
+        interval, count = problem.t[:, i + 1] - problem.t[:, i], problem.steps[:, i]
+        x, s = problem.x[:, i].copy(), problem.s[:, i].copy()
+        h = interval / count
+        for k in range(count.max()):
+            running = (k < count) & np.isfinite(x).all(axis=1)
+            new = self._step(problem, i, problem.t[:, i] + k * h, h, x, s)
+            x, s = (_where(running, a, b) for a, b in zip(new, (x, s), strict=True))
+        finite = np.asarray(np.isfinite(x).all(axis=1))
+        for target, last in ((problem.x, x), (problem.s, s)):
+            target[:, i + 1] = _where(finite, last, np.full_like(last, np.nan))
+
+    def _step(self, problem: Problem, i: int, t: Array, h: Array, x: Array, s: Array) -> tuple[Array, Array]:
+        stage, z, total, total_s = x, s, np.zeros_like(x), np.zeros_like(s)
+        h1, h2 = h[:, None], h[:, None, None]
+        for reach, weight, ahead in ((0.0, 1, 0.5), (0.5, 2, 0.5), (0.5, 2, 1.0), (1.0, 1, 0.0)):
+            f, *slopes = self._evaluate(stage, problem.u[:, i], problem.p, (t + reach * h)[:, None])
+            dz = self._tangent_rate(slopes, z, problem.wrt)
+            total += weight * f[:, :, 0]
+            total_s += weight * dz
+            stage, z = x + (ahead * h1) * f[:, :, 0], s + (ahead * h2) * dz
+        return x + h1 / 6 * total, s + h2 / 6 * total_s
+
+    def _evaluate(self, x: Array, *others: Array) -> list[Array]:
+        if len(x) not in self._evaluators:
+            self._evaluators[len(x)] = Evaluator(self._function, len(x))
+        return self._evaluators[len(x)](x, *others)
+
+    def _tangent_rate(self, slopes: list[Array], z: Array, wrt: Integers) -> Array:
+        if not slopes:
+            return np.zeros_like(z)
+        inverse, r_x, r_p = slopes
+        rate = r_x @ z
+        known = wrt >= 0
+        rate[:, :, known] += r_p[:, :, wrt[known]]
+        rate[:, self._rows] = inverse @ rate[:, self._rows]
+        return rate
+
+
+def _where(runs: Flags, then: Array, otherwise: Array) -> Array:
+    """`then` for the selected runs, `otherwise` for the others."""
+    return np.where(runs.reshape(-1, *[1] * (then.ndim - 1)), then, otherwise)
+
+
+# --- a model that is not compiled -----------------------------------------------------------------
+# Compiling a model takes longer than simulating it once or twice, as a judge of many models does.
+# Runs side by side: enough that what an instruction is takes less time than to do it.
+_RUNS = 16
+# Columns and rows of R_x and R_p where no sensitivities are wanted.
+_NONE: list[tuple[list[int], list[int]]] = [([], [])] * 2
+
+
+class _Model(ctypes.Structure):
+    """A model as driver.c takes it."""
+
+    _fields_ = (
+        ("tape", TapeData),
+        *((name, ctypes.c_int64) for name in ("nx", "nu", "nd")),
+        *((name, ctypes.c_void_p) for name in ("rx_column", "rx_row", "rp_column", "rp_row")),
+        *((name, ctypes.c_int64) for name in ("rx_nonzeros", "rp_nonzeros")),
+    )
+
+
+class UncompiledStepper:
+    """The driver around the instructions of a model.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    compiler : Compiler
+        For the driver itself, which is the same for all models.
+    sensitivities : bool
+        Whether to carry derivatives along.
+    """
+
+    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
+        self._simulate = _driver(compiler.for_this_machine())
+        function = functions.tangents("x", "p") if sensitivities else functions.dynamics
+        self._tape = Tape(function)
+        slopes = [function.sparsity_out(n).get_ccs() for n in ("R_x", "R_p") if sensitivities]
+        self._patterns = [np.array(a, dtype=np.int64) for pair in slopes or _NONE for a in pair]
+        self._model = _Model(
+            self._tape.data,
+            functions.x.numel(),
+            functions.u.numel(),
+            functions.nu_dot.numel() if sensitivities else 0,
+            *(a.ctypes.data for a in self._patterns),
+            *(len(rows) for rows in self._patterns[1::2]),
+        )
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        simulate(self._simulate, problem, first, last, ctypes.byref(self._model))
+
+
+@cache
+def _driver(compiler: Compiler) -> Callable[..., int]:
+    source, name = uncompiled_source()
+    run = getattr(loaded(library_for(source, compiler)), name)
+    run.restype = ctypes.c_int
+    return run
+
+
+def uncompiled_source() -> tuple[str, str]:
+    """C source of the driver over instructions, and the name of its entry point."""
+    return tape_source("driver.c", "SIMULATE", "interpreted", _RUNS, "#define INTERPRETED")

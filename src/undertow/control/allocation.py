@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.solving import solve_symmetric
+from undertow.codegen.functions import solve_symmetric
 from undertow.errors import UndertowError
 from undertow.model.units import to_si
 from undertow.model.vehicle_schema import Quantity

@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 from pydantic import Field, StrictStr
 
 from undertow.model.symbols import DOFS, POSE
-from undertow.model.vehicle_schema import Identifier, Quantity, Table
+from undertow.model.vehicle_schema import FileTable, Identifier, Quantity
 
 Coordinate = Literal[POSE]  # type: ignore[valid-type]
 Diagonal = dict[Coordinate, Quantity] | list[Quantity] | Quantity
 """One gain for each pose coordinate by name, in the vehicle's order, or the same one for all."""
 
 
-class ScheduleTable(Table):
+class ScheduleTable(FileTable):
     """In which order the coordinates are driven to their set-points.
 
     Attributes
@@ -36,7 +36,7 @@ class ScheduleTable(Table):
     integrators: Literal["gate", "start"] = "gate"
 
 
-class AllocationTable(Table):
+class AllocationTable(FileTable):
     """How a wanted force is shared among the thrusters.
 
     Attributes
@@ -54,7 +54,7 @@ class AllocationTable(Table):
     anti_windup: Literal["hold", "none"] = "hold"
 
 
-class GainTable(Table):
+class GainTable(FileTable):
     """The whole file.
 
     Attributes

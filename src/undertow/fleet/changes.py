@@ -7,25 +7,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from undertow.identification.weak.step import prior_of
+from undertow.typing import Array
 
 from .combine import Day, Prior, Solved, choosing, joined, no_prior, solve
 from .panel import Panel
 
-Array = NDArray[np.float64]
 Profile = Callable[[Day], float]
 Kind = Literal["drag", "thrust", "inertia"]
 KINDS: tuple[Kind, ...] = ("drag", "thrust", "inertia")
 #: Days on either side of a comparison that scatter can be told from at all.
 FEWEST_DAYS = 3
 _MOTIONS = {"X": "surge", "Y": "sway", "Z": "heave", "K": "roll", "M": "pitch", "N": "yaw"}
-_DRAG = frozenset(
-    {"linear_damping", "linear_damping_coupling", "quadratic_damping", "cubic_damping", "crossflow_drag"}
-    | {"drag_asymmetry"}
-)
 _GAIN = "gain_error_"
 
 
@@ -152,10 +147,9 @@ class Changes:
         self._constant = [*panel.free, *gains]
 
     # --- what may change ----------------------------------------------------------------------
-    def _of_kind(self, kind: Kind) -> list[Direction]:
+    def _of_kind(self, kind: Literal["drag", "inertia"]) -> list[Direction]:
         """One direction for each motion: all its coefficients grow by the same share."""
-        wanted = {"drag": _DRAG, "inertia": {"added_mass", "added_mass_coupling"}}[kind]
-        owned = {p.name for e in self.panel.vehicle.effects if e.id in wanted for p in e.parameters}
+        owned = {p.name for e in self.panel.vehicle.effects if e.scales_with == kind for p in e.parameters}
         found: dict[str, Array] = {}
         for name in self.panel.free:
             if self.panel.vehicle.declaration(name).name in owned:
@@ -235,10 +229,11 @@ class Changes:
 
     def rivals(self) -> list[str]:
         """Effects of the catalogue whose change is neither drag nor thrust nor added mass by another name."""
+        drag = {c.id for c in self.panel.candidates if c.effect.scales_with == "drag"}
         return [
             effect
             for effect, own in self.panel.own.items()
-            if effect not in _DRAG and not set(own) & set(self._constant)
+            if effect not in drag and not set(own) & set(self._constant)
         ]
 
     def _moved(

@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.typing import Array
+
 from .reduction import Reduced
 
-Array = NDArray[np.float64]
 # Singular value of the scaled factor, relative to the greatest, below which nothing is determined.
 _OPEN = 1e-7
 # The same for products of columns, whose rounding is that much coarser.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.weak.step import bounds_of, physical
+from undertow.typing import Progress
 
 from .changes import Changes
 from .combine import Day, choosing, days_of, solve
@@ -23,7 +24,6 @@ from .result import Fleet
 from .store import Store
 from .summary import Vehicles, summarised
 
-Tell = Callable[[float, str], None]
 PLACE = "{vehicle}"
 # What may stand for a vehicle in the path of its file: it leads to no other folder.
 _NAME = re.compile(r"(?!\.\.?$)[^/\\\0]+")
@@ -59,7 +59,7 @@ class _Known:
 
 
 def diagnose(
-    question: Question, engine: Engine, store: Store, tell: Tell = lambda done, words: None
+    question: Question, engine: Engine, store: Store, tell: Progress = lambda done, words: None
 ) -> Fleet:
     """Estimates, changes and scores of every vehicle.
 
@@ -107,7 +107,7 @@ def diagnose(
     )
 
 
-def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Tell) -> _Known:
+def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Progress) -> _Known:
     known = _Known()
     items = [(str(p), job.mapping) for p in paths]
     for count, (place, answer) in enumerate(engine.results(looked_at, items), start=1):
@@ -136,7 +136,9 @@ def _jobs(job: Job, vehicles: Sequence[str]) -> dict[str, Job]:
     return found
 
 
-def _reduced(jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Store, tell: Tell) -> Vehicles:
+def _reduced(
+    jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Store, tell: Progress
+) -> Vehicles:
     """Work out what is not known yet; then all that is known, in the order of vehicles, days and files."""
     missing = [
         (p, h) for p, h in known.partitions.items() if store.get(jobs[p.vehicle].fingerprint, h) is None

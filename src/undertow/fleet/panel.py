@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
@@ -20,8 +19,8 @@ from undertow.identification.weak.residual import Linearised, WeakModel, whitene
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 #: Effects that differ from day to day and tell nothing of the vehicle: water, ballast, payload.
 DAILY = ("ocean_current", "net_buoyancy", "constant_force")
 

@@ -9,7 +9,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
@@ -20,12 +19,12 @@ from undertow.identification.logs.mapping import CommandPolicy
 from undertow.identification.triangle import Triangle
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.loading import load_vehicle
+from undertow.typing import Array
 
 from .fingerprint import content_of, digest
 from .panel import DAILY, Panel
 from .partitions import Partition, partition_of
 
-Array = NDArray[np.float64]
 ROWS = 20_000
 """Rows of a log that are in memory at a time."""
 # Models that one process holds ready: in a fleet, neighbours in the queue are often of the same vehicle.

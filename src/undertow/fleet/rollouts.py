@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,12 +20,11 @@ from undertow.identification.logs.mapping import CommandPolicy
 from undertow.identification.weak.residual import WeakModel
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
 
 from .engine import Engine, Failure
 from .fingerprint import files_digest
 
-Array = NDArray[np.float64]
-Tell = Callable[[float, str], None]
 # Standard deviation of a start, in that of the sensors: a parabola through five samples has 0.70.
 _START = 0.7
 # Bytes that the rollouts of one window may take.
@@ -251,7 +250,11 @@ def _cut(flights: Flights, source: Source) -> Windows:
 
 
 def rollouts(
-    flights: Flights, logs: Sequence[str], count: int, engine: Engine, tell: Tell = lambda done, words: None
+    flights: Flights,
+    logs: Sequence[str],
+    count: int,
+    engine: Engine,
+    tell: Progress = lambda done, words: None,
 ) -> tuple[list[Band], dict[str, str], str]:
     """Bands of all windows of all logs in order, what failed and why, and where the uncertainty is from.
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 # Share of the largest eigenvalue of the scaled information below which a direction is not seen at all.
 NOTHING = 1e-10
 _TOUCHED = 1e-3

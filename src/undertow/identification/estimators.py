@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from .doctor import refuse_impossible
 from .fitted import Fitted
 from .logs import Run
 from .output_error import fit_output_error
-from .output_error.losses import LossName
+from .output_error.descent import LossName
 from .prediction_error import fit_prediction_error
 from .weak.constraints import Constraints
 from .weak.data import prepare
-from .weak.enough import require_equations
 from .weak.fit import fit_weak, free_parameters
 from .weak.instrumental import fit_instrumental
+from .weak.solution import require_equations
 from .weak.spikes import without_spikes
 from .weak.testfunctions import boxes, test_functions
 
-Report = Callable[[float, str], None]
 Method = Literal["weak", "integral", "instrumental", "output-error", "prediction-error"]
 _FAMILIES = {"weak": test_functions, "integral": boxes}
 
@@ -58,7 +58,7 @@ class Estimator:
         vehicle: Vehicle,
         runs: Sequence[Run],
         free: Sequence[str] | None = None,
-        progress: Report = lambda done, words: None,
+        progress: Progress = lambda done, words: None,
         *,
         trust_log: bool = False,
     ) -> Fitted:
@@ -103,7 +103,7 @@ class Estimator:
         )
 
     def _by_squares(
-        self, vehicle: Vehicle, runs: Sequence[Run], free: Sequence[str] | None, progress: Report
+        self, vehicle: Vehicle, runs: Sequence[Run], free: Sequence[str] | None, progress: Progress
     ) -> Fitted:
         """Methods that have no other loss."""
         if self.loss != "gaussian":

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .base_parameters import undetermined
 from .weak.residual import WeakModel
 from .weak.step import at_bounds, inverse_of
 
-Array = NDArray[np.float64]
 #: |value| over its standard error below which a parameter could as well be zero.
 SURE = 2.0
 #: Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a

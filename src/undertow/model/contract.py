@@ -23,7 +23,7 @@ _SOMEWHERE = {"x": (90.0, 130.0), "y": (-60.0, -40.0), "z": (7.0, 9.0), "psi": (
 
 
 @dataclass(frozen=True)
-class Finding:
+class ContractCheck:
     """Result of one check.
 
     Attributes
@@ -86,7 +86,7 @@ _LAWS = (
 )
 
 
-def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Finding]:
+def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[ContractCheck]:
     """Check an effect class against the contract.
 
     Parameters
@@ -98,7 +98,7 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Find
 
     Returns
     -------
-    list of Finding
+    list of ContractCheck
         One finding for every check that passes, and one for every complaint of those that fail. Without
         a usable statement only the checks of the declaration are there.
     """
@@ -111,8 +111,8 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Find
     try:
         statement = statement_of(cls.specimen(), beside)
     except UndertowError as error:
-        return [*findings, Finding("shape", False, str(error))]
-    findings.append(Finding("shape", True, "every part is a column of the right length"))
+        return [*findings, ContractCheck("shape", False, str(error))]
+    findings.append(ContractCheck("shape", True, "every part is a column of the right length"))
     symbols = _law_findings(_LAWS[0], statement)
     if not symbols[0].ok:  # unknown symbols have no value, so the laws cannot be tried
         return [*findings, *symbols]
@@ -120,18 +120,18 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Find
     return [*findings, *symbols, *rest]
 
 
-def _law_findings(law: _Law, statement: Statement) -> list[Finding]:
+def _law_findings(law: _Law, statement: Statement) -> list[ContractCheck]:
     return _found(law.check, law.holds, law.complaints(statement))
 
 
-def _found(check: str, holds: str, complaints: Iterator[str]) -> list[Finding]:
-    findings: list[Finding] = []
+def _found(check: str, holds: str, complaints: Iterator[str]) -> list[ContractCheck]:
+    findings: list[ContractCheck] = []
     try:
-        findings.extend(Finding(check, False, c) for c in complaints)
+        findings.extend(ContractCheck(check, False, c) for c in complaints)
     except Exception as error:  # what SymPy or the author's code cannot do must not hide the other findings
         why = " ".join(str(error).split())
-        findings.append(Finding(check, False, f"cannot be worked out: {type(error).__name__}: {why}"))
-    return findings or [Finding(check, True, holds)]
+        findings.append(ContractCheck(check, False, f"cannot be worked out: {type(error).__name__}: {why}"))
+    return findings or [ContractCheck(check, True, holds)]
 
 
 # --- the declaration ------------------------------------------------------------------------------

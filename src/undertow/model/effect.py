@@ -7,7 +7,7 @@ import copy
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import sympy as sm
 
@@ -64,6 +64,9 @@ class Effect(abc.ABC):
     weighed : bool
         True where the values come from scales and drawings, and what may be wrong with them is an effect of
         its own (water in the hull, net buoyancy, a shifted centre of buoyancy).
+    scales_with : str
+        "drag" or "inertia" where all its coefficients grow by one share as the hull gets rough, fouled or
+        damaged: what a fleet is watched for. Empty where they do not.
     taken : tuple of Taken
         Keys of its table that are another effect's to tell: the mass of one is the weight of the other.
     allocation : Matrix, shape (6, n_thrusters)
@@ -78,6 +81,7 @@ class Effect(abc.ABC):
     shares: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
     weighed: ClassVar[bool] = False
+    scales_with: ClassVar[Literal["", "drag", "inertia"]] = ""
     taken: ClassVar[tuple[Taken, ...]] = ()
 
     def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
@@ -227,10 +231,13 @@ class Wrench(Effect):
         Claims that the effect never feeds power into the vehicle in still water.
     workless : bool
         Claims that its power is identically zero (Coriolis terms).
+    damping_matrix : str
+        Entries of the linear damping matrix D that its coefficients are: "diagonal", "coupling" or none.
     """
 
     dissipative: ClassVar[bool] = False
     workless: ClassVar[bool] = False
+    damping_matrix: ClassVar[Literal["", "diagonal", "coupling"]] = ""
 
     @abc.abstractmethod
     def wrench(self, s: Signals) -> sm.Matrix:

@@ -133,11 +133,6 @@ def si_unit(unit: str) -> str:
     return f"{base:~C}".replace("**", "^") or "1"
 
 
-def same_dimension(first: str, second: str) -> bool:
-    """Tell whether two unit texts have the same dimension (angles count as pure numbers)."""
-    return bool(_unit(first).dimensionality == _unit(second).dimensionality)
-
-
 def dimensionality(unit: str) -> UnitsContainer:
     """Return the dimension of a unit text, with `*`, `/`, `**` like a unit; a pure number has an empty one.
 

@@ -246,10 +246,6 @@ class Vehicle:
         """Parameters that the equations of this vehicle contain, in order of the effects."""
         return self.composition.parameter_names
 
-    def effect_kind(self, kind: type[Effect]) -> tuple[Effect, ...]:
-        """Effects of one kind."""
-        return tuple(e for e in self.all_effects if isinstance(e, kind))
-
     # --- the model, derived -------------------------------------------------------------------
     @cached_property
     def residual(self) -> sm.Matrix:

@@ -39,13 +39,13 @@ Identifier = Annotated[StrictStr, BeforeValidator(_identifier)]
 Printable = Annotated[StrictStr, BeforeValidator(_printable)]
 
 
-class Table(BaseModel):
+class FileTable(BaseModel):
     """A table of the file; keys that it does not know are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class ParameterTable(Table):
+class ParameterTable(FileTable):
     """A parameter with what is known of it."""
 
     value: Quantity | None = None
@@ -66,7 +66,7 @@ class ParameterTable(Table):
         return self.model_copy(update={"sigma": self.sigma if own is None else own})
 
 
-class ThrusterTable(Table):
+class ThrusterTable(FileTable):
     """A thruster: where it is and which way it pushes, or its wrench per newton."""
 
     name: Identifier
@@ -78,7 +78,7 @@ class ThrusterTable(Table):
     source: StrictStr = ""
 
 
-class VehicleTable(Table):
+class VehicleTable(FileTable):
     """The whole file."""
 
     schema_: Annotated[Literal["undertow/vehicle/1"], Field(alias="schema")]

@@ -18,16 +18,15 @@ from undertow.control.laws import LAWS, LawSignals
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.dimensions import dimension_of, unit_text
+from undertow.model.effect import Wrench
 from undertow.model.hints import hints
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import symbol
 
-from .finding import OPEN, WRONG, Finding
-
-_CORIOLIS = ("rigid_body_coriolis", "added_mass_coriolis")
+from .discrepancy import OPEN, WRONG, Discrepancy
 
 
-def audit_paper() -> list[Finding]:
+def audit_paper() -> list[Discrepancy]:
     """Everything in equations (8) to (15), (24), (25) and the PID conditions that does not fit."""
     equations = _Equations()
     return [
@@ -47,7 +46,9 @@ class _Equations:
     def __init__(self) -> None:
         vehicle = load_vehicle("mini-auv")
         self.full = vehicle
-        self.vehicle = replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in _CORIOLIS))
+        self.vehicle = replace(
+            vehicle, effects=tuple(e for e in vehicle.effects if not (isinstance(e, Wrench) and e.workless))
+        )
         self.plant = Plant(self.vehicle)
         self.added = [symbol(n) for n in ("X_udot", "Y_vdot", "Z_wdot", "N_rdot")]
         self.r, self.psi = symbol("r"), symbol("psi")
@@ -91,18 +92,18 @@ class _Equations:
         return (self.plant.J * self.mass * self.plant.J.T).diff(self.psi) * self.r
 
     # --- findings
-    def coriolis_sign(self) -> Iterator[Finding]:
+    def coriolis_sign(self) -> Iterator[Discrepancy]:
         added = sm.diag(*self.added)
         derived = self.plant.J * added * self.J_rate.T
         if _zero(self.printed + derived) and not _zero(self.printed - derived):
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 "(11)",
                 "C_q has the wrong sign",
                 "it equals -J M_a J_dot', but J M_a J_dot' follows from (9) by q_dot = J gamma",
             )
 
-    def power(self) -> Iterator[Finding]:
+    def power(self) -> Iterator[Discrepancy]:
         balance = self.in_body_axes(self.rate() - 2 * self.printed)
         symmetric = (balance + balance.T) / 2
         fixed = self.in_body_axes(self.rate() + 2 * self.printed)
@@ -112,7 +113,7 @@ class _Equations:
                 for x, n in zip(self.added, _names(), strict=True)
             }
             size = symmetric[0, 1].xreplace(numbers | {self.r: sm.Integer(1)})
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 "(10), (11)",
                 "d(M_q)/dt - 2 C_q is not skew-symmetric, so energy comes from nowhere in turns",
@@ -121,14 +122,14 @@ class _Equations:
                 "with the sign of (11) changed it is skew-symmetric",
             )
 
-    def frames(self) -> Iterator[Finding]:
+    def frames(self) -> Iterator[Discrepancy]:
         """(8) with the sign of (11) fixed, less what (9) becomes in the inertial frame."""
         J, nu = self.plant.J, self.plant.nu
         equivalent = J * self.mass * self.J_rate.T
         extra = self.in_body_axes(-self.printed - equivalent) * nu
         if not _zero(extra):
             shown = ", ".join(str(sm.factor(e)) for e in extra)
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 "(8), (9)",
                 "even with the sign of (11) fixed, (8) is not (9) in the inertial frame",
@@ -136,36 +137,36 @@ class _Equations:
                 "they are equal with J M_gamma J_dot'",
             )
 
-    def munk(self) -> Iterator[Finding]:
+    def munk(self) -> Iterator[Discrepancy]:
         complete = Plant(self.full)
         dropped = self.forward((complete.C - self.plant.C) * self.plant.nu)
         moment = sm.factor(dropped[3])
         if moment != 0:
             shown = ", ".join(str(sm.factor(e)) for e in dropped[:2])
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 "(8), (9)",
                 "the Munk moment is absent from both, and the Coriolis forces from (9)",
                 f"the effects give the moment {moment} on the left-hand side, and the forces {shown}",
             )
 
-    def zero_set(self) -> Iterator[Finding]:
+    def zero_set(self) -> Iterator[Discrepancy]:
         s = LawSignals(self.plant, LAWS["pd"]())
         rest = CANDIDATES["pd"].derivative(s).xreplace(dict.fromkeys(self.plant.nu, sm.Integer(0)))
         if rest == 0:
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 "text below (25)",
                 "the set of all states with V_dot = 0 is not q~ = 0, gamma = 0",
                 "(25) is zero at gamma = 0 for every q~; the printed set is its largest invariant subset",
             )
 
-    def missing(self) -> Iterator[Finding]:
+    def missing(self) -> Iterator[Discrepancy]:
         present = self.plant.M.free_symbols | self.plant.D.free_symbols
         assumed = [n for n, v in self.vehicle.values.items() if v.assumed and symbol(n) in present]
         if assumed:
             said = next(h for h in hints(self.full) if h.startswith("assumed"))
-            yield Finding(
+            yield Discrepancy(
                 OPEN,
                 "(10), (12)",
                 f"{', '.join(assumed)} are in the matrices, but the paper prints no value",
@@ -181,7 +182,7 @@ def _zero(matrix: sm.Matrix) -> bool:
     return matrix.applyfunc(lambda e: sm.trigsimp(sm.expand(e))).is_zero_matrix is True
 
 
-def condition_units() -> Iterator[Finding]:
+def condition_units() -> Iterator[Discrepancy]:
     """Printed PID conditions whose units do not fit, neither with iota a pure number nor with iota in 1/s."""
     units = {g.name: g.force for g in LAWS["pid"].gains} | {"M": "kg", "D": "kg/s"}
     s = Signs({name: symbol(name) for name in (*units, "iota")})
@@ -195,7 +196,7 @@ def condition_units() -> Iterator[Finding]:
             if complaint:
                 complaints.append(f"iota in {iota}: {complaint}" if condition.uses_iota else complaint)
         if len(complaints) == 2:
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 "PID conditions",
                 f"the units of {condition.statement} do not fit",

@@ -14,14 +14,14 @@ from undertow.model.evaluation import function_of
 from undertow.model.hints import hints
 from undertow.model.symbols import symbol
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-from .finding import OPEN, WRONG, Finding
+from .discrepancy import OPEN, WRONG, Discrepancy
 
-Array = np.ndarray
 _TRIALS, _SEED, _ROUNDING = 200, 20210405, 1e-9
 
 
-def audit_vehicle(vehicle: Vehicle) -> list[Finding]:
+def audit_vehicle(vehicle: Vehicle) -> list[Discrepancy]:
     """Everything that does not fit in the equations of a vehicle, and what its file leaves open.
 
     Parameters
@@ -41,24 +41,24 @@ def audit_vehicle(vehicle: Vehicle) -> list[Finding]:
         *_definite(plant),
         *_power(vehicle),
         *(
-            Finding(OPEN, "vehicle file", hint, "what the file states and what it does not")
+            Discrepancy(OPEN, "vehicle file", hint, "what the file states and what it does not")
             for hint in hints(vehicle)
         ),
-        *(Finding(OPEN, i, "is in none of the matrices", reason) for i, reason in plant.left_out.items()),
+        *(Discrepancy(OPEN, i, "is in none of the matrices", reason) for i, reason in plant.left_out.items()),
     ]
 
 
-def _symmetry(plant: Plant) -> Iterator[Finding]:
+def _symmetry(plant: Plant) -> Iterator[Discrepancy]:
     difference = (plant.M - plant.M.T).applyfunc(sm.expand)
     if not difference.is_zero_matrix:
-        yield Finding(WRONG, "M", "the mass matrix is not symmetric", f"M - M' has {_first(difference)}")
+        yield Discrepancy(WRONG, "M", "the mass matrix is not symmetric", f"M - M' has {_first(difference)}")
 
 
-def _skew(plant: Plant) -> Iterator[Finding]:
+def _skew(plant: Plant) -> Iterator[Discrepancy]:
     """With C skew-symmetric, d(M_q)/dt - 2 C_q is so as well, whatever J."""
     total = (plant.C + plant.C.T).applyfunc(sm.expand)
     if not total.is_zero_matrix:
-        yield Finding(
+        yield Discrepancy(
             WRONG, "C", "no skew-symmetric C gives the Coriolis force", f"C + C' has {_first(total)}"
         )
 
@@ -68,12 +68,12 @@ def _first(matrix: sm.Matrix) -> str:
     return f"{matrix[i, j]} in row {i + 1}, column {j + 1}"
 
 
-def _definite(plant: Plant) -> Iterator[Finding]:
+def _definite(plant: Plant) -> Iterator[Discrepancy]:
     for one in sign_sets(plant):
         yield from _damping(plant, one)
 
 
-def _damping(plant: Plant, one: SignSet) -> Iterator[Finding]:
+def _damping(plant: Plant, one: SignSet) -> Iterator[Discrepancy]:
     symmetric = 0.5 * (one.damping + one.damping.T)
     values, vectors = np.linalg.eigh(symmetric)
     if values[0] < -_ROUNDING * max(1.0, abs(values[-1])):
@@ -81,7 +81,7 @@ def _damping(plant: Plant, one: SignSet) -> Iterator[Finding]:
         along = ", ".join(
             f"{v} = {x:.3g}" for v, x in zip(plant.nu, vectors[:, 0], strict=True) if abs(x) > 1e-3
         )
-        yield Finding(
+        yield Discrepancy(
             WRONG,
             "D",
             f"damping at rest{of} feeds energy into a motion",
@@ -89,7 +89,7 @@ def _damping(plant: Plant, one: SignSet) -> Iterator[Finding]:
         )
 
 
-def _power(vehicle: Vehicle) -> Iterator[Finding]:
+def _power(vehicle: Vehicle) -> Iterator[Discrepancy]:
     """Power of each effect at random states: none where it is workless, none above zero if dissipative."""
     powers = vehicle.power()
     for effect in vehicle.effects:
@@ -100,11 +100,11 @@ def _power(vehicle: Vehicle) -> Iterator[Finding]:
         limit = _ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
         if effect.workless and np.abs(values).max(initial=0.0) > _ROUNDING * 1e3:
             worst = float(values[np.abs(values).argmax()])
-            yield Finding(
+            yield Discrepancy(
                 WRONG, effect.id, "claims to do no work but does", f"{worst:.4g} W at a random state"
             )
         if effect.dissipative and values.max(initial=0.0) > limit:
-            yield Finding(
+            yield Discrepancy(
                 WRONG,
                 effect.id,
                 "claims to take energy but feeds it in with the values of the file",

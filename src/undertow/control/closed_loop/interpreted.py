@@ -13,11 +13,11 @@ from undertow.codegen.instructions import ready, tape_of
 from undertow.codegen.interpreted import REACH, WEIGHT
 from undertow.codegen.interpreter import call, put
 from undertow.codegen.numba_code import by_numba, tried
+from undertow.typing import Array
 
 from .parts import Parts
 from .problem import ALL, Block, LoopProblem, Rows, problem_of
 
-Array = np.ndarray
 Tuple = tuple[Array, ...]
 Tapes = tuple[Tuple, ...]
 

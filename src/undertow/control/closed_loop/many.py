@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -12,8 +12,8 @@ import numpy as np
 from undertow.codegen.lanes import in_threads, shares
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
+from undertow.typing import Progress
 
-from .blocks import blocks
 from .measures import CREDIBLE
 
 if TYPE_CHECKING:
@@ -21,7 +21,12 @@ if TYPE_CHECKING:
     from .scenario import Scenario
     from .simulate import ClosedLoop
 
-Report = Callable[[float, str], None]
+from collections.abc import Iterator
+
+from .parts import Parts
+from .problem import ALL, Block
+from .scenario import Scenario
+
 Varied = Mapping[str, np.ndarray]
 NONE: Varied = MappingProxyType({})
 
@@ -119,7 +124,7 @@ class Runs:
 
 @np.errstate(over="ignore", invalid="ignore")  # runs that diverge are NaN
 def run_many(
-    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Report | None
+    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Progress | None
 ) -> Runs:
     """What `ClosedLoop.run_many` does."""
     parts = loop.parts
@@ -176,3 +181,58 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
         return
     runs.states[share][gone] = np.nan
     runs.commands[share][gone] = np.nan
+
+
+# --- blocks of runs -------------------------------------------------------------------------------
+_SAMPLES_PER_CALL = 20_000
+
+
+def blocks(
+    parts: Parts, scenario: Scenario, runs: range, stride: int = 1, wanted: tuple[str, ...] = ALL
+) -> Iterator[Block]:
+    """Blocks of samples one after the other, so that Ctrl-C is heard in between.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop that runs.
+    scenario : Scenario
+        What is asked.
+    runs : range
+        Numbers of the runs: the noise of run i is that of seed + i.
+    stride : int
+        Every how many-th sample is recorded.
+    wanted : tuple of str
+        What is recorded.
+
+    Raises
+    ------
+    UndertowError
+        If noise or a push is meant for what the vehicle does not have.
+    """
+    spread = scenario.noise_of(parts.reported_names)
+    random = [np.random.default_rng(scenario.seed + i) for i in runs] if spread.any() else []
+    _check_pushes(parts, scenario)
+    for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
+        count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
+        noise = [r.standard_normal((count, len(spread))) * spread for r in random]
+        extra = _extra(parts, scenario, begin, count) if scenario.pushes else None
+        yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, wanted)
+
+
+def _check_pushes(parts: Parts, scenario: Scenario) -> None:
+    for push in scenario.pushes:
+        if f"tau_{push.axis}" not in parts.vehicle.command_names:
+            raise UndertowError(
+                f"force {push.axis} pushes where '{parts.vehicle.name}' does not move: it has "
+                f"{', '.join(parts.vehicle.degrees_of_freedom)}"
+            )
+
+
+def _extra(parts: Parts, scenario: Scenario, begin: int, count: int) -> np.ndarray:
+    commands = parts.vehicle.command_names
+    extra = np.zeros((count, len(commands)))
+    t = (begin + np.arange(count)) * scenario.dt
+    for push in scenario.pushes:
+        extra[(t >= push.begin) & (t < push.end), commands.index(f"tau_{push.axis}")] += push.value
+    return extra

@@ -11,10 +11,10 @@ from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
-from .blocks import blocks
 from .compiled import CompiledLoop
-from .many import NONE, Differences, Report, Runs, Varied, run_many
+from .many import NONE, Differences, Runs, Varied, blocks, run_many
 from .measures import Measures
 from .parts import Parts
 from .problem import LoopProblem, LoopStepper, problem_of
@@ -92,7 +92,7 @@ class ClosedLoop:
 
     # --- running --------------------------------------------------------------------------------
     @np.errstate(over="ignore", invalid="ignore")  # what diverges is told of in words
-    def run(self, scenario: Scenario, progress: Report | None = None) -> Record:
+    def run(self, scenario: Scenario, progress: Progress | None = None) -> Record:
         """Simulate.
 
         Parameters
@@ -134,7 +134,7 @@ class ClosedLoop:
         gains: Varied = NONE,
         starts: Varied = NONE,
         threads: int | None = None,
-        progress: Report | None = None,
+        progress: Progress | None = None,
     ) -> Runs:
         """Simulate many runs that differ, side by side in the lanes of vectors and in threads.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.buffers import Evaluator
+from undertow.codegen.library import Evaluator
 
 from .parts import Parts
 from .problem import Block, LoopProblem, Rows

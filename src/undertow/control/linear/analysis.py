@@ -9,7 +9,7 @@ import control as ct
 import numpy as np
 from scipy.linalg import expm
 
-from .numeric import Array
+from undertow.typing import Array
 
 _RANK = 1e-9
 _SEEN = 1e-6

@@ -6,8 +6,9 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.model.symbols import POSE, VELOCITY
+from undertow.typing import Array
 
-from .numeric import Array, Numeric
+from .numeric import Numeric
 from .request import Request
 
 # Price of what is found: drift is avoided before tilt, and tilt before command.

@@ -8,8 +8,9 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.typing import Array
+
 from .analysis import modes
-from .numeric import Array
 
 _POINTS = 600
 _DECADES = 1.5

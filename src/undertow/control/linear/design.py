@@ -14,11 +14,12 @@ from undertow.control.gains import GainSet, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .analysis import Mode, controllability, modes, observability
 from .failures import told
 from .loop import LinearLoop, close_loop, with_forces
-from .numeric import Array, with_ideal_thrust
+from .numeric import with_ideal_thrust
 from .systems import linearize, named
 from .trim import Trim, find_trim
 

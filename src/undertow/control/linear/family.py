@@ -16,11 +16,12 @@ from undertow.model.history import last_covariance
 from undertow.model.loading import resolve_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.model.vehicle_toml import read_vehicle_table
+from undertow.typing import Array
 
 from .analysis import Mode, modes
 from .balance import Balance, at_parameters
 from .loop import LinearLoop, law_for
-from .numeric import Array, Numeric, in_direction, motion_of
+from .numeric import Numeric, in_direction, motion_of
 from .systems import linear_at
 from .trim import Trim, find_trim
 

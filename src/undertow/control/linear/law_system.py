@@ -14,8 +14,8 @@ from undertow.control.laws.sliding_mode import SlidingMode, SuperTwisting
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-from .numeric import Array
 from .trim import Trim
 
 _ROUNDS = 20

@@ -8,18 +8,17 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen import Compiled, Functions
-from undertow.codegen.buffers import Evaluator
+from undertow.codegen.library import Evaluator
 from undertow.codegen.manifest import dead_time, describe, output_delay
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Value, Vehicle
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 _WAYS = {1: "forward", -1: "backward"}
 
 

@@ -15,6 +15,7 @@ from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
 from undertow.model.catalogue import nearest
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .analysis import (
     Margins,
@@ -30,7 +31,7 @@ from .analysis import (
 from .family import Family
 from .law_system import forces_of
 from .loop import LinearLoop, close_loop
-from .numeric import Array, Numeric
+from .numeric import Numeric
 from .systems import linearize, named
 from .trim import Trim
 

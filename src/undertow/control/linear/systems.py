@@ -10,8 +10,9 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-from .numeric import Array, Numeric, in_direction
+from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
 _log = logging.getLogger(__name__)

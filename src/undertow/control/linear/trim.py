@@ -10,9 +10,10 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.model.symbols import POSE
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .balance import Balance, solve
-from .numeric import Array, Numeric, in_direction, reversing, with_ideal_thrust
+from .numeric import Numeric, in_direction, reversing, with_ideal_thrust
 from .request import Request, request
 
 # Forces of a steady motion may change by this much in a second (share of the gravity of rounding, m/s^3).

@@ -9,10 +9,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.typing import Array, Index
+
 from .cutting import Windows
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 S = TypeVar("S", bound=np.generic)
 # Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
 _TOGETHER = 1e-6

@@ -15,15 +15,14 @@ from scipy.sparse import bsr_array, csr_array
 from undertow.codegen.functions import Functions
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..weak.data import Segment, WeakData, prepare
-from ..weak.drive import Chain, Memory
+from ..weak.drive import ActuatorStates, Memory
 from ..weak.lateness import Lateness
 from ..weak.mapping import mapped
 from ..weak.pointwise import Pointwise
 from ..weak.residual import WeakModel, whitened
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class _Evaluation:
         self.p = np.array(functions.values(), dtype=float)
         self._weak = WeakModel(functions, ())
         self._points = Pointwise(functions, ())
-        self._chain = Chain(functions, ())
+        self._chain = ActuatorStates(functions, ())
         self._lateness = Lateness(functions)
         self._memory = Memory(functions, (), self._points.measured, self._points.true_motion)
 

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .cutting import Windows
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
+from .cutting import Windows
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .forces import Forces
 
-Array = NDArray[np.float64]
 BINS = 12
 _FEWEST = 12
 # Sum of the correlations between test functions under a white disturbance.

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Flags
 
 from .forces import Forces
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 # Share of the largest command below which a command counts as none.
 _NO_COMMAND = 0.01
 # Test functions after the first command that count as starting up: four make one width of a function.
@@ -42,7 +40,7 @@ class Regime:
     group: str
     name: str
     phrase: str
-    inside: Mask
+    inside: Flags
 
 
 def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
@@ -66,7 +64,7 @@ def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
     ]
 
 
-_Found = Iterator[tuple[str, str, str, Mask]]
+_Found = Iterator[tuple[str, str, str, Flags]]
 
 
 def _speeds(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import FORCE_UNITS
+from undertow.typing import Array
 
 from ..report.data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 from .comparison import Comparison
 from .profiles import Profile
 from .windows import Prediction
 
-Array = NDArray[np.float64]
 _HALF_INTERVAL = 1.96
 # Bins in which the mean residual force may leave the noise by chance do not make a variable telling.
 _CURVES = 9

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from undertow.codegen.functions import Functions
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .cutting import Windows, cut
 from .prediction import Prediction, prediction_error
 from .predictor import Predictor
-
-Array = NDArray[np.float64]
 
 
 def predict(

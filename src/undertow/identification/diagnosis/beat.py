@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from ..weak.data import WeakData
 
-Array = NDArray[np.float64]
 # A swing is looked for from so many periods in a run on: fewer are a trend.
 _FEWEST_PERIODS = 3.0
 # Frequencies per resolution cell of the longest run, and cells on either side that a peak is held against.

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from ..weak.step import inverse_of
 from .blocks import Blocks
 
-Array = NDArray[np.float64]
 DRAWS = 1000
 _RESAMPLES = 200
 _SEED = 20150518

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.symbols import FORCE_UNITS
+from undertow.typing import Array
 
 from ..fitted import Fitted
 from ..weak.data import WeakData
@@ -18,7 +18,6 @@ from .associations.portrait import Character, Portrait, Sitting
 from .associations.residual import Association, Sample, Samples
 from .associations.terms import terms_of
 
-Array = NDArray[np.float64]
 # Mean square in units of the noise from which something is left; for short logs, spreads of that of noise.
 _LOUD = 1.3
 _SPREADS = 5.0

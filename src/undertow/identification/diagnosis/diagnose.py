@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from ..doctor import Examination, examine, refuse_impossible
 from ..fitted import Fitted
@@ -24,7 +25,6 @@ from .split import keep_blocks_aside
 from .story import Story
 from .trial import FALSE_ALARM_RATE
 
-Report = Callable[[float, str], None]
 Role = Literal["train", "holdout", "blocks"]
 HORIZON = DECIDING
 # Chances of a false alarm that evidence can be held to: less than the first no bootstrap of 1000 draws shows.
@@ -61,7 +61,7 @@ def diagnose(
     holdout: Sequence[Run] = (),
     *,
     known: Catalogue | None = None,
-    report: Report = lambda done, words: None,
+    report: Progress = lambda done, words: None,
     false_alarms: float = FALSE_ALARM_RATE,
     trust_log: bool = False,
 ) -> Outcome:

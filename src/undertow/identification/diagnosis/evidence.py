@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 from scipy.stats import wilcoxon
+
+from undertow.typing import Array
 
 from ..weak.data import WeakData
 from .trial import Score
 
-Array = NDArray[np.float64]
 # A fall of the mean square, in units of the noise, that is hidden in the noise.
 SMALLEST_FALL = 0.05
 # Chance below which the better of two models is held to be better.

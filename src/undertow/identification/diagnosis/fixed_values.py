@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..fitted import MORE_THAN_CHANCE
 from ..weak.fit import WeakFit
@@ -19,7 +19,6 @@ from .rounds import Round
 from .second_look import Quiet
 from .trial import Bench, Score
 
-Array = NDArray[np.float64]
 # Fall of the sum of squares, in units of the noise, from which another value is worth a fit.
 _WORTH = 20.0
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.typing import Array
+
 from ..output_error.shooting import Shooting
 
-Array = NDArray[np.float64]
 # Mean square, in units of the noise, that still counts as noise: in the worst channel and over all of them.
 # The noise of a channel is known to a few per cent.
 _ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1

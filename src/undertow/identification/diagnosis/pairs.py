@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from ..weak.residual import whitened
 from ..weak.step import inverse_of
@@ -17,7 +18,6 @@ from .rounds import Round
 from .second_look import Quiet
 from .trial import Bench
 
-Array = NDArray[np.float64]
 _LEADING = 8
 # Pairs that are tried beside an effect that shows alone, and where none does.
 _PAIRS, _LONE_PAIRS = 2, 6

@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..compare.cutting import Windows, cut
 from ..compare.windows import Predictor, predict, prediction_error
@@ -28,7 +28,6 @@ from .level import simulates_to_noise
 from .transfer import within_errors
 from .trial import only_noise
 
-Array = NDArray[np.float64]
 F = TypeVar("F", bound=Fitted)
 T = TypeVar("T")
 # Windows of a free run diverge in heading even for the true model: short ones decide.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from undertow.model.catalogue import Catalogue
+from undertow.typing import Progress
 
 from ..parallel import mapped
 from .candidates import Candidate, possible
@@ -22,7 +23,6 @@ from .sending import Sent, received, sent
 from .trial import Bench, Score, Trial, rejected, told_apart, try_candidate
 
 _log = logging.getLogger("undertow.diagnosis")
-Report = Callable[[float, str], None]
 
 _FULL_FITS = 10
 _FINALISTS = 6
@@ -61,7 +61,7 @@ class Round:
         return best if best is not None and best.significant else None
 
 
-def try_all(bench: Bench, known: Catalogue, report: Report) -> Round:
+def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate on top of a model.
 
     Parameters
@@ -99,7 +99,7 @@ class _Look(NamedTuple):
     linear: Linear
 
 
-def _scouted(listed: Sequence[Candidate], bench: Bench, report: Report) -> list[_Look]:
+def _scouted(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
     """What every candidate promises that adds anything, the most promising first."""
     bench.work_out()
     # What has to be searched takes longest: begun first, it leaves no core idle at the end.
@@ -112,7 +112,7 @@ def _scouted(listed: Sequence[Candidate], bench: Bench, report: Report) -> list[
     return sorted(found, key=lambda entry: entry.cost)
 
 
-def _tried(worth: Sequence[_Look], bench: Bench, report: Report) -> list[tuple[Candidate, Sent]]:
+def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, Sent]]:
     """Fits of the candidates that promise something."""
 
     def one(i: int) -> Sent:
@@ -134,7 +134,7 @@ def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, flo
     return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench, looks[0].on_test)
 
 
-def _final(bench: Bench, finalists: list[Trial], report: Report) -> tuple[Bench, list[Trial]]:
+def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Bench, list[Trial]]:
     """Judge the leading candidates again, with the noise model of the best of them.
 
     Under the noise model of a poor fit a mediocre candidate may lead, and its own hides less: who leads then

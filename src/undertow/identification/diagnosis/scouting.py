@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..weak.data import WeakData
 from ..weak.fit import opened, promise
@@ -15,7 +14,6 @@ from ..weak.step import bounded_step, bounds_of, prior_of, reach_of, within_reac
 from .candidates import Candidate
 from .trial import Bench
 
-Array = NDArray[np.float64]
 # Of more starts than this, only the best are looked at more closely.
 _MANY_STARTS, _BEST_STARTS = 4, 2
 _CLOSER = 2

@@ -11,6 +11,7 @@ from functools import partial
 
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from ..weak.data import WeakData
 from ..weak.fit import WeakFit, free_parameters, settled
@@ -24,7 +25,6 @@ from .second_look import Quiet, explains_all, hidden_by_disturbance
 from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench
 
 _log = logging.getLogger("undertow.diagnosis")
-Report = Callable[[float, str], None]
 Freed = Mapping[str, tuple[str, ...]]
 ToFree = Callable[[Round, Quiet], Freed]
 MAX_EFFECTS = 3
@@ -81,7 +81,7 @@ def search(
     train: WeakData,
     test: WeakData,
     known: Catalogue,
-    report: Report = lambda done, words: None,
+    report: Progress = lambda done, words: None,
     quiet: Quiet = only_noise,
     false_alarms: float = FALSE_ALARM_RATE,
 ) -> Search:
@@ -140,7 +140,7 @@ def _do_alone(vehicle: Vehicle, effects: Sequence[Finding], bench: Bench, quiet:
 
 
 def _stepwise(
-    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Report, quiet: Quiet, to_free: ToFree
+    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Progress, quiet: Quiet, to_free: ToFree
 ) -> _Steps:
     """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
     steps = _steps(vehicle, bench, known, report, quiet, [], to_free)
@@ -156,7 +156,7 @@ def _stepwise(
     return steps
 
 
-def _late(report: Report, done: float, words: str) -> None:
+def _late(report: Progress, done: float, words: str) -> None:
     report(0.9, words)
 
 
@@ -164,7 +164,7 @@ def _steps(
     vehicle: Vehicle,
     bench: Bench,
     known: Catalogue,
-    report: Report,
+    report: Progress,
     quiet: Quiet,
     found: Sequence[Finding],
     to_free: ToFree,
@@ -219,7 +219,7 @@ def _on_top(bench: Bench, vehicle: Vehicle, chain: list[Finding], fit: WeakFit) 
     return replace(bench, base=base)
 
 
-def _share_of(report: Report, done_rounds: int) -> Report:
+def _share_of(report: Progress, done_rounds: int) -> Progress:
     """Progress within one round as progress of the whole."""
 
     def told(done: float, words: str) -> None:

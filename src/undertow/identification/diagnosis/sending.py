@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from undertow.typing import Array
 
 from ..weak.fit import WeakFit
 from ..weak.noise import Whitening
 from ..weak.residual import Linearised
 from .candidates import Candidate
 from .trial import Bench, Score, Trial
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.model.parameter import Parameter
+from undertow.typing import Array
 
 from ..fitted import Fitted
 from ..weak.data import WeakData
 from ..weak.noise import Whitening
 from ..weak.residual import whitened
 
-Array = NDArray[np.float64]
 _STRETCHES = 8
 # Standard error of a size from which a stretch says nothing about it.
 _POORLY_KNOWN = 0.1

@@ -8,12 +8,12 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..fitted import Fitted
 from ..planning.suggest import suggest
@@ -34,7 +34,6 @@ from .steadiness import sizes
 from .trial import Bench, Score, error_of, noise_ratio, scored, told_apart
 from .verdict import Judgement, Left, judge, unique_ids
 
-Array = NDArray[np.float64]
 _MANOEUVRES = 20
 # Mean square of every equation, in units of the noise, below which next to nothing is left.
 _NEARLY_NOISE = 2.0

@@ -7,14 +7,14 @@ standard error of a parameter may come to many times the noise, and says nothing
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
+
+from undertow.typing import Array
 
 from ..output_error.descent import OutputErrorFit
 from ..output_error.shooting import Shooting
 from ..weak.step import bounds_of, prior_of
 
-Array = NDArray[np.float64]
 # How often errors of the fit may be larger by chance than what parameters are moved by here.
 _BY_CHANCE = 1e-3
 _STEPS = 3

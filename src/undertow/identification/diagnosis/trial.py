@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..fitted import Fitted
 from ..weak.data import WeakData
@@ -23,7 +23,6 @@ from ..weak.step import inverse_of
 from .beat import beat
 from .candidates import Candidate
 
-Array = NDArray[np.float64]
 # |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
 T_KEEP = 4.0
 # Share to which the variance of the sensors' noise is known, and standard errors of a mean square of as many

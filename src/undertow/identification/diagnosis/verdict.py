@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from undertow.typing import Array
 
 from .evidence import explained
 from .finding import Finding
@@ -13,7 +12,6 @@ from .result import Indistinguishable, Verdict
 from .search import Search
 from .trial import Score, told_apart
 
-Array = NDArray[np.float64]
 # An effect is named only where it (with those named before it) explains this share of what exceeds the noise:
 # a wrong effect often takes half of a residual, seldom four fifths of it.
 NAMED_SHARE = 0.8

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from undertow.typing import Array
+
 from ..logs import Mapping, Run
 from .findings import Finding
-from .kinematics import Array
 from .mending import column_edit
 from .mistake import Mistake, with_channels
 from .reading_mistakes import ANGLES, reading_mistakes, unwrapped

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from undertow.typing import Array
+
 from ..logs import Run
 from ..logs.run import VELOCITY
 from .findings import Finding
-from .kinematics import Array, Kinematics, Samples, Stretch
+from .kinematics import Kinematics, Samples, Stretch
 from .mistake import with_channels
 from .sensors import Sensor, fit_sensor
 

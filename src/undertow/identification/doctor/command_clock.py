@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from undertow.typing import Array
+
 from ..logs import Run
 from ..logs.run import POSE, VELOCITY
 from ..weak.residual import whitened
 from .dynamics import Dynamics
 from .findings import Finding
-from .kinematics import Array
 from .mistake import Undo, with_channels
 from .sensors import clustered_least_squares
 

@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Mapping, Run, frames
 from ..logs.run import UNITS, VELOCITY
 from .findings import Finding
 from .kinematic_search import DECISIVE, Explained, inconsistent
-from .kinematics import Array, Kinematics, Mismatch, Rates, Samples
+from .kinematics import Kinematics, Mismatch, Rates, Samples
 from .mending import Edit, Edits
 from .mistake import Mistake, turning
 from .sensors import Sensor, SensorFit, fit_sensor, regressor_of, sensors

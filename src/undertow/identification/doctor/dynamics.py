@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..logs.run import POSE, VELOCITY
@@ -18,7 +19,7 @@ from ..weak.disturbance import mean_square
 from ..weak.fit import WeakFit, fit_weak, free_parameters
 from ..weak.residual import Linearised, whitened
 from ..weak.step import inverse_of, normal_equations, prior_of
-from .kinematics import Array, jacobian, liveliest
+from .kinematics import jacobian, liveliest
 from .mistake import Undo, with_channels
 
 # Samples that are looked at, all runs together, in three and in six degrees of freedom.

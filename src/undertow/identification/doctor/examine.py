@@ -6,20 +6,22 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from ..logs import Mapping, Run, velocities_from_pose
 from . import angles, consistency, excitation
 from .clocks import clock_findings
 from .command_clock import command_clock
-from .deciding import decided
 from .dynamic_search import dynamic_mistakes
 from .dynamics import Dynamics, dynamics_of, rederived
 from .findings import Examination, Finding, most_serious_first, percent
 from .impossible import impossible, suspicious
-from .kinematic_search import best_explanation, contradicts, possible_mismatch
+from .kinematic_search import Explained, best_explanation, contradicts, possible_mismatch
 from .kinematics import Kinematics
 from .mending import Edit, Edits, as_toml, edited
 from .mistake import Mistake, Undo
@@ -29,7 +31,6 @@ from .sampling import DROP, sampling
 from .units import UNITS_OF_MOTION, other_time_unit
 from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
 
-Report = Callable[[float, str], None]
 _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
@@ -60,7 +61,7 @@ def examine(
     runs: Sequence[Run],
     *,
     mapping: Mapping | None = None,
-    report: Report = lambda done, words: None,
+    report: Progress = lambda done, words: None,
 ) -> Examined:
     """Look for what is wrong with logs before physics is blamed.
 
@@ -329,3 +330,36 @@ def _on_one_line(edits: Edits) -> str:
     for e in edits:
         tables.setdefault(e.table, []).append(as_toml([Edit("", e.key, e.value)]))
     return "; ".join(f"[{table}] {'; '.join(lines)}" for table, lines in tables.items())
+
+
+# --- mistakes that agree alike --------------------------------------------------------------------
+_TRIED = 4
+# Factor between what the model leaves beyond the noise after one and after another that decides.
+_DECIDES = 2.0
+
+
+def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
+    """The mistake that the model speaks for, and those that it does not speak against.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs with the mistake.
+    found : Explained
+        What kinematics says.
+    """
+    tied = [found.mistake, *found.rivals][:_TRIED]
+    if len(tied) == 1:
+        return found.mistake, []
+    left = [_left(vehicle, runs, m) for m in tied]
+    best = min(left)
+    good = [m for m, value in zip(tied, left, strict=True) if not value > _DECIDES * best]
+    return good[0], good[1:]
+
+
+def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
+    """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
+    at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
+    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.quiet, 1.0)))))

@@ -9,12 +9,12 @@ import numpy as np
 
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..logs.run import UNITS
 from ..weak.data import channel_noise
 from .findings import Excited, Finding
-from .kinematics import Array
 
 _EXCITED = 3.0  # rms over noise below which a motion says nothing
 _TENTH = 0.1

@@ -13,11 +13,12 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Mapping, Run
 from .command_mistakes import other_units
 from .dynamics import rederived
-from .kinematics import Array, Kinematics
+from .kinematics import Kinematics
 from .mending import Edits, column_edit
 from .mistake import SETTINGS, Mistake, Settings, scaling
 from .reading_mistakes import RATES, reading_mistakes

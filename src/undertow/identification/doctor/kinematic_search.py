@@ -9,10 +9,11 @@ from itertools import combinations
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from .kinematics import Kinematics, Mismatch
-from .mistake import SETTINGS, Array, Mistake, both
+from .mistake import SETTINGS, Mistake, both
 from .units import UNITS_OF_MOTION
 
 # A mismatch below this share of the motion is left to the effects that describe real sensors.

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..logs.frames import to_body
@@ -20,7 +20,6 @@ from ..logs.run import POSE, VELOCITY
 from ..weak.noise import white_noise
 from ..weak.testfunctions import TestFunctions, knot_spacing, test_functions
 
-Array = NDArray[np.float64]
 BLOCKS = (("x", "y"), ("z",), ("phi",), ("theta",), ("psi",))
 """Pose rates that are judged together: a mistake in a frame turns north into east."""
 # More samples would only cost time.

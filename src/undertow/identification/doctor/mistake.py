@@ -7,14 +7,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
+from undertow.typing import Array
 
 from ..logs import Mapping as LogMapping
 from ..logs import Run
 from .mending import Edits, edited
 
-Array = NDArray[np.float64]
 Channels = dict[str, Array]
 Undo = Callable[[Run], Run]
 

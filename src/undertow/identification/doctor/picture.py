@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs.run import UNITS
 from ..report.style import AFTER, BEFORE, FAINT, figure, look, plain
 from .examine import Examined
 from .findings import percent
-from .kinematics import Array, Kinematics
+from .kinematics import Kinematics
 
 _MOST = 1500
 _HEIGHT = 2.5

@@ -10,11 +10,13 @@ from itertools import product
 
 import numpy as np
 
+from undertow.typing import Array
+
 from ..logs import Mapping as LogMapping
 from ..logs import Run, frames
 from ..logs.run import POSE, VELOCITY
 from .mending import Edit, Edits, attitude_of, column_edit, column_of, frames_edits, reassigned
-from .mistake import Array, Channels, Mistake, Undo, scaling, turning, with_channels
+from .mistake import Channels, Mistake, Undo, scaling, turning, with_channels
 from .units import other_units_of_motion
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")

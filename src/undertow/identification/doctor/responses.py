@@ -18,12 +18,13 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
-from ..weak.drive import Chain
+from ..weak.drive import ActuatorStates
 from ..weak.held import without_gaps
 from ..weak.testfunctions import TestFunctions, knot_spacing, test_functions
-from .kinematics import Array, liveliest
+from .kinematics import liveliest
 from .mistake import Settings
 from .sensors import clustered_least_squares
 
@@ -91,7 +92,7 @@ class Responses:
         self._functions = Functions(vehicle)
         self._p = np.array(self._functions.values(), dtype=float)
         self._mass = _mass_matrix(self._functions, self._p)
-        self._chain = Chain(self._functions, ())
+        self._chain = ActuatorStates(self._functions, ())
 
     def of(self, runs: Sequence[Run]) -> list[Response]:
         """Responses of every motion whose inertia is known to every command and to all together."""

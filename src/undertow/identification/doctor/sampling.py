@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from undertow.typing import Array
+
 from ..logs import Mapping, Run
 from .findings import Finding
-from .kinematics import Array
 from .mending import Edit, as_toml, column_edit
 
 _JITTER = 0.05

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from undertow.typing import Array
+
 from ..logs import Run
 from ..logs.run import VELOCITY
-from .kinematics import Array, Kinematics, Mismatch, Rates, Samples, Stretch
+from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch
 from .mistake import SETTINGS
 
 # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from .dynamic_search import Explanation
 from .dynamics import Gain
 from .findings import Finding, percent
 from .kinematic_search import Explained, inconsistent
-from .kinematics import Array, Kinematics
+from .kinematics import Kinematics
 from .mistake import Mistake
 from .model_mistakes import LostSign, OtherMass
 from .units import POSITIONS, UNITS_OF_MOTION

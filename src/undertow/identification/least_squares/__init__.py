@@ -4,9 +4,8 @@ A baseline: filtering the motion and not the force biases the estimates (`undert
 """
 
 from .cases import CASES, Case, Smoother, chosen_cases
-from .chain import Estimation, Experiment, estimate, experiments
+from .chain import RULE, Estimation, Experiment, estimate, experiments, selected
 from .chosen import Chosen, chosen
-from .selection import RULE, selected
 
 __all__ = [
     "CASES",

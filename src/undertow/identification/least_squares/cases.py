@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 Edges = Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"]
 
 

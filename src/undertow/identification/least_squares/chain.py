@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..base_parameters import base_parameters, undetermined
 from ..doctor import refuse_impossible
@@ -19,7 +19,6 @@ from .axis import Axis, axis_of, moving
 from .cases import Case, Edges
 from .rows import Regression
 
-Array = NDArray[np.float64]
 # Condition number of the scaled regressor from which rounding alone decides the estimates.
 _CONDITION = 1e7
 
@@ -234,3 +233,12 @@ def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) ->
 def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:
     declared = axis.vehicle.declared_parameters
     return tuple(n for n, v in values.items() if not declared[n].bounds[0] <= v <= declared[n].bounds[1])
+
+
+# --- which estimate is taken ----------------------------------------------------------------------
+RULE = "of the cases whose estimates are all physical, the one with the least residual variance"
+
+
+def selected(found: Sequence[Estimation]) -> Estimation | None:
+    """The estimate that `RULE` takes; None where no case is physical."""
+    return min((e for e in found if e.valid), key=lambda e: e.residual_variance, default=None)

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..weak.estimated import estimated
 from .axis import Axis
 from .chain import Estimation, Experiment
 
-Array = NDArray[np.float64]
 # Standard deviations between two estimates of one parameter from which they contradict each other.
 _APART = 3.0
 

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.compiler import compiled_or_virtual
 from undertow.codegen.functions import Functions
 from undertow.codegen.gram import CompiledRows, RowSource, Sums, VirtualRows, layout
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 Samples = Mapping[str, Array]
 PLAIN = 300.0
 """Condition number of the scaled regressor up to which normal equations are good to 1e-10."""

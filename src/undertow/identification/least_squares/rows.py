@@ -7,10 +7,10 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from ..logs import Run
 from ..triangle import Triangle
@@ -19,7 +19,6 @@ from .axis import Axis, known_states
 from .cases import Case, Edges
 from .linear_fit import LinearFit
 
-Array = NDArray[np.float64]
 # Share of the sampling interval by which the clock may waver for a filter that counts samples.
 _EVEN = 0.02
 

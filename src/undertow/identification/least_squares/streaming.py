@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from ..doctor import refuse_impossible
 from ..logs import Run
@@ -16,7 +17,6 @@ from ..triangle import Triangle
 from .cases import Case, Edges
 from .chain import Estimation, Experiment, estimated_by, experiments
 
-Report = Callable[[float, str], None]
 ROWS = 50_000
 """Rows that are in memory at a time."""
 
@@ -27,7 +27,7 @@ def estimate_streaming(
     cases: Sequence[Case],
     edges: Edges = "interp",
     rows: int = ROWS,
-    progress: Report = lambda done, words: None,
+    progress: Progress = lambda done, words: None,
     *,
     trust_log: bool = False,
 ) -> list[tuple[Experiment, list[Estimation]]]:
@@ -83,7 +83,7 @@ def _refuse_clock(experiment: Experiment) -> None:
         )
 
 
-def _outlined(log: LongLog, rows: int, progress: Report) -> Run:
+def _outlined(log: LongLog, rows: int, progress: Progress) -> Run:
     progress(0.0, f"looking through {log.path.name}")
     parts = (part.run for part in log.parts(rows, 0))
     first = next(parts, None)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
-
-Array = NDArray[np.float64]
+from undertow.typing import Array
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 Channels = dict[str, Array]
 
 _LINEAR, _ANGLES = ("u", "v", "w"), ("phi", "theta", "psi")

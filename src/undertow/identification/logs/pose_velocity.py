@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.checks import Array
 from undertow.identification.logs.frames import to_body
 from undertow.identification.logs.run import POSE, UNITS, VELOCITY, Run
 from undertow.identification.logs.tracks import LOST, Track, track
+from undertow.typing import Array
 
 _DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _FEWEST = 10  # samples of a pose channel

@@ -15,7 +15,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
 
 ORDER = 3  # position, velocity, acceleration
 _DIFFUSE = 1e10  # variance of the state before the first sample, in squared standard deviations of the noise

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.identification.logs.smoother import ORDER, Array, Lanes, States, most_likely_ratio, smooth
+from undertow.identification.logs.smoother import ORDER, Lanes, States, most_likely_ratio, smooth
+from undertow.typing import Array, Flags
 
 LOST = 0.5  # s; a longer time without a sample is lost tracking, and what happened in it is unknown
 _LOST_STEPS = 4.0  # ... or this many usual steps, for slow logs
@@ -23,7 +24,6 @@ _UNCERTAIN = 10.0  # times the median standard deviation: such a rate is as good
 _NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 Stretch = tuple[int, int]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

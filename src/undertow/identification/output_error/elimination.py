@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.gauss_newton import Products
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 # Keeps a start bounded in directions that its window does not show, relative to those that it shows.
 _HOLD = 1e-12
 

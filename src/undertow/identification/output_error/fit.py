@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
 
 from ..compare.cutting import cut
 from ..weak.constraints import Constraints
@@ -17,11 +17,8 @@ from ..weak.data import prepare
 from ..weak.fit import fit_weak, free_parameters
 from ..weak.residual import WeakModel
 from ..weak.step import bounds_of, physical
-from .descent import Descent, OutputErrorFit
-from .losses import LOSSES, LossName
+from .descent import LOSSES, Descent, LossName, OutputErrorFit
 
-Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 HORIZON = 5.0
 _PLAIN = Constraints()
 
@@ -36,7 +33,7 @@ def fit_output_error(
     compiled: bool | None = None,
     constraints: Constraints = _PLAIN,
     loss: LossName = "gaussian",
-    progress: Report = lambda done, words: None,
+    progress: Progress = lambda done, words: None,
 ) -> OutputErrorFit:
     """Fit the free parameters of a vehicle to several logs at once by the error of their simulation.
 

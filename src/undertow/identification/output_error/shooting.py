@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.codegen.gauss_newton import Products, products_of
+from undertow.typing import Array
 
 from ..compare.cutting import Windows
 from ..compare.drive import Drive
-from ..compare.late import reported_late
-from ..compare.predictor import Predictor
+from ..compare.predictor import Predictor, reported_late
 from ..weak.mapping import mapped
 from .elimination import Reduced, eliminated
 
-Array = NDArray[np.float64]
 # First part of a window, s, to which its start is fitted before twice as much is taken; and steps for each.
 _OPENING = 1.0
 _START_STEPS = 3

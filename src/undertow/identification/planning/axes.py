@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from undertow.codegen.functions import Functions
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 # A pure motion counts as possible when what is left of the wrench is this share of it.
 _PURE = 1e-6
 _TRIM_ROUNDS = 8

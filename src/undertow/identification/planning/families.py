@@ -6,14 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .axes import Axis, actuator_axes, motion_axes
 from .shapes import REVERSAL, SHAPES, STEADY, STEPS, Shape
 
-Array = NDArray[np.float64]
 _ENDS = 2.0
 _SHARE_OF_ENDS = 0.1
 _AHEAD = ("surge",)

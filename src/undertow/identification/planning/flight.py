@@ -14,17 +14,19 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..compare.drive import late_by
 from ..compare.predictor import Predictor
 from ..logs import Run
 from ..weak.data import WeakData, prepare
+from ..weak.step import inverse_of
 from .axes import Axis
 from .families import Design
+from .information import Knowledge
 from .limits import MotionLimits, exceeded
 from .noise import ChannelNoise
 
-Array = NDArray[np.float64]
 # Shares of the excitation that are tried, largest first.
 _SHARES = np.array([0.85, 0.7, 0.55, 0.4, 0.28, 0.18, 0.1])
 _REACHES = np.array([1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03, 0.02, 0.01])
@@ -276,3 +278,38 @@ def refuse_samples(duration: float, rate: float) -> None:
             f"{duration:g} s at {rate:g} samples/s are {samples} samples: give a --duration and a --rate "
             f"that make 50 to {_MOST_SAMPLES}"
         )
+
+
+# --- how far off the predicted depth may be -------------------------------------------------------
+# What a value without a stated error may be off by, as a share of it.
+_LOOSE = 0.3
+# Step of the differences, as a share of a parameter's size.
+_STEP = 1e-2
+
+
+def depth_spread(space: Airspace, plant: Plant, known: Knowledge, flight: Flight) -> float | None:
+    """Two standard deviations of the largest error of the predicted depth, m; None without a depth.
+
+    A parameter without a stated error counts as known to 30 %.
+    """
+    if "z" not in space.names or not known.free:
+        return None
+    stated = known.prior + known.logs
+    silent = np.diag(stated) <= 0
+    covariance = inverse_of(stated + np.diag(silent * (_LOOSE * known.scale) ** -2.0))
+    table = np.array(
+        [_slope(space, plant, flight, n, s) for n, s in zip(known.free, known.scale, strict=True)]
+    )
+    variance = np.einsum("it,ij,jt->t", table, covariance, table)
+    return float(2 * np.sqrt(np.max(np.nan_to_num(variance, nan=0.0))))
+
+
+def _slope(space: Airspace, plant: Plant, flight: Flight, name: str, scale: float) -> Array:
+    """Derivative of the depth along a flight, shape (n,)."""
+    place, column = plant.functions.parameter_names.index(name), space.names.index("z")
+    ends = []
+    for sign in (1.0, -1.0):
+        p = plant.p.copy()
+        p[place] += sign * _STEP * scale
+        ends.append(space.predicted(plant, flight.t, [flight.u], p)[0][:, column])
+    return np.asarray((ends[0] - ends[1]) / (2 * _STEP * scale))

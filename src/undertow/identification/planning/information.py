@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..weak.data import WeakData, prepare
@@ -17,7 +17,6 @@ from ..weak.fit import WeakFit, fit_weak
 from ..weak.residual import WeakModel, whitened
 from ..weak.step import inverse_of, prior_of
 
-Array = NDArray[np.float64]
 # A parameter of which nothing is known may be off by this many times its size.
 _VAGUE = 100.0
 # It counts as unknown as long as its standard error is a good part of that.

@@ -6,16 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..logs.run import UNITS
 from ..weak.data import channel_noise
 
-Array = NDArray[np.float64]
 ASSUMED = {"m": 0.02, "rad": 0.01, "m/s": 0.01, "rad/s": 0.005}
 """Standard deviation by unit where nothing is known: a small vehicle with DVL, gyro and acoustic position."""
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow import __version__
 from undertow.errors import UndertowError
@@ -18,15 +17,12 @@ from ..logs import Run
 from ..weak.fit import free_parameters
 from ..weak.residual import WeakModel
 from .families import Design
-from .flight import Flight, Plant
+from .flight import Flight, Plant, depth_spread
 from .information import Knowledge, gram_along, knowledge, log_determinant, remarks_on
 from .result import Plan
 from .search import Search, search
 from .setting import Ground, Request
-from .spread import depth_spread
 from .telling import channels_of, commands_of, extremes_of, finite, safety_remarks, table_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

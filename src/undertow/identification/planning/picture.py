@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from ..report.style import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
 from .parameters import Planned
 from .result import Known, Plan
 from .separate import SEPARATED
 
-Array = NDArray[np.float64]
 # Lines that stand side by side, told apart by colour and by dashes.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", INK, FAINT)
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.5, 1)), (0, (5, 1, 1, 1)))

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, lookup
@@ -24,7 +23,6 @@ from .flight import Airspace, Plant
 from .information import Knowledge, knowledge_of, stated
 from .sizes import typical_values
 
-Array = NDArray[np.float64]
 NONE = "none"
 """Stands for the model as it is."""
 AND = "+"

@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array, Progress
 
 from .families import Design, Family
 
-Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 Judge = Callable[[Design], float]
 # Share of the tries spent on looking around.
 _EXPLORING = 0.45
@@ -45,7 +44,11 @@ class Search:
 
 
 def search(
-    families: Sequence[Family], judge: Judge, tries: int, seed: int, report: Report = lambda done, words: None
+    families: Sequence[Family],
+    judge: Judge,
+    tries: int,
+    seed: int,
+    report: Progress = lambda done, words: None,
 ) -> Search:
     """Find a manoeuvre of high value.
 
@@ -66,7 +69,7 @@ def search(
 
 
 class _Searching:
-    def __init__(self, judge: Judge, tries: int, rng: np.random.Generator, report: Report) -> None:
+    def __init__(self, judge: Judge, tries: int, rng: np.random.Generator, report: Progress) -> None:
         self._judge, self._tries, self._rng, self._report = judge, tries, rng, report
         self.found = Search()
         self._leaders: dict[str, tuple[float, Design]] = {}

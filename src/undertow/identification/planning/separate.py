@@ -6,28 +6,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..doctor import refuse_impossible
 from ..logs import Run
 from .families import Design
-from .flight import Flight, Plant
+from .flight import Flight, Plant, depth_spread
 from .parameters import Planned
 from .result import Plan, Rival, Separation
 from .rivals import RivalModel, RivalSpec, rival_models
 from .search import Search, search
 from .separation import Separations
 from .setting import Ground, Request
-from .spread import depth_spread
 from .telling import channels_of, commands_of, extremes_of, finite, parameter_of, safety_remarks
 
-Array = NDArray[np.float64]
 # Models nearer than this are the same for whoever flies the manoeuvre.
 SEPARATED = 3.0
 # Thorough refits add about as many calls as searching makes.

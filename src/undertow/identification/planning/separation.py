@@ -7,9 +7,9 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..logs import Run
 from ..weak.data import WeakData, prepare
@@ -19,7 +19,6 @@ from ..weak.step import bounded_step, bounds_of, prior_of
 from .flight import Airspace, Flight
 from .rivals import RivalModel
 
-Array = NDArray[np.float64]
 _ROUNDS = 6
 _SHARES = (1.0, 0.5, 0.2)
 # A fall of the sum of squares that changes no judgement.

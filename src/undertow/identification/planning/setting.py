@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from ..logs import Run
 from .axes import Trim, trim
@@ -18,9 +18,7 @@ from .families import Family, every_axis, families
 from .flight import Airspace, Flight, Plant, refuse_samples
 from .limits import CommandLimits, MotionLimits, command_limits
 from .noise import ChannelNoise, planned_noise
-from .search import Report
 
-Array = NDArray[np.float64]
 # Work that a search takes by default, in seconds of a usual machine: the number of manoeuvres follows from
 # the sizes alone, so that it is the same everywhere.
 _SECONDS, _PER_CALL, _PER_NUMBER = 9.0, 6e-3, 8e-8
@@ -64,7 +62,7 @@ class Request:
     seed: int = 0
     tries: int | None = None
     compiled: bool | None = None
-    report: Report = lambda done, words: None
+    report: Progress = lambda done, words: None
 
 
 class Ground:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 _LEVELS = 8
 _BITS = 24
 _HARMONICS = np.array([1, 2, 3, 5, 8, 13])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.model.parameter import Parameter
+from undertow.typing import Array
 
 from ..diagnosis.candidates import Candidate
 from .axes import allocation
@@ -17,7 +18,6 @@ from .families import Design, Family
 from .flight import Airspace, Flight, Plant
 from .shapes import MULTISINE
 
-Array = NDArray[np.float64]
 # An effect of typical size makes this share of the force of the actuators, or of the velocities.
 TYPICAL = 0.1
 _UNFELT = 0.1

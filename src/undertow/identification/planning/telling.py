@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .flight import Flight
 from .information import Knowledge
@@ -16,7 +16,6 @@ from .limits import extremes
 from .result import Channel, Command, Known
 from .setting import Ground
 
-Array = NDArray[np.float64]
 # A standard error above this share of the value is nothing to build on.
 _BADLY = 0.3
 _SMALL = 0.3

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.typing import Array
+
 from ..weak.step import inverse_of
 from .linear import LinearWindows
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

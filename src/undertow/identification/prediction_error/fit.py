@@ -8,31 +8,28 @@ channels, are estimated with the parameters, by their likelihood.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
 
 from ..compare.cutting import Windows, cut_by_samples
 from ..output_error.descent import channel_weights
 from ..output_error.fit import started, weak_start
 from ..weak.constraints import Constraints
-from ..weak.enough import require_rows
 from ..weak.fit import free_parameters
 from ..weak.residual import Linearised, WeakModel
-from ..weak.solution import Solution, clustered
+from ..weak.solution import Solution, clustered, require_rows
 from ..weak.step import bounds_of, limited_step, prior_cost, prior_of
 from .filtering import Filtered, Noise, Smoothed, filtered, smoothed
 from .linear import Chained, LinearWindows
 
-Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 # Sampling intervals in a window: the disturbance acts between windows.
 _INTERVALS = 2
 _MOST_SAMPLES = 60_000
@@ -152,7 +149,7 @@ def fit_prediction_error(
     start: Mapping[str, float] | None = None,
     compiled: bool | None = None,
     constraints: Constraints = _PLAIN,
-    progress: Report = lambda done, words: None,
+    progress: Progress = lambda done, words: None,
 ) -> PredictionErrorFit:
     """Fit the free parameters of a vehicle that a disturbance pushes, by the errors of its predictions.
 
@@ -220,7 +217,7 @@ class _State:
 class _Search:
     """Gauss-Newton on parameters and starts together; the noise is matched to what each step leaves."""
 
-    def __init__(self, model: WeakModel, chained: Chained, progress: Report) -> None:
+    def __init__(self, model: WeakModel, chained: Chained, progress: Progress) -> None:
         self.model, self._chained, self._progress = model, chained, progress
         self._bounds, self._prior = bounds_of(model), prior_of(model)
         windows = chained.windows

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.typing import Array
 
 from ..compare.cutting import Windows
 from ..output_error.shooting import Shooting
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

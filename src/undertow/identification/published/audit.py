@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from itertools import combinations
 
-from .tables import Appendix, Table
+from .tables import Appendix, PublishedTable
 
 KINDS = {
     "repeated": "two cases that were filtered differently have the same numbers",
@@ -64,14 +64,14 @@ def _each(tables: Appendix) -> Iterator[Remark]:
         yield from _invalid(table, tables.body[table.quantities[0]])
 
 
-def _repeated(table: Table) -> Iterator[Remark]:
+def _repeated(table: PublishedTable) -> Iterator[Remark]:
     for first, second in combinations(table.cases, 2):
         if table.cells(first) == table.cells(second):
             text = f"all {len(table.cells(first))} numbers of case {second} are those of case {first}"
             yield Remark("repeated", f"{table.name}, cases {first} and {second}", text)
 
 
-def _signs(table: Table, tables: Appendix) -> Iterator[Remark]:
+def _signs(table: PublishedTable, tables: Appendix) -> Iterator[Remark]:
     for quantity in table.quantities[1:] if table.adopted else ():
         printed = table.printed[quantity][table.selected]
         taken = tables.adopted[table.adopted][quantity]  # type: ignore[index]
@@ -82,7 +82,7 @@ def _signs(table: Table, tables: Appendix) -> Iterator[Remark]:
             )
 
 
-def _outliers(table: Table) -> Iterator[Remark]:
+def _outliers(table: PublishedTable) -> Iterator[Remark]:
     for quantity in table.quantities:
         for first, second, third in FAMILIES:
             trend = 2 * table.value(quantity, second) - table.value(quantity, first)
@@ -96,7 +96,7 @@ def _outliers(table: Table) -> Iterator[Remark]:
                 yield Remark("outlier", f"{table.name}, case {third}, {quantity}", text)
 
 
-def _selection(table: Table) -> Iterator[Remark]:
+def _selection(table: PublishedTable) -> Iterator[Remark]:
     least = min(table.cases, key=lambda case: table.value("variance", case))
     if least != table.selected:
         text = (
@@ -106,7 +106,7 @@ def _selection(table: Table) -> Iterator[Remark]:
         yield Remark("selection", f"{table.name}, case {table.selected}", text)
 
 
-def _insignificant(table: Table) -> Iterator[Remark]:
+def _insignificant(table: PublishedTable) -> Iterator[Remark]:
     for quantity in table.quantities if table.adopted else ():
         value, spread = (table.value(q, table.selected) for q in (quantity, f"sd_{quantity}"))
         if abs(value) < _SURE * spread:
@@ -114,7 +114,7 @@ def _insignificant(table: Table) -> Iterator[Remark]:
             yield Remark("insignificant", f"{table.name}, case {table.selected}, {quantity}", text)
 
 
-def _invalid(table: Table, body: float) -> Iterator[Remark]:
+def _invalid(table: PublishedTable, body: float) -> Iterator[Remark]:
     bad = [case for case in table.cases if not table.physical(case, body)]
     if bad:
         text = f"{len(bad)} of {len(table.cases)} cases as printed: {', '.join(bad)}"

@@ -20,7 +20,7 @@ _FREE_SIGN = ("Z_g",)
 
 
 @dataclass(frozen=True)
-class Table:
+class PublishedTable:
     """One table: a column for each case.
 
     Attributes
@@ -81,7 +81,7 @@ class Appendix:
 
     Attributes
     ----------
-    tables : tuple of Table
+    tables : tuple of PublishedTable
         In their order.
     body : mapping
         What is known of the body: its own part of each inertia, kg or kg m^2; volume, m^3; water density,
@@ -90,7 +90,7 @@ class Appendix:
         What the paper took over into Table 4, as printed: added inertia, damping, force by direction.
     """
 
-    tables: tuple[Table, ...]
+    tables: tuple[PublishedTable, ...]
     body: Mapping[str, float]
     adopted: Adopted
 
@@ -105,8 +105,8 @@ def appendix() -> Appendix:
     return Appendix(tables, meta["body"], meta["adopted"])
 
 
-def _table(name: str, about: Mapping[str, Any], printed: Mapping[str, Mapping[str, str]]) -> Table:
-    return Table(
+def _table(name: str, about: Mapping[str, Any], printed: Mapping[str, Mapping[str, str]]) -> PublishedTable:
+    return PublishedTable(
         name,
         about["motion"],
         about["direction"],

@@ -10,8 +10,10 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from undertow.typing import Array
+
 from ..diagnosis.result import Ranked, Step
-from .data import Array, Budget, ErrorMap, ResidualCurve, RunTraces, Trace
+from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 from .style import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
 
 _MOST_CANDIDATES = 12

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from .reading import read_diagnosis
-from .suggestion import Suggestion, example, suggested
+from .suggestion import Suggestion, check_id, example, read_diagnosis, suggested
 from .text import effect_file
-from .words import check_id
 
 __all__ = ["Suggestion", "check_id", "effect_file", "example", "read_diagnosis", "suggested"]

@@ -12,8 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
 
 from ..diagnosis.associations.terms import WAVE, command_of, plain_of
-from .suggestion import Coefficient, Suggestion
-from .words import class_name, identifier, literal, plain
+from .suggestion import Coefficient, Suggestion, class_name, identifier, literal, plain
 
 _WIDTH = 100
 _USED = {"s", "sm", "self", "t", *POSE, *VELOCITY, *DOFS}

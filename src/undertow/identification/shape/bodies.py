@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import elliprd
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .matrices import transformation
 
-Array = NDArray[np.float64]
 _LAMB = "Lamb (1932), Hydrodynamics, chapter V (ellipsoids)"
 #: Length over diameter from which strip theory counts for a cylinder across the flow.
 _SLENDER = 5.0

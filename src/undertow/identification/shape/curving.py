@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .mesh import Faces, Mesh
 from .refining import base_mesh, bisected, each_edge, quartered, subdivided
 
-Array = NDArray[np.float64]
 #: Angle in degrees below which the bend at an edge is taken for a coarsely drawn curve.
 CREASE = 30.0
 _FINE_ENOUGH = 8000

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .mesh import Mesh
 from .refining import bisected
 
-Array = NDArray[np.float64]
 _HOERNER = "Hoerner (1965), Fluid-Dynamic Drag, chapter 3"
 # Friction coefficient of a turbulent boundary layer on a hull of this size; only turning hulls get it, the
 # coefficients of silhouettes have it in them.

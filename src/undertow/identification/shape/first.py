@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import tomlkit
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from undertow.errors import UndertowError
@@ -19,13 +18,13 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import vehicle_from_table
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.model.vehicle_schema import VehicleTable
+from undertow.typing import Array
 
 from .bodies import AddedMass
 from .drag import Drag, drag_of_hull
 from .mesh import Mesh
 from .priors import coupled, derivative, entry, sigma_of
 
-Array = NDArray[np.float64]
 GRAVITY = 9.81
 _WIDTH = 110
 # What the volume of a drawing misses of a real vehicle: hollows, cables, foam that is compressed.
@@ -87,7 +86,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Table:
+class EffectTable:
     """One effect of the file."""
 
     id: str
@@ -174,23 +173,23 @@ def _size(mesh: Mesh) -> str:
 
 
 # --- effects --------------------------------------------------------------------------------------
-def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[Table]:
+def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[EffectTable]:
     turns = len(wish.own) > 1
-    yield Table("rigid_body", list(_rigid_body(mesh, wish)))
+    yield EffectTable("rigid_body", list(_rigid_body(mesh, wish)))
     if turns:
-        yield Table("rigid_body_coriolis", [])
+        yield EffectTable("rigid_body_coriolis", [])
     if wish.volume is not None:
-        yield Table("entrained_water", list(_water(mesh, wish, wish.volume)))
+        yield EffectTable("entrained_water", list(_water(mesh, wish, wish.volume)))
     told = tuple(textwrap.wrap(_plain(f"Limits: {added.limits}."), _WIDTH))
-    yield Table("added_mass", list(_added_mass(added, wish)), told)
-    yield Table("added_mass_coupling", list(_couplings(added, wish)))
+    yield EffectTable("added_mass", list(_added_mass(added, wish)), told)
+    yield EffectTable("added_mass_coupling", list(_couplings(added, wish)))
     if turns:
-        yield Table("added_mass_coriolis", [])
-    yield Table("linear_damping", list(_linear_drag(mesh, drag, wish)))
-    yield Table("quadratic_damping", list(_quadratic_drag(drag, wish)))
+        yield EffectTable("added_mass_coriolis", [])
+    yield EffectTable("linear_damping", list(_linear_drag(mesh, drag, wish)))
+    yield EffectTable("quadratic_damping", list(_quadratic_drag(drag, wish)))
     if {"heave", "roll", "pitch"} & set(wish.degrees_of_freedom):
         told = ("Weight and centre of gravity are those of rigid_body.",)
-        yield Table("restoring", list(_restoring(mesh, wish)), told)
+        yield EffectTable("restoring", list(_restoring(mesh, wish)), told)
 
 
 def _rigid_body(mesh: Mesh, wish: Wish) -> Iterator[str]:

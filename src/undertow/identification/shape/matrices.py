@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from undertow.errors import UndertowError
-
-Array = NDArray[np.float64]
+from undertow.typing import Array
 
 
 def turned(matrix: Array, rotation: ArrayLike) -> Array:

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from undertow.typing import Array
+
 Faces = NDArray[np.int64]
 _STATIONS = 100
 

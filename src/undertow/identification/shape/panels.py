@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
+from undertow.typing import Array, Progress
 
 from .bodies import AddedMass
 from .capytaine import quiet_capytaine
@@ -17,8 +18,6 @@ from .curving import CREASE, panels
 from .matrices import transformation, turned
 from .mesh import Mesh
 
-Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 #: Panels of the finest of three meshes: some seconds, 0.5 GB.
 PANELS = 3200
 _FEWEST, _MOST = 320, 12_000
@@ -90,7 +89,7 @@ def added_mass_of_hull(
     omegas: Sequence[float] = (),
     finest: int = PANELS,
     crease: float = CREASE,
-    report: Report = lambda done, words: None,
+    report: Progress = lambda done, words: None,
 ) -> PanelResult:
     """Added mass of a hull by panels of three sizes, extrapolated to endlessly small ones.
 

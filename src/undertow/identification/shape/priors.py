@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.effects.added_mass import AddedMass as AddedMassEffect
 from undertow.model.effects.added_mass_coupling import AddedMassCoupling
 from undertow.model.effects.linear_damping import LinearDamping
 from undertow.model.symbols import FORCE, VELOCITY
 from undertow.model.vehicle import Value, Vehicle
+from undertow.typing import Array
 
 from .bodies import AddedMass
 from .panels import Radiation
 
-Array = NDArray[np.float64]
 #: What potential flow and an ideal shape leave open, as a share of the added mass.
 FLOOR = 0.10
 # What waves at one frequency say of linear damping at all others, as a share.

@@ -11,16 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.units import to_si
+from undertow.typing import Array
 
 from .capytaine import INSTALL
 from .mending import mended
 from .mesh import Faces, Mesh
 
-Array = NDArray[np.float64]
 _LARGEST_FILE = 300_000_000
 _MOST_TRIANGLES = 1_000_000
 _LONGEST, _SHORTEST = 100.0, 0.01

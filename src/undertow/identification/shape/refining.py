@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .capytaine import INSTALL
 from .mending import edges_of, mended
 from .mesh import Faces, Mesh
 
-Array = NDArray[np.float64]
 # Part of the triangles wanted to which a hull is simplified: cutting the longest edges then evens them out.
 _PART = 0.33
 

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
+
+from undertow.typing import Array
 
 from .mapping import call, mapped
 
-Array = NDArray[np.float64]
 _SUBSTEPS = 4
 At = Callable[[ca.SX, float], ca.SX]
 

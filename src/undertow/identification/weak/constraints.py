@@ -7,18 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .estimated import estimated
 from .residual import WeakModel
 from .step import at_bounds, bounds_of, check_known_leaders, physical
 
-Array = NDArray[np.float64]
 _NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 _EQUALITY = re.compile(rf"\s*(\w+)\s*=\s*(?:({_NUMBER})(?:\s*\*\s*|\s+))?([A-Za-z]\w*)\s*")
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, dia_array, tril
+
+from undertow.typing import Array, Index
 
 from .entries import Entries
 from .sums import products
-from .testfunctions import TestFunctions, meeting
-from .windows import Windows
+from .testfunctions import TestFunctions, Windows, meeting
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 # What rows feel is laid out for as many windows at a time as fit in this.
 _BYTES = 32_000_000
 

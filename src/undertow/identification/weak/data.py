@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .noise import white_noise
 from .polynomial import smooth_rate
 from .testfunctions import TestFunctions, boxes, knot_spacing, test_functions
 
-Array = NDArray[np.float64]
 Family = Callable[[Array, float], TestFunctions | None]
 # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
 _WIDER_FOR_DERIVED = 2.0

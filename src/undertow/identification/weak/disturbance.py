@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from .data import WeakData
 from .noise import Whitening
@@ -14,7 +15,6 @@ from .residual import Linearised, WeakModel, whitened
 if TYPE_CHECKING:
     from .fit import WeakFit
 
-Array = NDArray[np.float64]
 _MATCHING_STEPS = 4
 # Largest mean square of an equation that still counts as noise of the channels.
 _NOISE_EXPLAINS = 1.6

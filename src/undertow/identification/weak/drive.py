@@ -9,16 +9,14 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .carried import Carried, Inputs
 from .held import change, share_of_step, shift_rate, shifted_mean
 from .mapping import mapped
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Actuated(Driven):
         return cls(now.value, now.slope, now.start, before)
 
 
-class Chain:
+class ActuatorStates:
     """Actuation along the logged commands: mean output over each sampling interval.
 
     Parameters

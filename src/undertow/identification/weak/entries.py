@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from undertow.typing import Array, Index
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .constraints import Constraints
 from .data import WeakData
@@ -21,7 +21,6 @@ from .residual import Linearised, WeakModel, whitened
 from .solution import Solution, clustered
 from .step import bounds_of, limited_step, physical, prior_cost, prior_of, reach_of, within_reach
 
-Array = NDArray[np.float64]
 _MAX_ITERATIONS = 15
 # A step that promises less than this in chi-square cannot change any judgement.
 _ENOUGH = 0.01

@@ -15,23 +15,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from ..compare.cutting import Windows, cut
 from ..compare.predictor import Predictor
 from .constraints import Constraints
 from .data import Segment, WeakData, prepare
 from .disturbance import disturbed
-from .enough import require_equations
 from .fit import WeakFit, fit_weak, free_parameters
 from .residual import Linearised, WeakModel, whitened
+from .solution import require_equations
 from .step import bounds_of, limited_step, prior_of
 
-Array = NDArray[np.float64]
 _MAX_ITERATIONS = 25
 # Length of a step, in standard deviations, with which a search ends.
 _ENOUGH = 1e-3

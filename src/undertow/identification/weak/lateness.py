@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.typing import Array, Index
 
 from .data import Segment
 
 if TYPE_CHECKING:
     from .residual import Linearised
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 # Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
 # noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1 up
 # to 0.15 of the sampling rate, with three it does not.

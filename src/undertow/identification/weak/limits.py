@@ -11,18 +11,17 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
+from undertow.model.effect import Wrench
+from undertow.typing import Array
 
 from .mapping import call
 
-Array = NDArray[np.float64]
 # Least eigenvalue of the mass matrix, as a share of the stated inertia of each motion.
 _LEAST_MASS = 1e-3
 # Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at it.
 ROUNDING, _AT_LIMIT = 1e-7, 1e-5
-_LINEAR_DAMPING = ("linear_damping", "linear_damping_coupling")
 
 
 @dataclass(frozen=True)
@@ -141,8 +140,10 @@ def _masses(functions: Functions) -> list[ca.SX]:
 def _linear_damping(functions: Functions) -> ca.SX | None:
     """Matrix of linear damping at a standstill; None for a vehicle without coupling between motions."""
     f = functions
-    parts = [f.wrenches[name] for name in _LINEAR_DAMPING if name in f.wrenches]
-    if _LINEAR_DAMPING[1] not in f.wrenches:
+    stating = {e.id: e.damping_matrix for e in f.vehicle.effects if isinstance(e, Wrench)}
+    # The diagonal first, whatever the order in the file: a sum of the same terms in the same order.
+    parts = [f.wrenches[i] for kind in ("diagonal", "coupling") for i, own in stating.items() if own == kind]
+    if "coupling" not in stating.values():
         return None
     damping = -ca.jacobian(sum(parts[1:], parts[0]), f.nu)
     around = ca.vertcat(f.eta, f.nu, f.memory, f.actuation, f.t)

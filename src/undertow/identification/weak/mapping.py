@@ -6,11 +6,10 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from undertow.codegen.blockwise import blockwise
+from undertow.codegen.tape import blockwise
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 # Making a map costs time in proportion to its length; one of this length serves segments of any length.
 _CHUNK = 128
 

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
+from undertow.typing import Array
+
 from .covariance import banded, banded_sum, unbanded
 from .sums import solved
 from .testfunctions import TestFunctions
 
-Array = NDArray[np.float64]
 _ORDERS = range(3, 9)
 _GAUSSIAN_MAD = 1.4826
 # Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.

@@ -6,14 +6,11 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from undertow.codegen.functions import Functions
-from undertow.codegen.solving import solve_symmetric
+from undertow.codegen.functions import Functions, solve_symmetric
+from undertow.typing import Array
 
 from .mapping import call
-
-Array = NDArray[np.float64]
 
 
 class Pointwise:

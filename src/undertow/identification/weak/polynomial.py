@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array, Index
 
 from .noise import white_noise
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 # Half-widths in samples of the fits that a rate is taken from, from narrow to wide.
 _WIDTHS = (3, 5, 8, 13, 20, 32)
 _DEGREE = 3

@@ -8,14 +8,14 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .covariance import residual_covariance
 from .data import DOUBT, Segment, WeakData
-from .drive import Actuated, Chain, Driven, Memory
+from .drive import Actuated, ActuatorStates, Driven, Memory
 from .entries import Entries
 from .held import without_gaps
 from .lateness import Lateness
@@ -26,7 +26,6 @@ from .pointwise import Pointwise
 from .sums import tested
 from .testfunctions import kink_delay, meeting
 
-Array = NDArray[np.float64]
 # Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
 _MOST_DIRECTIONS = 240
 
@@ -81,7 +80,7 @@ class WeakModel:
         self.functions, self._dissipative = functions, dissipative
         self.free = tuple(free)
         self.places = tuple(functions.parameter_names.index(n) for n in self.free)
-        self._chain = Chain(functions, self.places)
+        self._chain = ActuatorStates(functions, self.places)
         self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
         self._late = Lateness(functions, self.places)

@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.typing import Array
+
 from .data import Segment, WeakData
 from .lateness import lagrange
 
-Array = NDArray[np.float64]
 # Neighbours on each side that a sample is held against, by the cubic through them.
 _REACH = 2
 # Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
 from undertow.errors import UndertowError
 from undertow.model.parameter import Parameter
+from undertow.typing import Array
 
 from .limits import Cut
 from .residual import Linearised, WeakModel
 
-Array = NDArray[np.float64]
 # A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
 PRIOR_WIDTH = 5.0
 # Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.

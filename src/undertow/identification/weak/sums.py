@@ -9,18 +9,17 @@ from importlib.resources import files
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
 from undertow.codegen.cache import library_for
 from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.codegen.driver import loaded, pointer
 from undertow.codegen.source import EXPORTED, digest
+from undertow.typing import Array, Index
 
 from .entries import Entries
-from .windows import Index, Windows
+from .testfunctions import Windows
 
-Array = NDArray[np.float64]
 # Right-hand sides that go through an operation together.
 _SIDE = 8
 _NAMES = ("TESTED", "PRODUCTS", "SOLVED")

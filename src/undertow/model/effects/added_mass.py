@@ -18,6 +18,7 @@ class AddedMass(Wrench):
     family = "inertia"
     reference = "Fossen (2021), chapter 6 (hydrodynamic added mass); SNAME (1950) notation"
     signature = "accelerations are too large in one degree of freedom whenever the thrust changes"
+    scales_with = "inertia"
 
     coefficients = DerivativeMatrix(
         "{F}_{m}dot",

@@ -17,6 +17,7 @@ class AddedMassCoupling(Wrench):
     family = "inertia"
     reference = "Fossen (2021), chapter 6 (M_A symmetric with off-diagonal terms, C_A from the same matrix)"
     signature = "one motion answers, without delay, to the acceleration of another"
+    scales_with = "inertia"
 
     coefficients = DerivativeMatrix(
         "{F}_{m}dot",

@@ -28,6 +28,7 @@ class CrossflowDrag(Wrench):
         "Faltinsen (1990), Sea Loads on Ships and Offshore Structures, chapter 6 (cross-flow principle)"
     )
     signature = "sway drag grows when the vehicle turns, and sideways motion while turning gives a yaw moment"
+    scales_with = "drag"
     dissipative = True
 
     T_cross = Parameter("m", "drag coefficient times mean draught (height of the side)", (0, inf))

@@ -18,6 +18,7 @@ class CubicDamping(Wrench):
     family = "damping"
     reference = "Fossen (2021), chapter 6 (odd-order expansions of damping); Abkowitz (1964) series"
     signature = "drag grows faster than the square of the speed"
+    scales_with = "drag"
     dissipative = True
 
     coefficients = DerivativeMatrix(

@@ -16,6 +16,7 @@ class DragAsymmetry(Wrench):
     family = "damping"
     reference = "mini-AUV paper (2021), section 5.1 (separate coefficients for forward and backward motion)"
     signature = "the speed reached astern differs from the speed ahead at the same thrust"
+    scales_with = "drag"
 
     X_u_back = Parameter("N/(m/s)", "additional surge force per velocity, backward only")
     X_uabsu_back = Parameter(

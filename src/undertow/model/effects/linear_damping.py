@@ -18,6 +18,8 @@ class LinearDamping(Wrench):
     family = "damping"
     reference = "Fossen (2021), chapter 6 (linear viscous damping); SNAME (1950) notation"
     signature = "the vehicle coasts too long at low speed"
+    damping_matrix = "diagonal"
+    scales_with = "drag"
     dissipative = True
 
     coefficients = DerivativeMatrix(

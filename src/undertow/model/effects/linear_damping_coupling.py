@@ -16,6 +16,8 @@ class LinearDampingCoupling(Wrench):
     family = "damping"
     reference = "Fossen (2021), chapter 6 (linear damping matrix with coupling terms); SNAME (1950) notation"
     signature = "a yaw moment in pure sway, or a sway force in pure yaw, proportional to the rate"
+    damping_matrix = "coupling"
+    scales_with = "drag"
 
     coefficients = DerivativeMatrix(
         "{F}_{m}", ("m/s", "rad/s"), OFF_DIAGONAL, "{force} per {motion} velocity"

@@ -18,6 +18,7 @@ class QuadraticDamping(Wrench):
     family = "damping"
     reference = "Fossen (2021), chapter 6 (nonlinear viscous damping, |u|u terms); SNAME (1950) notation"
     signature = "the model is too fast at high speed and right at low speed"
+    scales_with = "drag"
     dissipative = True
 
     coefficients = DerivativeMatrix(

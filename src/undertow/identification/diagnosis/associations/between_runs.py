@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
+
+from undertow.typing import Array, Index
 
 from ...weak.step import inverse_of
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _FEWEST_BLOCKS = 4
 
 

@@ -8,15 +8,15 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
 from undertow.model.symbols import POSE
+from undertow.typing import Array
 
 from ...fitted import Fitted
 from ...weak.covariance import banded
 from ...weak.data import Segment, WeakData
-from ...weak.drive import Chain
+from ...weak.drive import ActuatorStates
 from ...weak.held import without_gaps
 from ...weak.lateness import Lateness
 from ...weak.mapping import mapped
@@ -25,7 +25,6 @@ from ...weak.pointwise import Pointwise
 from ...weak.residual import Linearised, whitened
 from .terms import Along, Column
 
-Array = NDArray[np.float64]
 # Mean square, in units of the noise, up to which there is no disturbance to be matched.
 _NOISE_EXPLAINS = 1.3
 _MATCHING_STEPS = 12
@@ -189,7 +188,7 @@ class ForceRows:
     @cached_property
     def _along(self) -> list[tuple[Segment, Along, Array]]:
         functions, p, data = self._fit.model.functions, self._fit.p, self.data
-        chain, motion, late = Chain(functions, ()), self._motion, Lateness(functions)
+        chain, motion, late = ActuatorStates(functions, ()), self._motion, Lateness(functions)
         driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
         found = []
         for s in (late.in_time(s, p) for s in data.segments):

@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array
 
 from ..result import BetweenRuns, Dependence, Spectrum, Trend
 from .between_runs import difference
@@ -18,7 +19,6 @@ from .residual import Association, Found, Sample, Samples
 from .spectrum import Peak, highest_peak, without_waves
 from .terms import coefficient_unit, label_of
 
-Array = NDArray[np.float64]
 MOST_TERMS = 4
 # Chance, over all terms of a degree of freedom, above which an association is not told.
 _CHANCE = 0.002

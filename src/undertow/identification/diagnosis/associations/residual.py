@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from undertow.typing import Array, Index
 
 from ...weak.step import inverse_of
 from .terms import Term
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _PATTERNS = 1999
 # Share of a column's sum of squares that has to be left beside the model's own columns for it to be news.
 _NEWS = 1e-4

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import gamma
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from undertow.typing import Array, Index
+
 # Points of the grid for each frequency that a run of that length can tell from the next.
 _FINE = 8
 _FEWEST_PERIODS = 3.0

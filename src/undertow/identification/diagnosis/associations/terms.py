@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-Array = NDArray[np.float64]
 Column = tuple[str, ...]
 _COMMAND = "command "
 _ANGLES = ("psi", "phi", "theta")

@@ -1,0 +1,16 @@
+"""Types that many modules name in their signatures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+#: Places in another array.
+Index = NDArray[np.intp]
+#: Told how much of a piece of work is done, 0 to 1, and in words what is being done.
+Progress = Callable[[float, str], None]

@@ -1,0 +1,49 @@
+"""What benchmarks/size.py counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.size import SMALL, code_lines, measure
+
+PYTHON = '''"""Of two
+lines."""
+
+import math  # with a remark
+
+# alone
+
+
+def area(
+    radius: float,
+) -> float:
+    """What it is."""
+    return math.pi * radius**2
+'''
+
+
+def test_comments_docstrings_and_blank_lines_are_no_code() -> None:
+    assert code_lines(PYTHON) == 5
+
+
+def test_a_package_is_measured(tmp_path: Path) -> None:
+    package = tmp_path / "undertow"
+    (package / "cli").mkdir(parents=True)
+    (package / "model" / "effects").mkdir(parents=True)
+    for folder in (package, package / "cli", package / "model", package / "model" / "effects"):
+        (folder / "__init__.py").write_text("")
+    (package / "model" / "effects" / "lift.py").write_text("A = 1\n")
+    (package / "model" / "vehicle.py").write_text("from .effects import lift\n" * (SMALL + 1))
+    (package / "cli" / "gains.py").write_text(PYTHON)
+    (package / "cli" / "diagnose.py").write_text(
+        "def late():\n    from undertow.model import vehicle\n    from undertow.cli import gains\n"
+    )
+    (package / "loop.c").write_text("/* two\n   lines */\n\nint answer; // here\n// alone\n")
+    found = measure(tmp_path)
+    assert found["lines, C included"] == 1 + (SMALL + 1) + len(PYTHON.splitlines()) + 3 + 5
+    assert found["lines of code"] == 1 + (SMALL + 1) + 5 + 3 + 1
+    assert found["modules"] == 8
+    assert found["the same without effects and __init__"] == 2
+    # diagnose, vehicle, gains; the effect does not count.
+    assert found["modules from a log column to a verdict"] == 3
+    assert found["modules from a gain to its conditions"] == 1
