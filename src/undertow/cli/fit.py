@@ -78,11 +78,12 @@ def fit(
     trust_log: TrustOption = False,
 ) -> None:
     from undertow.cli._adding import target_of
-    from undertow.cli._fitting import refit, show, show_correlation, write
+    from undertow.cli._fitting import show, show_correlation, write
     from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
     from undertow.identification.estimators import Estimator
+    from undertow.identification.refitting import refit
     from undertow.identification.weak.constraints import Constraints, read_equalities
 
     target = target_of(vehicle, out, in_place)
