@@ -9,13 +9,11 @@ import numpy as np
 
 from undertow.cli._show import console, section, table, text
 from undertow.identification.base_parameters import base_parameters
-from undertow.identification.diagnosis.estimates import estimates
 from undertow.identification.estimators import Estimator
-from undertow.identification.fitted import Fitted, correlation, cramer_rao, remarks, t_values, verdicts
+from undertow.identification.fitted import Fitted, correlation, remarks, verdicts
 from undertow.identification.prediction_error import PredictionErrorFit
 from undertow.identification.refitting import Refit
 from undertow.identification.weak.constraints import follower_errors, followers, written
-from undertow.identification.weak.estimated import NOTHING_SAID
 from undertow.model.parameter import printed
 
 
@@ -55,14 +53,20 @@ _METHODS = {
 
 
 def _parameters(done: Refit) -> object:
-    sure, said, least = t_values(done.fit), verdicts(done.fit), cramer_rao(done.fit)
     rows = []
-    for e in estimates(done.fit, done.stated):
-        spread = "" if e.standard_error is None else f"± {e.standard_error:.2g}"
-        prior = "" if e.prior is None else f"{e.prior:.5g}"
-        bound = f"{least[e.name]:.2g}" if least[e.name] < NOTHING_SAID else ""
+    for r in done.parameters.iter_rows(named=True):
+        spread, bound, prior = r["standard_error"], r["bound"], r["before"]
         rows.append(
-            (e.name, f"{e.value:.5g}", spread, bound, e.unit, prior, f"{sure[e.name]:.3g}", said[e.name])
+            (
+                r["parameter"],
+                f"{r['value']:.5g}",
+                "" if spread is None else f"± {spread:.2g}",
+                "" if bound is None else f"{bound:.2g}",
+                r["unit"],
+                "" if prior is None else f"{prior:.5g}",
+                f"{r['t']:.3g}",
+                r["identified"],
+            )
         )
     return table(("parameter", "value", "", "bound", "unit", "before", "|t|", "by these logs"), rows)
 

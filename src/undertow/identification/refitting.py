@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 
 from .compare.windows import Prediction, cut, predict, prediction_error
+from .diagnosis.estimates import estimates
 from .diagnosis.excitation import check_excitation
 from .diagnosis.split import keep_blocks_aside
 from .doctor import refuse_impossible
 from .estimators import Estimator, Report
-from .fitted import Fitted
+from .fitted import Fitted, cramer_rao, t_values, verdicts
 from .logs import Run
 from .weak.data import channel_noise
+from .weak.estimated import NOTHING_SAID
 from .weak.fit import free_parameters
 
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.figure import Figure
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Refit:
     """A refitted model, judged on data that it was not fitted to.
 
@@ -49,6 +57,67 @@ class Refit:
     def errors(self) -> tuple[float, float]:
         """Velocity error ahead before and after, as a share of the motion."""
         return prediction_error(self.before), prediction_error(self.after)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The refitted model."""
+        return self.fit.vehicle
+
+    @property
+    def parameters(self) -> pl.DataFrame:
+        """One row a parameter, in the units and signs of the vehicle file.
+
+        Columns: parameter, value, standard_error, bound (Cramér-Rao), unit, before, t (magnitude over
+        standard error), identified (what these logs determine); null where the logs say nothing.
+        """
+        import polars as pl  # whoever fits needs it; whoever reads --help does not
+
+        t, said, least = t_values(self.fit), verdicts(self.fit), cramer_rao(self.fit)
+        found = estimates(self.fit, self.stated)
+        return pl.DataFrame(
+            {
+                "parameter": [e.name for e in found],
+                "value": [e.value for e in found],
+                "standard_error": [e.standard_error for e in found],
+                "bound": [least[e.name] if least[e.name] < NOTHING_SAID else None for e in found],
+                "unit": [e.unit for e in found],
+                "before": [e.prior for e in found],
+                "t": [t[e.name] for e in found],
+                "identified": [said[e.name] for e in found],
+            },
+            schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
+        )
+
+    def summary(self) -> str:
+        """Parameters with standard errors, and the error on validation data before and after, as text."""
+        rows = self.parameters.iter_rows(named=True)
+        lines = [f"{r['parameter']:16} {r['value']:.5g}{_spread(r)} {r['unit']}".rstrip() for r in rows]
+        return "\n".join([self._headline, *lines])
+
+    @property
+    def _headline(self) -> str:
+        before, after = self.errors
+        ahead = self.before.windows.horizon
+        return (
+            f"{self.stated.name} by {self.estimator.method}: velocity error {ahead:.3g} s ahead on "
+            f"validation data {before:.3%} of the motion as given, {after:.3%} refitted"
+        )
+
+    def plot(self) -> Figure:
+        """The error of every velocity on validation data, as given and refitted, as a matplotlib figure."""
+        from .report.pictures import before_and_after
+
+        return before_and_after(self.before.relative, self.after.relative)
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(self._headline)}</p>{self.parameters._repr_html_()}"
+
+
+def _spread(row: Mapping[str, Any]) -> str:
+    return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
 
 
 def refit(
