@@ -32,6 +32,18 @@ def test_the_example_of_a_function_does_what_it_says(name: str) -> None:
     assert doctest.DocTestRunner(verbose=False).run(found).failed == 0
 
 
+def test_the_example_of_an_effect_of_ones_own_runs() -> None:
+    (found,) = doctest.DocTestFinder(recurse=False).find(ut.Wrench, "Wrench")
+    assert doctest.DocTestRunner(verbose=False).run(found) == (0, 4)
+
+
+def test_checked_gains_say_what_holds() -> None:
+    found = ut.check_gains(ut.load_vehicle("mini-auv"), "paper-pid")
+    held = sum(row.verdict == "holds" for row in found.rows)
+    assert f"not certified; {held} of {len(found.rows)} conditions hold" in repr(found)
+    assert repr(found) in found._repr_html_()
+
+
 @pytest.fixture(scope="module")
 def vehicle() -> ut.Vehicle:
     return ut.load_vehicle(DEMO / "vehicle.toml")

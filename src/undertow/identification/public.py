@@ -24,9 +24,7 @@ from .logs import Mapping, Run, read_mapping, velocities_from_pose
 from .logs.reading import read_log as read
 from .output_error.losses import LossName
 from .refitting import Refit, refit
-from .report.adapting import report_data
 from .report.data import ReportData
-from .report.page import render_report
 from .weak.constraints import Constraints, read_equalities
 
 
@@ -277,11 +275,15 @@ def add_effect(
 
 def _page(outcome: Outcome) -> str:
     """The report of a diagnosis as one HTML page."""
+    from .report import render_report  # brings matplotlib, which only a report needs
+
     return render_report(outcome.diagnosis, _pictures_data(outcome))
 
 
 def _pictures_data(outcome: Outcome) -> ReportData:
     """Comparison of the refitted model with the kept-aside runs, before and after."""
+    from .report import report_data
+
     before = compare(outcome.before, outcome.test)
     added = outcome.diagnosis.last_step.changes
     after = compare(outcome.after, outcome.test) if added else None

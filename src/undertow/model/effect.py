@@ -227,6 +227,20 @@ class Wrench(Effect):
         Claims that the effect never feeds power into the vehicle in still water.
     workless : bool
         Claims that its power is identically zero (Coriolis terms).
+
+    Examples
+    --------
+    >>> import sympy
+    >>> import undertow as ut
+    >>> class SteadyPull(ut.Wrench):
+    ...     '''A pull ahead of one newton.'''
+    ...
+    ...     id = "steady_pull"
+    ...
+    ...     def wrench(self, s):
+    ...         return sympy.Matrix([1, 0, 0, 0, 0, 0])
+    >>> SteadyPull().id
+    'steady_pull'
     """
 
     dissipative: ClassVar[bool] = False
