@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from undertow.codegen.public import compile_vehicle as compile  # noqa: F401
+    from undertow.codegen.public import compile as compile
     from undertow.control.public import check_gains as check_gains
     from undertow.control.public import linearize as linearize
     from undertow.errors import UndertowError as UndertowError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from undertow.identification.public import diagnose as diagnose
     from undertow.identification.public import fit as fit
     from undertow.identification.public import read_log as read_log
-    from undertow.model.catalogue import catalogue as effects  # noqa: F401
+    from undertow.model.catalogue import catalogue as catalogue
     from undertow.model.effect import Actuation as Actuation
     from undertow.model.effect import Flow as Flow
     from undertow.model.effect import Measurement as Measurement
@@ -30,25 +30,24 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# Where each name stands, and what it is called there.
 _HOME_OF = {
-    "Run": "undertow.identification.logs:Run",
-    "UndertowError": "undertow.errors:UndertowError",
-    "Vehicle": "undertow.model.vehicle:Vehicle",
-    "Actuation": "undertow.model.effect:Actuation",
-    "Flow": "undertow.model.effect:Flow",
-    "Measurement": "undertow.model.effect:Measurement",
-    "Parameter": "undertow.model.parameter:Parameter",
-    "Wrench": "undertow.model.effect:Wrench",
-    "add_effect": "undertow.identification.public:add_effect",
-    "check_gains": "undertow.control.public:check_gains",
-    "compile": "undertow.codegen.public:compile_vehicle",
-    "diagnose": "undertow.identification.public:diagnose",
-    "effects": "undertow.model.catalogue:catalogue",
-    "fit": "undertow.identification.public:fit",
-    "linearize": "undertow.control.public:linearize",
-    "load_vehicle": "undertow.model.loading:load_vehicle",
-    "read_log": "undertow.identification.public:read_log",
+    "Run": "undertow.identification.logs",
+    "UndertowError": "undertow.errors",
+    "Vehicle": "undertow.model.vehicle",
+    "Actuation": "undertow.model.effect",
+    "Flow": "undertow.model.effect",
+    "Measurement": "undertow.model.effect",
+    "Parameter": "undertow.model.parameter",
+    "Wrench": "undertow.model.effect",
+    "add_effect": "undertow.identification.public",
+    "check_gains": "undertow.control.public",
+    "compile": "undertow.codegen.public",
+    "diagnose": "undertow.identification.public",
+    "catalogue": "undertow.model.catalogue",
+    "fit": "undertow.identification.public",
+    "linearize": "undertow.control.public",
+    "load_vehicle": "undertow.model.loading",
+    "read_log": "undertow.identification.public",
 }
 
 __all__ = ["__version__", *_HOME_OF]
@@ -57,8 +56,7 @@ __all__ = ["__version__", *_HOME_OF]
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         raise AttributeError(f"module 'undertow' has no attribute {name!r}")
-    module, _, own_name = _HOME_OF[name].partition(":")
-    value = getattr(import_module(module), own_name)
+    value = getattr(import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
 

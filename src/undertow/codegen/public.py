@@ -75,7 +75,7 @@ class Model:
         return f"<p>{escape(repr(self))}</p>"
 
 
-def compile_vehicle(vehicle: Vehicle) -> Model:
+def compile(vehicle: Vehicle) -> Model:
     """Compile the equations of a vehicle, where there is a C compiler.
 
     Parameters

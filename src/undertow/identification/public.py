@@ -210,7 +210,7 @@ def diagnose(
     >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
     >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
     >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
-    >>> current = {"ocean_current": ut.effects()["ocean_current"]}
+    >>> current = {"ocean_current": ut.catalogue()["ocean_current"]}
     >>> ut.diagnose(vehicle, [run], known=current).effects
     ['ocean_current']
     """
