@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.cli._addition import add_effect, lay_ground
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.control.linear.numeric import motion_of, reversing
+from undertow.identification.diagnosis.addition import add_effect, lay_ground
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.identification.logs import Run
 from undertow.identification.weak.data import prepare

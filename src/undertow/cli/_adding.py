@@ -13,8 +13,8 @@ from rich.markup import escape
 from undertow.errors import UndertowError
 
 if TYPE_CHECKING:
-    from undertow.cli._addition import Addition, Ground
     from undertow.codegen.export import Report
+    from undertow.identification.diagnosis.addition import Addition, Ground
     from undertow.identification.diagnosis.result import Step
 
 

@@ -1,100 +1,20 @@
-"""Refitting the parameters of a vehicle, and the error on kept-aside data before and after."""
+"""What `undertow fit` prints and writes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
 import numpy as np
 
-from undertow.cli._progress import Report
 from undertow.cli._show import console, section, table, text
-from undertow.errors import UndertowError
 from undertow.identification.base_parameters import base_parameters
-from undertow.identification.compare.windows import Prediction, cut, predict, prediction_error
-from undertow.identification.diagnosis.estimates import estimates
-from undertow.identification.diagnosis.excitation import check_excitation
-from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.doctor import refuse_impossible
 from undertow.identification.estimators import Estimator
-from undertow.identification.fitted import Fitted, correlation, cramer_rao, remarks, t_values, verdicts
-from undertow.identification.logs import Run
+from undertow.identification.fitted import Fitted, correlation, remarks, verdicts
 from undertow.identification.prediction_error import PredictionErrorFit
+from undertow.identification.refitting import Refit
 from undertow.identification.weak.constraints import follower_errors, followers, written
-from undertow.identification.weak.data import channel_noise
-from undertow.identification.weak.estimated import NOTHING_SAID
-from undertow.identification.weak.fit import free_parameters
 from undertow.model.parameter import printed
-from undertow.model.vehicle import Vehicle
-
-
-@dataclass(frozen=True)
-class Refit:
-    """A refitted model, judged on data that it was not fitted to.
-
-    Attributes
-    ----------
-    stated : Vehicle
-        The model as given.
-    fit : Fitted
-        The fit.
-    estimator : Estimator
-        How it was made.
-    train, test : list of Run
-        Logs that were fitted, and logs kept aside.
-    before, after : Prediction
-        Kept-aside logs predicted by the model as given and as refitted.
-    """
-
-    stated: Vehicle
-    fit: Fitted
-    estimator: Estimator
-    train: list[Run]
-    test: list[Run]
-    before: Prediction
-    after: Prediction
-
-    @property
-    def errors(self) -> tuple[float, float]:
-        """Velocity error ahead before and after, as a share of the motion."""
-        return prediction_error(self.before), prediction_error(self.after)
-
-
-def refit(
-    vehicle: Vehicle,
-    runs: Sequence[Run],
-    holdout: Sequence[Run],
-    estimator: Estimator,
-    horizon: float,
-    tell: Report,
-    *,
-    trust_log: bool = False,
-) -> Refit:
-    """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is to be estimated, a channel is missing, a log is too short, or nothing moves.
-    """
-    if not free_parameters(vehicle):
-        raise UndertowError(
-            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
-            "X_u = { value = ..., estimate = true }"
-        )
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
-    check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
-    tell(0.0, "fitting")
-    # Whole logs have been looked at: what is left of them after some was kept aside need not be.
-    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
-    tell(0.8, "predicting kept-aside data")
-    longest = max(float(r.t[-1] - r.t[0]) for r in test)
-    windows = cut(test, vehicle, min(horizon, 0.9 * longest))
-    before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
-    return Refit(vehicle, fit, estimator, train, test, before, after)
 
 
 def show(done: Refit) -> None:
@@ -133,14 +53,20 @@ _METHODS = {
 
 
 def _parameters(done: Refit) -> object:
-    sure, said, least = t_values(done.fit), verdicts(done.fit), cramer_rao(done.fit)
     rows = []
-    for e in estimates(done.fit, done.stated):
-        spread = "" if e.standard_error is None else f"± {e.standard_error:.2g}"
-        prior = "" if e.prior is None else f"{e.prior:.5g}"
-        bound = f"{least[e.name]:.2g}" if least[e.name] < NOTHING_SAID else ""
+    for r in done.parameters.iter_rows(named=True):
+        spread, bound, prior = r["standard_error"], r["bound"], r["before"]
         rows.append(
-            (e.name, f"{e.value:.5g}", spread, bound, e.unit, prior, f"{sure[e.name]:.3g}", said[e.name])
+            (
+                r["parameter"],
+                f"{r['value']:.5g}",
+                "" if spread is None else f"± {spread:.2g}",
+                "" if bound is None else f"{bound:.2g}",
+                r["unit"],
+                "" if prior is None else f"{prior:.5g}",
+                f"{r['t']:.3g}",
+                r["identified"],
+            )
         )
     return table(("parameter", "value", "", "bound", "unit", "before", "|t|", "by these logs"), rows)
 

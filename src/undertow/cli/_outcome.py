@@ -15,7 +15,7 @@ from undertow.cli._examination import show_finding
 if TYPE_CHECKING:
     from undertow.identification.diagnosis.diagnose import Outcome
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
-    from undertow.identification.report.data import ReportData
+    from undertow.identification.public import Diagnosed
 
 _SHOWN = 6
 
@@ -103,7 +103,7 @@ def _steps(diagnosis: Diagnosis) -> Table:
 
 
 def write_outcome(
-    outcome: Outcome, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
+    outcome: Diagnosed, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
 ) -> None:
     """Write what was asked for, each file whole, and say where it is."""
     from undertow.files import together, write_whole
@@ -112,7 +112,7 @@ def write_outcome(
         if json is not None:
             write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
         if report is not None:
-            write_whole(report, page(outcome))
+            outcome.report(report)
         if apply is not None:
             write_vehicle(outcome, template, apply, "undertow diagnose")
     for written in filter(None, (json, report, apply)):
@@ -132,25 +132,6 @@ def _content(diagnosis: Diagnosis) -> str:
         if chosen and others:
             said += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
     return said
-
-
-def page(outcome: Outcome) -> str:
-    """The report of a diagnosis as one HTML page."""
-    from undertow.identification.report.page import render_report
-
-    return render_report(outcome.diagnosis, pictures_data(outcome))
-
-
-def pictures_data(outcome: Outcome) -> ReportData:
-    """Comparison of the refitted model with the kept-aside runs, before and after."""
-    from undertow.identification.compare.comparison import compare
-    from undertow.identification.report import report_data
-
-    before = compare(outcome.before, outcome.test)
-    added = outcome.diagnosis.last_step.changes
-    after = compare(outcome.after, outcome.test) if added else None
-    names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
-    return report_data(before, after, names=names)
 
 
 def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> None:

@@ -32,8 +32,8 @@ from undertow.cli._vehicle_and_logs import (
 )
 
 if TYPE_CHECKING:
-    from undertow.cli._addition import Addition, Ground
     from undertow.cli._vehicle_and_logs import Loaded
+    from undertow.identification.diagnosis.addition import Addition, Ground
     from undertow.model.effect import Effect
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
@@ -94,8 +94,8 @@ def add(
 
 
 def _added(effect: type[Effect], loaded: Loaded, keep_all: bool, trust_log: bool) -> tuple[Ground, Addition]:
-    from undertow.cli._addition import add_effect, lay_ground
     from undertow.cli._progress import progress
+    from undertow.identification.diagnosis.addition import add_effect, lay_ground
 
     with progress("fitting the model as it is") as tell:
         ground = lay_ground(loaded.vehicle, loaded.train, loaded.holdout, trust_log=trust_log)

@@ -70,7 +70,7 @@ def diagnose(
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
     from undertow.identification.diagnosis.diagnose import check_false_alarms
-    from undertow.identification.diagnosis.diagnose import diagnose as run
+    from undertow.identification.public import diagnose as run
     from undertow.model.catalogue import catalogue, load_effects, merge
 
     read: list[str | Path] = [vehicle, *logs, *(holdout or []), *(effects or []), *([map] if map else [])]

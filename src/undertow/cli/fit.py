@@ -78,12 +78,11 @@ def fit(
     trust_log: TrustOption = False,
 ) -> None:
     from undertow.cli._adding import target_of
-    from undertow.cli._fitting import refit, show, show_correlation, write
+    from undertow.cli._fitting import show, show_correlation, write
     from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
-    from undertow.identification.estimators import Estimator
-    from undertow.identification.weak.constraints import Constraints, read_equalities
+    from undertow.identification.public import fit as refit
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *(effects or []), *([map] if map else [])]
@@ -91,11 +90,18 @@ def fit(
     loaded = load(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
     )
-    constraints = Constraints(read_equalities(equal or [], loaded.vehicle), dissipative)
-    estimator = Estimator(method, horizon, constraints, loss)
     with progress("fitting") as tell:
         done = refit(
-            loaded.vehicle, loaded.train, loaded.holdout, estimator, horizon, tell, trust_log=trust_log
+            loaded.vehicle,
+            loaded.train,
+            loaded.holdout,
+            method=method,
+            horizon=horizon,
+            loss=loss,
+            equal=equal or [],
+            dissipative=dissipative,
+            report=tell,
+            trust_log=trust_log,
         )
     show(done)
     if correlation:

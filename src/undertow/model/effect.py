@@ -233,6 +233,20 @@ class Wrench(Effect):
         Claims that its power is identically zero (Coriolis terms).
     damping_matrix : str
         Entries of the linear damping matrix D that its coefficients are: "diagonal", "coupling" or none.
+
+    Examples
+    --------
+    >>> import sympy
+    >>> import undertow as ut
+    >>> class SteadyPull(ut.Wrench):
+    ...     '''A pull ahead of one newton.'''
+    ...
+    ...     id = "steady_pull"
+    ...
+    ...     def wrench(self, s):
+    ...         return sympy.Matrix([1, 0, 0, 0, 0, 0])
+    >>> SteadyPull().id
+    'steady_pull'
     """
 
     dissipative: ClassVar[bool] = False

@@ -49,6 +49,12 @@ def load_vehicle(
     ------
     UndertowError
         If the file is missing, is not a valid vehicle file, or holds a value that cannot be.
+
+    Examples
+    --------
+    >>> import undertow as ut
+    >>> ut.load_vehicle("bluerov2").velocity_names
+    ('u', 'v', 'w', 'p', 'q', 'r')
     """
     path = resolve_vehicle(source)
     table = read_vehicle_table(path)

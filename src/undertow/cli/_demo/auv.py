@@ -6,11 +6,11 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from undertow.cli._addition import add_effect, lay_ground
 from undertow.cli._outcome import write_vehicle
 from undertow.cli._progress import progress
 from undertow.cli._vehicle_and_logs import load
 from undertow.identification.compare.comparison import compare
+from undertow.identification.diagnosis.addition import add_effect, lay_ground
 from undertow.identification.diagnosis.diagnose import diagnose
 from undertow.identification.report import (
     error_map,

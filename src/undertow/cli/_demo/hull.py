@@ -9,13 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.cli._addition import Addition, Ground, add_effect, lay_ground, visible_effects
 from undertow.cli._outcome import write_vehicle
 from undertow.cli._progress import progress
 from undertow.cli._vehicle_and_logs import load
 from undertow.identification.compare.comparison import compare
 from undertow.identification.compare.forces import Forces, residual_forces
 from undertow.identification.compare.shown import traces
+from undertow.identification.diagnosis.addition import (
+    Addition,
+    Ground,
+    add_effect,
+    lay_ground,
+    visible_effects,
+)
 from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.trial import T_KEEP
 from undertow.identification.diagnosis.verdict import NAMED_SHARE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from html import escape
 
 from .feasible import Span
 from .uncertain import Range
@@ -287,7 +288,7 @@ class WholeLoop:
         return self.verdict == "stable"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """Everything that is known of a gain set on a vehicle.
 
@@ -349,3 +350,11 @@ class Report:
         """
         certified = self.alone.stable if self.alone else self.region.kind != "none"
         return self.conditions_hold and certified and (self.whole is None or self.whole.stable)
+
+    def __repr__(self) -> str:
+        held = sum(row.verdict == HOLDS for row in self.rows)
+        said = "certified" if self.ok else "not certified"
+        return f"{self.gains} on {self.vehicle}: {said}; {held} of {len(self.rows)} conditions hold"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,20 @@ _BUCKETS = _POINTS // 2
 
 def _plain_number(value: float, _: int) -> str:
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def before_and_after(before: Mapping[str, float], after: Mapping[str, float]) -> Figure:
+    """The error of every velocity as a share of the motion, by the model as given and refitted."""
+    with look():
+        picture, axes = figure(3.4)
+        axis = axes[0, 0]
+        for shift, name, shares in ((-0.2, "as given", before), (0.2, "refitted", after)):
+            heights = [100 * share for share in shares.values()]
+            axis.bar([i + shift for i in range(len(heights))], heights, 0.4, label=name)
+        axis.set_xticks(range(len(before)), list(before))
+        axis.set_ylabel("error, % of the motion")
+        axis.legend()
+    return picture
 
 
 def falling_error(steps: Sequence[Step]) -> Figure:
