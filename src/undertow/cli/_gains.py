@@ -278,7 +278,9 @@ def _show_region(report: Report) -> None:
     if found.commands:
         say("  within it no command meets its limit, so that anti-windup never acts", "dim")
     if report.left_out and found.kind != "none":
-        say(f"  without {', '.join(report.left_out)}: for the loop with these see below", "dim")
+        say(
+            f"  this is for the loop without {', '.join(report.left_out)}; with them only what follows was looked at"
+        )
 
 
 def _with_units(values: Mapping[str, float]) -> str:

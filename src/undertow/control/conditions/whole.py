@@ -71,7 +71,7 @@ class _Case:
 
     @property
     def where(self) -> str:
-        heading = f"heading {math.degrees(self.held['psi']):.0f} deg" if "psi" in self.held else ""
+        heading = f"heading {math.degrees(self.held['psi']) % 360:.0f} deg" if "psi" in self.held else ""
         way = {1: "forward", -1: "backward"}.get(next(iter(self.direction.values()), 0), "")
         return ", ".join(filter(None, (heading, way)))
 
@@ -271,12 +271,20 @@ def _tried(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, 
         runs = run(SETTINGS.dt / 10)
     left = _left(gains, runs.states[:, -1], rest, starts)
     bad = int(np.argmax(left))
-    words = f"{len(left)} starts, {duration:.0f} s each"
+    words = f"{len(left)} starts at rest, errors of {_sizes(starts)}, {duration:.0f} s each"
     if not left[bad] <= SETTINGS.comes_back:
         start = ", ".join(f"{n} = {float(v[bad] + rest[n]):.3g}" for n, v in starts.items())
         text = f"simulated for {duration:.0f} s from {start} it does not come back"
         return replace(found, verdict="unstable", pole=None, text=text, simulated=words)
     return replace(found, simulated=f"{words}: all come back")
+
+
+def _sizes(starts: Mapping[str, Array]) -> str:
+    """How far off the starts are, in words."""
+    sizes = {c: float(np.abs(values).max()) for c, values in starts.items()}
+    return ", ".join(
+        f"{c} {math.degrees(v):.3g} deg" if c in _ANGLES else f"{c} {v:.3g} m" for c, v in sizes.items()
+    )
 
 
 def _starts(gains: GainSet, region: Region) -> dict[str, Array]:
