@@ -279,7 +279,7 @@ def _show_region(report: Report) -> None:
         say("  within it no command meets its limit, so that anti-windup never acts", "dim")
     if report.left_out and found.kind != "none":
         say(
-            f"  this is for the loop without {', '.join(report.left_out)}; with them only what follows was looked at"
+            f"  that is the loop without {', '.join(report.left_out)}; the one with it is judged below", "dim"
         )
 
 

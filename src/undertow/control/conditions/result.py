@@ -42,6 +42,8 @@ class CertificateSettings:
         Sampling interval there, s; a tenth of it where the law needs that.
     comes_back : float
         Part of the error of the start that may be left at the end.
+    slack : float
+        Factor on what the slowest pole leaves of it, where that is more: poles are those near rest only.
     """
 
     thrust_reserve: float = 0.1
@@ -55,6 +57,7 @@ class CertificateSettings:
     durations: tuple[float, float] = (30.0, 900.0)
     dt: float = 0.01
     comes_back: float = 0.25
+    slack: float = 1.2
 
 
 SETTINGS = CertificateSettings()
