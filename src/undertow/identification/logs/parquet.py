@@ -7,6 +7,7 @@ its data, and a helper process with limited memory decodes it before this one do
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import subprocess
@@ -135,5 +136,12 @@ class _Helper:
             )
         return self._process
 
+    def close(self) -> None:
+        """End the process that this one has started, if there is one."""
+        if self._process is not None and self._owner == os.getpid():
+            self._process.terminate()
+            self._process.communicate()
+
 
 _HELPER = _Helper()
+atexit.register(_HELPER.close)
