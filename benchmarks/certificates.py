@@ -67,19 +67,19 @@ def draw(rng: np.random.Generator, effects: bool) -> Case:
 
 
 def _hull(rng: np.random.Generator, dofs: tuple[str, ...], m: float, size: float) -> Iterator[str]:
-    def each(name: str, low: float, high: float, turn: float, reversing: bool = True) -> Iterator[str]:
+    def each(name: str, low: float, high: float, turn: float) -> Iterator[str]:
         for d in dofs:
             force, speed, _ = AXES[d]
             value = -m * float(10 ** rng.uniform(low, high)) * (size**turn if force in "KMN" else 1.0)
             key = name.format(F=force, v=speed)
-            if reversing and rng.random() < 0.3:
+            if rng.random() < 0.3:
                 yield f"{key} = {{ forward = {value:.6g}, backward = {value * rng.uniform(0.6, 1.5):.6g} }}"
             else:
                 yield f"{key} = {value:.6g}"
 
     yield "[effects.rigid_body_coriolis]"
     yield "[effects.added_mass]"
-    yield from (line.replace("= ", "= ") for line in each("{F}_{v}dot", -1.0, 0.2, 2))
+    yield from each("{F}_{v}dot", -1.0, 0.2, 2)
     yield "[effects.added_mass_coriolis]"
     yield "[effects.linear_damping]"
     yield from each("{F}_{v}", -2.0, 0.3, 2)

@@ -12,14 +12,15 @@ from typing import Any
 
 import typer
 
+from ._terminal import readable
+
 # A blank that ties a sign or a comparison to its number.
 _TIED = "\u00a0"
 _TIES = re.compile(r"(?<=[<>=≤≥≻±]) (?=[-+\d.])|(?<=\+-) (?=\d)| (?=(?:±|\+-|[<>=≤≥≻]) [-+\d.])")
 # Between columns, and between cells that share a line without being columns.
 _GAP, _APART = "  ", "   "
-# What stands for the letters of the paper's notation where a terminal has ASCII only.
-_NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "λ": "lambda", "ι": "iota", "γ": "gamma"}
-_NAMES |= {"Λ": "Lambda", "≻": ">", "²": "^2", "√": "sqrt", "±": "+-", "≥": ">=", "≤": "<="}
+# In ASCII a subscript has its line, and what is tied to a number is as short as on paper.
+_NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
 
 
 @dataclass(frozen=True)
@@ -97,8 +98,7 @@ def _encodable(shown: str, encoding: str) -> str:
     except UnicodeEncodeError:
         for letter, name in _NAMES.items():
             shown = shown.replace(letter, name)
-        return shown.encode(encoding, "backslashreplace").decode(encoding)
-    return shown
+    return readable(shown, encoding)
 
 
 def wrapped(words: str, width: int) -> list[str]:

@@ -16,6 +16,7 @@ _IN_ASCII = {
     "≥": ">=",
     "≠": "!=",
     "≈": "~",
+    "≻": ">",
     "±": "+/-",
     "−": "-",
     "–": "-",
@@ -45,8 +46,12 @@ def open_streams() -> None:
         if stream is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
         elif mode == "w" and hasattr(stream, "reconfigure"):
-            codecs.register_error(_READABLE, _readable)
             stream.reconfigure(errors=_READABLE)
+
+
+def readable(shown: str, encoding: str) -> str:
+    """The same text with what an encoding cannot hold written in ASCII."""
+    return shown.encode(encoding, _READABLE).decode(encoding)
 
 
 def keep_warnings_back() -> None:
@@ -77,3 +82,6 @@ def _in_ascii(letter: str) -> str:
         return "-" if "HORIZONTAL" in name and "VERTICAL" not in name else "|"
     like = unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode()
     return like or letter.encode("ascii", "backslashreplace").decode()
+
+
+codecs.register_error(_READABLE, _readable)

@@ -149,6 +149,8 @@ class SlidingCommands:
         self._commands, self._problem = commands, commands.problem
         plant, problem = self._problem.plant, self._problem
         nu = list(plant.nu)
+        # With the rotation of the translations, which changes commands though no eigenvalue.
+        self._backward = enclosing(_ANGLES, plant.J_inverse)
         self._turning = enclosing([*_ANGLES, *nu], (plant.J_dot * plant.nu).xreplace(plant.numbers))
         moving = (plant.C + plant.D) * plant.nu
         self._moving = [
@@ -158,14 +160,14 @@ class SlidingCommands:
 
     def speeds(self, errors: Array) -> Array:
         """Bound on the body velocities in the box of these errors, shape (n,)."""
-        boxes = self._boxes(errors)
-        rate = 2 * self._problem.values["Lambda"] * errors
-        nu = self._inverse(boxes) @ Interval(-rate[:, None], rate[:, None])
+        angles = self._problem.attitudes.every_angle(self._boxes(errors))
+        nu = self._backward(*angles) @ self._rates(errors)
         return np.asarray(nu.size.max(axis=0)[:, 0])
 
-    def _inverse(self, boxes: dict[str, Interval]) -> Interval:
-        """J^-1 with the rotation of the translations, which changes commands though no eigenvalue."""
-        return enclosing(_ANGLES, self._problem.plant.J_inverse)(*self._problem.attitudes.every_angle(boxes))
+    def _rates(self, errors: Array) -> Interval:
+        """What q_dot can be in the box, shape (n, 1)."""
+        fastest = 2 * (self._problem.values["Lambda"] * errors)[:, None]
+        return Interval(-fastest, fastest)
 
     def _boxes(self, errors: Array) -> dict[str, Interval]:
         reach = dict(zip(self._problem.coordinates, map(float, errors), strict=True))
@@ -175,9 +177,7 @@ class SlidingCommands:
         """Bound on the magnitude of each command in the box, shape (m,)."""
         problem, boxes = self._problem, self._boxes(errors)
         angles = problem.attitudes.every_angle(boxes)
-        inverse = self._inverse(boxes)
-        fastest = 2 * (problem.values["Lambda"] * errors)[:, None]
-        rate = Interval(-fastest, fastest)
+        inverse, rate = self._backward(*angles), self._rates(errors)
         nu = inverse @ rate
         speeds = [Interval(nu.lo[..., i, 0], nu.hi[..., i, 0]) for i in range(problem.size)]
         jump = self._reach(errors)[:, None]
