@@ -12,7 +12,8 @@ from undertow.cli._show import console, section, table, text
 from undertow.cli._vehicle_and_logs import Fill
 from undertow.errors import UndertowError
 from undertow.files import together, write_whole
-from undertow.fleet.diagnose import PLACE, Question, diagnose
+from undertow.fleet.diagnose import PLACE, Question
+from undertow.fleet.diagnose import diagnose as diagnose_fleet
 from undertow.fleet.engine import Engine
 from undertow.fleet.panel import DAILY
 from undertow.fleet.reduction import Job
@@ -41,7 +42,7 @@ def diagnosed(
     job = _job(vehicle, daily, map, effects, fill, trust_log)
     store = Store(out)
     with progress("looking at files") as tell:
-        found = diagnose(Question(logs, job, passes), engine, store, tell)
+        found = diagnose_fleet(Question(logs, job, passes), engine, store, tell)
     show(found)
     with together():
         write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")

@@ -14,7 +14,8 @@ from undertow.cli._vehicle_and_logs import Fill
 from undertow.errors import UndertowError
 from undertow.files import check_writable, write_whole
 from undertow.fleet.engine import Engine
-from undertow.fleet.rollouts import Band, Flights, rollouts
+from undertow.fleet.rollouts import Band, Flights
+from undertow.fleet.rollouts import rollouts as roll_out
 
 _INCOMPLETE = 1
 
@@ -45,7 +46,7 @@ def rolled(
     mapping = (Mapping() if map is None else read_mapping(map)).model_dump_json()
     flights = Flights(seen, files, mapping, fill, horizon, coverage, seed, trust_log)
     with progress("rolling out") as tell:
-        bands, failed, source = rollouts(flights, [str(p.absolute()) for p in logs], count, engine, tell)
+        bands, failed, source = roll_out(flights, [str(p.absolute()) for p in logs], count, engine, tell)
     heads = ("channel", "within the band, %", "half width at the end", "half width in noise")
     section(
         f"{count} rollouts of {len(bands)} windows of {horizon:g} s; {source}", table(heads, _rows(bands))

@@ -15,12 +15,13 @@ _OUT = typer.Option("--out", metavar="FOLDER", help="Folder for what is written;
 
 
 def demo(out: Annotated[Path, _OUT] = Path("demo-output")) -> None:
-    from undertow.cli._demo import auv, hull
+    from undertow.cli._demo.auv import tell_auv
+    from undertow.cli._demo.hull import tell_hull
     from undertow.cli._demo.scene import Scene
     from undertow.files import check_folder
 
     check_folder(out)
     scene = Scene(out)
-    auv.tell(scene)
-    hull.tell(scene)
+    tell_auv(scene)
+    tell_hull(scene)
     scene.end()

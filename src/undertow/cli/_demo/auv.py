@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _FOLDER = DATA / "auv"
 
 
-def tell(scene: Scene) -> None:
+def tell_auv(scene: Scene) -> None:
     """Where the model fails, what it lacks, and how the error falls."""
     scene.title("1. An AUV whose model lacks something")
     runs = [_FOLDER / f"train_{i}.csv.gz" for i in (1, 2, 3)]

@@ -88,7 +88,7 @@ class Way:
         return residual_forces(vehicle, self.ground.test)
 
 
-def tell(scene: Scene) -> None:
+def tell_hull(scene: Scene) -> None:
     """Where inertia and drag fail, which effects lower the error both ways round, and what remains."""
     scene.title("2. A box hull in a flow solver")
     scene.say(

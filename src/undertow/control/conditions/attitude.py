@@ -15,10 +15,10 @@ from undertow.control.plant import Plant
 from undertow.model.evaluation import function_of
 from undertow.model.kinematics import body_rates
 from undertow.model.symbols import POSE, column, symbol
+from undertow.typing import Array
 
 from .interval import FUNCTIONS, Interval, enclose
 
-Array = np.ndarray
 _ANGLES = ("phi", "theta", "psi")
 _MOST_BOXES = 40_000
 _GRID = 9

@@ -11,8 +11,7 @@ import sympy as sm
 
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
-
-Array = np.ndarray
+from undertow.typing import Array
 
 
 @dataclass(frozen=True)

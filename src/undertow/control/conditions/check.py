@@ -10,6 +10,7 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
+from undertow.typing import Array, Flags
 
 from .attitude import Certificate
 from .case import SignSet
@@ -24,7 +25,6 @@ from .routh import channel_polynomial, coupled_roots, roots, routh_array
 from .uncertain import ALL, NO_IOTA_THERE, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
 from .whole import left_alone, whole_loop
 
-Array = np.ndarray
 Tell = Callable[[float, str], None]
 _MATRICES, _DERIVED = "matrices", "derived"
 
@@ -268,7 +268,7 @@ class _Place:
             self.condition.margin(self.problem.channel_signs(one, i, iota, theta)), len(theta)
         )
 
-    def _features(self, one: SignSet) -> tuple[Array, Array]:
+    def _features(self, one: SignSet) -> tuple[Flags, Array]:
         """Which parameters the margin depends on, and through which combinations of them."""
         used = self.condition.uses
         parts = [m for name, m in (("M", one.M), ("D", one.D)) if name in used]

@@ -11,6 +11,7 @@ import sympy as sm
 from undertow.control.allocation import allocation_of
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
+from undertow.typing import Array
 
 from .attitude import enclosing
 from .case import SignSet
@@ -18,7 +19,6 @@ from .interval import Interval, enclose
 from .problem import Problem
 from .result import Command
 
-Array = np.ndarray
 _ANGLES = [symbol(a) for a in ("phi", "theta", "psi")]
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import sympy as sm
 
 from undertow.control.plant import Plant
+from undertow.typing import Array
 
 from .case import SignSet
 
-Array = np.ndarray
 Term = tuple[int, int, tuple[int, ...], float]
 """Row, column, exponents of the magnitudes of the velocities, size of the coefficient."""
 

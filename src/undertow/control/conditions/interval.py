@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-Array = np.ndarray
+from undertow.typing import Array, Flags
+
 _EPS = float(np.finfo(float).eps)
 
 
@@ -141,7 +142,7 @@ def tan(x: Any) -> Interval:
     return sin(x) * cos(x).reciprocal()
 
 
-def _contains(x: Interval, place: float) -> Array:
+def _contains(x: Interval, place: float) -> Flags:
     """Whether an interval may contain `place` plus whole turns."""
     slack = 1e-12
     first = np.ceil((x.lo - place - slack) / (2 * np.pi))
@@ -177,7 +178,7 @@ def least_eigenvalue(matrix: Any) -> Array:
         return np.linalg.eigvalsh(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))[..., 0]
     symmetric = 0.5 * (matrix + matrix.T)
     middle, radius = symmetric.middle, symmetric.radius
-    usable = np.isfinite(radius).all(axis=(-1, -2))
+    usable = np.asarray(np.isfinite(radius).all(axis=(-1, -2)))
     middle = np.where(usable[..., None, None], middle, 0.0)
     n = middle.shape[-1]
     # x'Ex >= -sum_i (sum_j |E_ij|) x_i^2 for a symmetric change E; the solver is backward stable.

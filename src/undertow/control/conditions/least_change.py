@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-Array = np.ndarray
+from undertow.typing import Array
+
 _ROUNDS = 80
 _LEAST = 1e-3
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .attitude import Attitudes, Certificate, least
 from .case import SignSet, sign_sets
@@ -17,7 +18,6 @@ from .condition import Condition, Signs
 from .declared import CONDITIONS
 from .feasible import Span, where_positive
 
-Array = np.ndarray
 # Every 30 degrees of heading, every 20 of roll and pitch as they are unless stated.
 _HEADINGS, _TILTS = 13, 7
 
@@ -97,9 +97,9 @@ class Problem:
     def headings(self) -> list[tuple[float, Array]]:
         """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
         if not self.heading_counts:
-            return [(0.0, np.linalg.inv(self.attitudes.at({})))]
+            return [(0.0, inverse_of(self.attitudes.at({})))]
         degrees = map(float, range(0, 180, 10))
-        return [(d, np.linalg.inv(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
+        return [(d, inverse_of(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
 
     @property
     def channels(self) -> list[tuple[int, int, str]]:
@@ -197,3 +197,7 @@ class Problem:
             return min(self.channel_margin(c, one, channel, iota) for c in conditions for one in sets)
 
         return where_positive(together)
+
+
+def inverse_of(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=float)

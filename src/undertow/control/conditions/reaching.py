@@ -8,6 +8,7 @@ from scipy.special import ndtri
 
 from undertow.model.evaluation import function_of
 from undertow.model.symbols import symbol
+from undertow.typing import Array
 
 from .case import SignSet
 from .interval import FUNCTIONS, Interval
@@ -15,7 +16,6 @@ from .problem import Problem
 from .result import FAILS, HOLDS, Row
 from .uncertain import Uncertainty
 
-Array = np.ndarray
 _STATEMENT = "K_Z M > |error of g|"
 _ABOUT = (
     "With M, D, g off by dM, dD, dg the surface is still reached in a straight run at speed s while "

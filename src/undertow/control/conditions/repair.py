@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from undertow.errors import UndertowError
+from undertow.typing import Array
 
 from .case import SignSet
 from .condition import Condition
@@ -18,7 +19,6 @@ from .least_change import Cut, least_change
 from .pid import FallingCandidate, PrintedDamper, PrintedLast, PrintedSpring, Routh, SomeIota
 from .problem import Problem
 
-Array = np.ndarray
 _SLACKS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 _GRID = np.log(np.logspace(-4, 1, 26))
 

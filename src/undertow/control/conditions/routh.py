@@ -10,8 +10,7 @@ import numpy as np
 import sympy as sm
 
 from undertow.control.plant import Plant
-
-Array = np.ndarray
+from undertow.typing import Array
 
 
 def routh_array(coefficients: Sequence[Any]) -> list[list[Any]]:

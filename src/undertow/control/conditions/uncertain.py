@@ -12,10 +12,10 @@ from scipy.special import chdtri, ndtri
 
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Flags
 
 from .case import SignSet
 
-Array = np.ndarray
 Margins = Callable[[Array], Array]
 """From parameters of shape (k, n_parameters) to margins of shape (k,), concave in them."""
 
@@ -78,7 +78,7 @@ class Uncertainty:
             result[np.ix_(known, known)] = self._matrix[np.ix_(places, places)]
         return result
 
-    def over_box(self, margins: Margins, one: SignSet, matters: Array) -> Range:
+    def over_box(self, margins: Margins, one: SignSet, matters: Flags) -> Range:
         """Over every value within its own interval and its physical bounds.
 
         Parameters

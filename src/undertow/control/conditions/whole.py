@@ -16,6 +16,7 @@ from undertow.control.laws.sliding_mode import LAMBDA
 from undertow.errors import UndertowError
 from undertow.model.evaluation import function_of
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .case import sign_sets
 from .problem import Problem
@@ -24,7 +25,6 @@ from .result import SETTINGS, LeftAlone, Region, WholeLoop
 if TYPE_CHECKING:
     from undertow.control.linear.loop import LinearLoop
 
-Array = np.ndarray
 _ANGLES = ("phi", "theta", "psi")
 _PADE = 4
 _JUMPING = ("sliding-mode", "super-twisting")
