@@ -143,7 +143,7 @@ class Uncertainty:
         distance = np.einsum("ij,jk,ik->i", away, np.linalg.pinv(covariance, hermitian=True), away)
         return moved[distance <= reach**2 * (1 + 1e-9)]
 
-    def _corners(self, one: SignSet, matters: Array, reach: float) -> Array:
+    def _corners(self, one: SignSet, matters: Flags, reach: float) -> Array:
         """Corners of the box of all physical values within `reach` standard deviations."""
         low, high = self._intervals(one, reach)
         free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
