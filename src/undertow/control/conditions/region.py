@@ -13,24 +13,22 @@ from scipy.optimize import brentq
 
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
-from undertow.model.evaluation import function_of
+from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import least
-from .case import SignSet
+from .attitude import least, least_eigenvalue
 from .commands import (
     Commands,
+    FastDamping,
     SlidingCommands,
     dampings,
+    fast_damping,
     inertias,
     pd_commands,
     per_root_of_level,
 )
-from .fast import FastDamping, fast_damping
-from .feasible import Span, inside
-from .interval import least_eigenvalue
-from .problem import Problem, inverse_of
+from .problem import Problem, SignSet, Span, inside, inverse_of
 from .result import SETTINGS, Region
 
 _SMALL = 1e-12

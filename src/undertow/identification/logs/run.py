@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import POSE, VELOCITY
 
 if TYPE_CHECKING:
-    from undertow.identification.logs.mapping import Mapping as LogMapping
+    from .mapping import LogMapping
 
 
 FORCES = ("tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N")
