@@ -9,16 +9,16 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.results.summary import SPEED, with_part
+from benchmarks.results.summary import SPEED, speed_of, with_part
 from undertow.files import write_whole
 
-from . import report
-from .history import with_history
+from . import history, report
 
 HERE = Path(__file__).parent
 _TOLD = """\
-Every number is one process of one machine; peers do the same work in the same run, and every time is paired
-with a check of the result. Times are those of the fastest round. Made by `make bench`.
+Every column is one processor; peers do the same work in the same run, and every time is paired with a check
+of the result. Times are those of the fastest round; bold ones miss their goal, a dash was not measured.
+*Command* is the command of undertow that does it. Made by `make bench`.
 """
 
 
@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not stored.exists():
             return code or 1
         known = options.out.read_text(encoding="utf-8") if options.out else ""
-        page = _page(stored, known)
+        page = _page(stored, speed_of(known))
     print(page)
     if options.out:
         write_whole(options.out, with_part(known, SPEED, f"{_TOLD}\n{page}"))
@@ -76,9 +76,12 @@ _NOTHING_CHOSEN = 5  # of pytest
 
 def _page(stored: Path, known: str) -> str:
     timings, info = report.read(stored)
-    cpu = report.machine(info)
-    tables = (report.goals(timings), report.times(timings), report.growth(timings))
-    return "\n".join([f"{cpu}.\n", *tables, with_history(known, timings, cpu.partition(",")[0])])
+    machine = report.machine(info)
+    cpu = machine.partition(",")[0]
+    rows = history.runs(known, timings, cpu)
+    own = "\n".join([f"### {machine}\n", report.times(timings), report.growth(timings)])
+    goals = report.goals(history.by_processor(rows))
+    return "\n".join([goals, own, *history.of_others(known, cpu), history.table(rows)])
 
 
 if __name__ == "__main__":

@@ -172,8 +172,7 @@ def _at_most_256_bits(macros: dict[str, str]) -> tuple[str, ...]:
     Intel's processors join two of their three vector ports into one for 512-bit instructions, and scalar
     arithmetic has only that one while a 512-bit instruction is in flight. One such store among the statements
     of a model, or a copy of its state, nearly doubles the time: 288 scalar multiply-adds take 40 ns, with one
-    512-bit store among them 75 ns. GCC avoids it on processors that it knows; on others, which it calls generic,
-    it does not.
+    512-bit store among them 75 ns. GCC avoids it on the processors that it knows, and on no others.
     Lanes are vectors in the source and stay as wide as they are.
     """
     if "__AVX512F__" not in macros:
