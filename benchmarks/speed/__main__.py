@@ -29,7 +29,11 @@ def main(arguments: list[str] | None = None) -> int:
         stored = options.store or Path(folder) / "speed.json"
         if not options.from_stored:
             stored.unlink(missing_ok=True)
-        code = 0 if options.from_stored else _measure(stored, options.only)
+        code = (
+            0
+            if options.from_stored
+            else _measure(stored, options.only, processor_time=options.processor_time)
+        )
         if not stored.exists():
             return code or 1
         known = options.out.read_text(encoding="utf-8") if options.out else ""
@@ -43,15 +47,22 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.speed", description=__doc__)
     parser.add_argument("--only", help="only topics that fit this ('rollout or fit'), as pytest -k")
+    parser.add_argument(
+        "--processor-time",
+        action="store_true",
+        help="where other programs run, too: what the process itself uses; not for threads or microseconds",
+    )
     parser.add_argument("--store", type=Path, help="keep what pytest-benchmark measured in this JSON file")
     parser.add_argument("--from-stored", action="store_true", help="page from --store, measure nothing")
     parser.add_argument("--out", type=Path, help="page whose part on speed is replaced (docs/results.md)")
     return parser
 
 
-def _measure(stored: Path, only: str | None) -> int:
+def _measure(stored: Path, only: str | None, *, processor_time: bool) -> int:
     """Each topic in a process of its own, so that none runs in the memory that another leaves behind."""
     chosen, parts, worst = ["-k", only] if only else [], [], 0
+    if processor_time:
+        chosen.append("--benchmark-timer=time.process_time")
     with tempfile.TemporaryDirectory() as folder:
         for topic in sorted(HERE.glob("time_*.py")):
             part = Path(folder) / f"{topic.stem}.json"

@@ -40,11 +40,11 @@ class Goal(NamedTuple):
 
 
 GOALS = (
-    Goal(COLD, "", 1.5, "compare, doctor"),
-    Goal(EVALUATION, "hand-written C", 1.0, "simulate, gains"),
-    Goal(ROLLOUT, "hand-written C", 1 / 0.95, "simulate"),
-    Goal(ROLLOUT, "CasADi mapaccum, compiled", 2, "simulate"),
-    Goal(ROLLOUT, "NumPy Runge-Kutta", 900, "simulate"),
+    Goal(COLD, "", 1.5, "compare, fit"),
+    Goal(EVALUATION, "hand-written C", 1.0, "gains, simulate"),
+    Goal(ROLLOUT, "hand-written C", 1 / 0.95, "gains, simulate"),
+    Goal(ROLLOUT, "CasADi mapaccum, compiled", 2, "gains, simulate"),
+    Goal(ROLLOUT, "NumPy Runge-Kutta", 900, "gains, simulate"),
     Goal(BATCH, "hand-written C, one thread", 5, "gains", "undertow, one thread"),
     Goal(BATCH, "hand-written C, one thread", 9, "gains", "undertow, two threads"),
     Goal(REGRESSION, "NumPy and lstsq", 200, "identify"),
