@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from html import escape
 from pathlib import Path
 from typing import get_args
 
@@ -12,6 +11,7 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Progress
 
 from .compare.comparison import compare
@@ -56,7 +56,10 @@ class Diagnosed(Outcome):
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
-        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
+        head = ("model", "error on validation data (1: noise of the sensors)")
+        steps = enumerate(self.diagnosis.steps)
+        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        return html(repr(self), head, rows)
 
 
 def read_log(

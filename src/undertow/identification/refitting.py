@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Progress
 
 from .compare.windows import Prediction, cut, predict, prediction_error
@@ -114,7 +114,8 @@ class Refit:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(self._headline)}</p>{self.parameters._repr_html_()}"
+        table = self.parameters
+        return html(self._headline, table.columns, table.iter_rows())
 
 
 def _spread(row: Mapping[str, Any]) -> str:

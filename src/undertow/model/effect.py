@@ -101,6 +101,9 @@ class Effect(abc.ABC):
     def __hash__(self) -> int:
         return hash((type(self), self.thrusters))
 
+    def __repr__(self) -> str:
+        return f"{self.id}: {self.about()}"
+
     def placed(self, allocation: sm.Matrix) -> Self:
         """The effect on a vehicle whose thrusters press on it like this, `allocation` of shape (6, n)."""
         there = copy.copy(self)

@@ -9,8 +9,10 @@ from functools import cached_property
 import sympy as sm
 
 from undertow.errors import UndertowError
+from undertow.notebook import html
 
 from .composition import Composition
+from .dimensions import short_unit
 from .effect import Effect
 from .effects.generalised_force import GeneralisedForce
 from .effects.thrusters import Thrusters
@@ -76,7 +78,7 @@ def _table_of(effect_id: str) -> str:
     return {Thrusters.id: "[[thrusters]]"}.get(effect_id, f"[effects.{effect_id}]")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Vehicle:
     """A marine vehicle as a sum of effects, for any subset of the six degrees of freedom.
 
@@ -108,6 +110,21 @@ class Vehicle:
     force_channels: tuple[str, ...] = ()
     signs: str = "sname"
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
+
+    def __repr__(self) -> str:
+        parts = {"thrusters": [t.name for t in self.thrusters], "effects": [e.id for e in self.effects]}
+        listed = (f"{what} {', '.join(names)}" for what, names in parts.items() if names)
+        return "; ".join([f"Vehicle {self.name}: {', '.join(self.degrees_of_freedom)}", *listed])
+
+    def _repr_html_(self) -> str:
+        head = ("parameter", "value (SNAME signs)", "unit", "std. deviation", "estimated", "source")
+        return html(repr(self), head, (self._shown(name) for name in self.values))
+
+    def _shown(self, name: str) -> tuple[object, ...]:
+        """Row of a parameter for a notebook."""
+        value, parameter = self.values[name], self.parameter_of(name)
+        unit = short_unit(parameter.unit) if parameter else ""
+        return name, value.value, unit, value.sigma, "yes" if value.estimate else "", value.source
 
     def __post_init__(self) -> None:
         self._check_names()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from html import escape
+
+from undertow.notebook import html
 
 from .feasible import Span
 from .uncertain import Range
@@ -360,4 +361,8 @@ class Report:
         return f"{self.gains} on {self.vehicle}: {said}; {held} of {len(self.rows)} conditions hold"
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>"
+        head = ("form", "condition", "for", "signs", "left", "right", "margin", "verdict")
+        cells = (
+            (r.form, r.statement, r.scope, r.signs, r.left, r.right, r.margin, r.verdict) for r in self.rows
+        )
+        return html(repr(self), head, cells)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.notebook import html
 
 if TYPE_CHECKING:
     from undertow.identification.logs.mapping import Mapping as LogMapping
@@ -36,7 +37,7 @@ UNITS = dict(
 _GAP = 5.0  # a step this many times the median step ends a segment
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """One log on one clock.
 
@@ -92,6 +93,16 @@ class Run:
                     f"run {self.name!r}: channel {name!r} has shape {data.shape}, t has {self.t.shape}: "
                     "give one sample per time"
                 )
+
+    def __repr__(self) -> str:
+        span = f"{self.t[0]:g} to {self.t[-1]:g} s" if len(self.t) else "no time"
+        return (
+            f"Run {self.name}: {len(self.t)} samples, {span}; channels {', '.join(self.channels) or 'none'}"
+        )
+
+    def _repr_html_(self) -> str:
+        head = ("channel", "unit", "samples", "least", "mean", "greatest")
+        return html(repr(self), head, (_shown(name, data) for name, data in self.channels.items()))
 
     def has(self, name: str) -> bool:
         """Tell whether the run has a channel of this name."""
@@ -175,6 +186,13 @@ class Run:
     def noted(self, *notes: str) -> Run:
         """Return the run with lines added to its notes."""
         return replace(self, notes=(*self.notes, *notes))
+
+
+def _shown(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
+    """Row of a channel for a notebook."""
+    there = data[np.isfinite(data)]
+    span = tuple(float(x) for x in (there.min(), there.mean(), there.max())) if len(there) else (None,) * 3
+    return name, UNITS.get(name, ""), len(there), *span
 
 
 def _frozen(data: object) -> NDArray[np.float64]:
