@@ -101,6 +101,7 @@ def test_a_fit_says_what_it_found(vehicle: ut.Vehicle, run: ut.Run) -> None:
     bars = fit.plot().axes[0].patches
     heights = [100 * share for part in (fit.before, fit.after) for share in part.relative.values()]
     np.testing.assert_allclose([bar.get_height() for bar in bars], heights)
+    assert fit.plot()._repr_html_().count("<svg") == 1
 
 
 def test_a_method_that_is_not_known_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:

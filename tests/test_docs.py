@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from undertow.model.symbols import signals, symbol
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md"), *(DOCS / "examples").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md"), *DOCS.glob("*.ipynb"), *DOCS.glob("examples/*.md")])
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -122,6 +123,33 @@ def test_the_glossary_is_short() -> None:
     assert 1 <= len(terms) <= 15
 
 
+# --- tutorial.ipynb ---------------------------------------------------------------------------------
+def _cells() -> list[dict[str, Any]]:
+    cells: list[dict[str, Any]] = json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8"))["cells"]
+    return cells
+
+
+def test_the_notebook_stores_no_outputs() -> None:
+    assert [c["id"] for c in _cells() if c.get("outputs") or c.get("execution_count")] == []
+
+
+def test_the_notebook_does_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its code, run as one program: an error, or a warning, in any cell fails."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    code = ["".join(c["source"]) for c in _cells() if c["cell_type"] == "code"]
+    assert {w for c in code for w in re.findall(r"undertow[\w.]*", c)} == {"undertow"}
+    there: dict[str, Any] = {}
+    exec(compile("\n\n".join(code), "tutorial.ipynb", "exec"), there)
+    assert there["result"].effects == ["ocean_current"]
+    for name in ("u", "v", "r"):
+        before, after = (there["rms_error"](there[m], name) for m in ("refitted", "with_current"))
+        assert after < before / 10
+    assert there["better"].value_of("V_N").value == pytest.approx(0.12, abs=0.005)
+    assert there["checks"].conditions_hold
+    assert not there["checks"].ok
+    assert max(there["system"].poles().real) > 0.2
+
+
 # --- commands on pages ------------------------------------------------------------------------------
 @pytest.mark.parametrize("page", ["quickstart.md", "your-own-log.md", "write-an-effect.md"])
 def test_options_on_the_page_exist(page: str) -> None:
@@ -164,7 +192,7 @@ def test_relative_links_lead_somewhere(page: Path) -> None:
 
 # --- the site ---------------------------------------------------------------------------------------
 def _needs_sphinx() -> None:
-    for module in ("sphinx", "furo", "myst_parser", "numpydoc", "latex2mathml"):
+    for module in ("sphinx", "furo", "myst_nb", "ipykernel", "numpydoc", "latex2mathml"):
         pytest.importorskip(module, reason=f"{module} is not installed: pip install 'undertow[docs]'")
 
 
@@ -177,6 +205,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _needs_sphinx()
     out = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "-b", "html", "-d", str(out / "t"), str(DOCS)]
+    command += ["-D", "nb_execution_mode=off"]  # `make check-docs` runs the tutorial when it builds the site
     done = subprocess.run([*command, str(out / "html")], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return out / "html"

@@ -7,7 +7,7 @@ from html import escape
 
 
 def html(line: str, head: Sequence[str] = (), rows: Iterable[Sequence[object]] = ()) -> str:
-    """A line of text and, where there is a head, a table under it; numbers have five digits, None is empty."""
+    """A line of text and, where there is a head, a table: numbers with five digits, None as nothing."""
     said = f"<p>{escape(line)}</p>"
     if not head:
         return said

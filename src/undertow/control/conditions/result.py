@@ -361,8 +361,5 @@ class Report:
         return f"{self.gains} on {self.vehicle}: {said}; {held} of {len(self.rows)} conditions hold"
 
     def _repr_html_(self) -> str:
-        head = ("form", "condition", "for", "signs", "left", "right", "margin", "verdict")
-        cells = (
-            (r.form, r.statement, r.scope, r.signs, r.left, r.right, r.margin, r.verdict) for r in self.rows
-        )
-        return html(repr(self), head, cells)
+        head = ("form", "statement", "scope", "signs", "left", "right", "margin", "verdict")
+        return html(repr(self), head, ([getattr(row, name) for name in head] for row in self.rows))
