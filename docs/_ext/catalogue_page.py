@@ -25,9 +25,9 @@ vehicle in body axes; signs of parameters are those of SNAME. Thruster effects a
 
 Each picture is drawn from the equations: the force or moment, the velocity of the water, what reaches the
 thruster, or what the sensors report, over the variable that changes it most. Effects with memory or delay are
-drawn over time, while one variable is switched on and off. The values of the parameters are chosen to show the
-shape and belong to no vehicle. Variables that are not varied are zero, except u = 1 m/s and the command of the
-port thruster, 1.
+drawn over time, while one variable is switched on and off. The values of the parameters are chosen to show
+the shape and belong to no vehicle. Variables that are not varied are zero, except u = 1 m/s and the command
+of the port thruster, 1.
 """
 
 
