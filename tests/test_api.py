@@ -13,7 +13,8 @@ import undertow as ut
 
 DEMO = Path(ut.__file__).parent / "demo_data" / "auv"
 FUNCTIONS = [
-    "add_effect", "check_gains", "compile", "diagnose", "fit", "linearize", "load_vehicle", "read_log",
+    "add_effect", "catalogue", "check_gains", "compile", "diagnose", "fit", "linearize",
+    "load_vehicle", "read_log",
 ]  # fmt: skip
 
 

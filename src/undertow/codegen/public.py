@@ -82,6 +82,11 @@ def compile(vehicle: Vehicle) -> Model:
     vehicle : Vehicle
         The vehicle.
 
+    Returns
+    -------
+    Model
+        `states`, `inputs` and `simulate(x0, u, dt)`.
+
     Raises
     ------
     UndertowError

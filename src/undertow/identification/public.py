@@ -90,7 +90,7 @@ def read_log(
     Raises
     ------
     UndertowError
-        If a file cannot be read or holds what no log may hold.
+        If a file cannot be read or is not a valid log or mapping.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def fit(
     vehicle : Vehicle
         The model.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
         "weak", "integral", "instrumental", "output_error" or "prediction_error".
     horizon : float
@@ -137,14 +137,19 @@ def fit(
     dissipative : bool
         Let linear damping take energy from every motion.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Refit
+        `summary()`, `parameters` (a data frame), `plot()`, `errors` on validation data, and `vehicle`.
 
     Raises
     ------
     UndertowError
-        If there is no such method, nothing is to be estimated, or a log does not serve.
+        If there is no such method, nothing is to be estimated, or a log cannot be used.
 
     Examples
     --------
@@ -192,20 +197,25 @@ def diagnose(
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     false_alarms : float
         Chance of naming an effect where nothing is missing, 0.005 to 0.2.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Diagnosed
+        `verdict`, `effects`, the models `before` and `after` adding them, and `report(path)`.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
+        If a channel is missing, a log is too short or contradicts itself, or nothing moved in it.
 
     Examples
     --------
@@ -238,7 +248,7 @@ def add_effect(
     *,
     force: bool = False,
 ) -> Vehicle:
-    """Put an effect into a model and refit it.
+    """Add an effect to a model and refit the model.
 
     Parameters
     ----------
@@ -247,9 +257,14 @@ def add_effect(
     effect : str
         Id of an effect of the catalogue.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     force : bool
-        Put it in although it does not lower the error on validation data.
+        Add it even if it does not lower the error on validation data.
+
+    Returns
+    -------
+    Vehicle
+        The refitted model with the effect.
 
     Raises
     ------

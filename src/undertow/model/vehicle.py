@@ -156,7 +156,7 @@ class Vehicle:
                 )
 
     def lacks(self, effect: Effect | type[Effect]) -> list[str]:
-        """Ids of the effects that `effect` requires and that the vehicle has not; thrusters count as one."""
+        """Ids of the effects that `effect` requires and the vehicle does not have; thrusters count as one."""
         present = {e.id for e in self.all_effects}
         return [r for r in effect.requires if r not in present]
 
@@ -248,7 +248,7 @@ class Vehicle:
         return {key: self.values[name] for name, key in named.items() if name in self.values}
 
     def value_of(self, name: str) -> Value:
-        """Value of a parameter; thrust per command is its thruster's, what is unsaid the effect's."""
+        """Value of a parameter: as stated, or for thrust its thruster's, or the default of the effect."""
         if name in self.values:
             return self.values[name]
         for thruster in self.thrusters:

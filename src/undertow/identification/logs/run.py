@@ -44,7 +44,7 @@ class Run:
     Attributes
     ----------
     name : str
-        What reports call the run.
+        Name of the run in reports.
     t : (n,) array
         Time in s, strictly increasing, in general not evenly spaced.
     channels : dict of (n,) arrays
@@ -62,9 +62,9 @@ class Run:
     resolution : float
         Time constant in s of the smoother that those came through; changes faster than it are smoothed away.
     mapping : Mapping, optional
-        How the columns of the file were read; None where the run is from no file.
+        How the columns of the file were read; None where the run was not read from a file.
     wrapped : dict of (n,) arrays
-        Angles that jump by turns in the log, as they are there; in `channels` they are unwrapped.
+        Angles that jump by full turns in the log, as logged; in `channels` they are unwrapped.
     dropped : int
         Rows of the file that were left out because their time was not later than that of a row before.
     """
