@@ -192,6 +192,7 @@ def test_the_notebook_does_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None
     assert {w for c in code for w in re.findall(r"undertow[\w.]*", c)} == {"undertow"}
     there: dict[str, Any] = {}
     exec(compile("\n\n".join(code), "tutorial.ipynb", "exec"), there)
+    there["plt"].close("all")
     assert there["result"].effects == ["ocean_current"]
     for name in ("u", "v", "r"):
         before, after = (there["rms_error"](there[m], name) for m in ("refitted", "with_current"))
