@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.hidden_effects import Case
 from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.identification.parallel import jobs
 from undertow.model.vehicle import Vehicle
 

@@ -20,16 +20,15 @@ import sympy as sm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from undertow.identification.report.style import FAINT, look, svg, unit_text
-from undertow.identification.report.style import figure as new_figure
+from undertow.identification.figures import FAINT, look, svg, unit_text
+from undertow.identification.figures import figure as new_figure
 from undertow.model.catalogue import catalogue
-from undertow.model.dimensions import short_unit
+from undertow.model.composition import Statement, commands_of, function_of, statement_of
 from undertow.model.effect import Effect
-from undertow.model.evaluation import function_of
 from undertow.model.kinematics import rotation
 from undertow.model.parameter import Parameter
-from undertow.model.statement import Statement, commands_of, statement_of
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, signals
+from undertow.model.units import short_unit
 
 Values = dict[sm.Symbol, float | NDArray[np.float64]]
 _NAMES = {n: f"{DOFS[i]} {'force' if i < 3 else 'moment'} {n}" for i, n in enumerate(FORCE)}

@@ -23,8 +23,7 @@ from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, refusal, text_of
 from undertow import files
 from undertow.cli import _vehicle_and_logs
-from undertow.cli._run import run
-from undertow.cli.main import main
+from undertow.cli.main import main, run
 from undertow.identification.diagnosis.diagnose import diagnose as diagnosed
 
 Capture = pytest.CaptureFixture[str]

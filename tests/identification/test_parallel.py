@@ -11,8 +11,8 @@ import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
 from undertow.errors import UndertowError
-from undertow.identification import read_log
 from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.logs.reading import read_log
 from undertow.identification.parallel import aside, jobs, mapped
 from undertow.model.loading import load_vehicle
 

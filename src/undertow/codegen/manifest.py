@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 
 import undertow
 from undertow.errors import UndertowError
+from undertow.model.loading import Printable
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
-from undertow.model.vehicle_schema import Printable
 
 from .functions import Functions
 

@@ -12,12 +12,12 @@ from undertow.errors import UndertowError
 from undertow.notebook import html
 
 from .composition import Composition
-from .dimensions import short_unit
 from .effect import Effect
 from .effects.generalised_force import GeneralisedForce
 from .effects.thrusters import Thrusters
 from .parameter import WAYS, Parameter
 from .symbols import CHANNELS, DOFS, POSE, VELOCITY, symbol
+from .units import short_unit
 
 
 @dataclass(frozen=True)

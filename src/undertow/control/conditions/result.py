@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from undertow.notebook import html
 
-from .feasible import Span
-from .uncertain import Range
+from .problem import Range, Span
 
 HOLDS, FAILS, UNPROVED, NO_IOTA = "holds", "fails", "not proved", "no iota"
 

@@ -1,29 +1,421 @@
-"""The whole diagnosis: split the data, search, judge, and put it into words and numbers."""
+"""The whole diagnosis: split the data, search, judge by simulation, and put it into words and numbers."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow import __version__
 from undertow.errors import UndertowError
+from undertow.identification.doctor.examine import examine, refuse_impossible
+from undertow.identification.doctor.findings import Examination
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.logs.run import Run
+from undertow.identification.parallel import aside
+from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Progress
+from undertow.typing import Array, Progress
 
-from ..doctor import Examination, examine, refuse_impossible
-from ..fitted import Fitted
-from ..logs import Run
-from ..parallel import aside
-from ..weak.data import prepare
-from .excitation import check_excitation
-from .referee import DECIDING, Referee
-from .result import Diagnosis, RunInfo
-from .search import search
-from .split import keep_blocks_aside
-from .story import Story
-from .trial import FALSE_ALARM_RATE
+from .candidates import possible
+from .evidence import Chain, FoundEffect, fitted, with_effects
+from .residual import remaining
+from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
+from .search import Search, last_fit, search
+from .trial import FALSE_ALARM_RATE, Bench, Score, error_of, noise_ratio, scored, told_apart
+from .validation import DECIDING, Referee, clearly_worse, sizes
+from .verdict import (
+    Judgement,
+    Left,
+    Relief,
+    absorbing,
+    changed_values,
+    equivalents,
+    estimate,
+    estimates,
+    instead_of_effects,
+    judge,
+    reliefs,
+    unique_ids,
+    with_values,
+)
+
+# Rms difference of the commands of two runs, as a share of their rms, up to which they are the same: clocks
+# may be half a sample apart at every step. Unrelated manoeuvres differ by more than their size.
+_SAME = 0.15
+# Share of the shorter run in which both must be under way for their commands to be compared.
+_LONG = 0.5
+
+
+def repeats(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, str]]:
+    """Runs kept aside that repeat the commands of a run that was fitted, with that run.
+
+    A model that has learned the manoeuvre by heart does as well on them as the right one.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose commands are compared.
+    train, test : sequence of Run
+        What models are fitted to, and what they are judged by.
+    """
+    names = vehicle.command_names
+    pairs = ((kept, fitted) for kept in test for fitted in train)
+    return [(kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names)]
+
+
+def _same(one: Run, other: Run, names: Sequence[str]) -> bool:
+    """Whether two runs have the same commands, each counted from its own beginning."""
+    first, second = one.t - one.t[0], other.t - other.t[0]
+    common = first[first <= second[-1]]
+    if common[-1] < _LONG * min(first[-1], second[-1]):
+        return False
+    mine = np.nan_to_num(one.matrix(names)[: len(common)])
+    place = np.searchsorted(second, common, side="right") - 1
+    theirs = np.nan_to_num(other.matrix(names)[place])
+    size = float(np.sqrt(np.mean(mine**2)))
+    changes = bool(np.any(np.ptp(mine, axis=0) > 0.0))
+    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < _SAME * size
+
+
+_MANOEUVRES = 20
+# Mean square of every equation, in units of the noise, below which next to nothing is left.
+_NEARLY_NOISE = 2.0
+
+
+class Story:
+    """The outcome of a search, judged under one noise model for all steps and by simulation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model as given.
+    found : Search
+        What the search found.
+    referee : Referee
+        Who simulates.
+    known : Catalogue
+        Effects that may be missing.
+    """
+
+    def __init__(self, vehicle: Vehicle, found: Search, referee: Referee, known: Catalogue) -> None:
+        self.vehicle, self.referee, self._known = vehicle, referee, known
+        self.found = found = decided(found, referee)
+        self.bench = found.bench
+        weak = found.steps()
+        refined = [referee.refined(f) for f in weak]
+        self.fits = [fit for fit, _ in refined]
+        self.simulated = [squares for _, squares in refined]
+        self.base, final = self.fits[0], self.fits[-1]
+        #: The model as given, refitted: `base` where no fixed value was found to be another.
+        self.given = referee.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        # All models are shown in units of the same noise, that of the sensors alone.
+        self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
+        self._quiet = quiet = referee.quiet(weak[-1], self.bench.test)
+        left = Left(
+            quiet=quiet,
+            confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
+            nearly=quiet or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
+            change="" if quiet else self._change(),
+        )
+        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
+        self.judgement: Judgement = judge(found, scores, self.bench.noise_level, left)
+
+    def _change(self) -> str:
+        """How the size of the one effect that was found changes in the course of the kept-aside data."""
+        winners = self.found.winners
+        if len(unique_ids(winners)) != 1:
+            return ""
+        own = [p for w in winners for p in w.trial.candidate.parameters]
+        return sizes(self.fits[-1], own, self.bench.test, self._whitening).change
+
+    @property
+    def after(self) -> Fitted:
+        """The fit with what is named, or the refitted model where nothing is."""
+        return self.fits[-1] if self.judgement.effects else self.base
+
+    def told(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
+        """The diagnosis."""
+        equivalent = self._equivalents()
+        doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
+        doubts += self._by_heart() if self.judgement.effects else []
+        left = remaining(self.after, self.bench.train, self.bench.test)
+        doubts += self._nowhere_alone(left)
+        return Diagnosis(
+            undertow=__version__,
+            vehicle=self.vehicle.name,
+            degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
+            signs=self.vehicle.signs,
+            runs=infos,
+            verdict=self.judgement.verdict,
+            headline=" ".join([self._headline(), *doubts]),
+            effects=unique_ids(self.judgement.effects),
+            ranking=[self._ranked(f) for f in self._in_order()],
+            steps=self._steps(),
+            indistinguishable=self._sets(),
+            equivalent=equivalent,
+            warnings=self._warnings(equivalent),
+            remaining=left,
+            parameters=estimates(self.after, self.vehicle),
+            false_alarm_rate=self.bench.false_alarms,
+            noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            seconds=seconds,
+        )
+
+    def _headline(self) -> str:
+        values = changed_values(self.vehicle, self.after, self.found.freed)
+        return with_values(self.judgement, values, self._quiet)
+
+    def _equivalents(self) -> list[Equivalent]:
+        model, bench = self.found.vehicle, self.bench
+        if self.judgement.effects and self._quiet:
+            return instead_of_effects(self.found.chain, model, bench, self.referee.quiet)
+        if self.judgement.verdict != "adequate":
+            return []
+        derived = bench.train.velocities_derived
+        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
+
+    def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
+        nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
+        if not nothing_found or any(r.excess_rms > 0.0 for r in left):
+            return []
+        return ["It stands out in the force of no degree of freedom by itself."]
+
+    def _by_heart(self) -> list[str]:
+        return [
+            f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
+            "by heart would look as good: judge by another one."
+            for kept, fitted in repeats(self.vehicle, self.referee.train, self.referee.test)
+        ]
+
+    def _sets(self) -> list[Indistinguishable]:
+        """The sets, each with the manoeuvre that would tell its effects apart."""
+        places = [i for i, rivals in enumerate(self.found.rivals) if rivals]
+        return [
+            s.model_copy(update={"separated_by": self._separating(i, s)})
+            for i, s in zip(places, self.judgement.sets, strict=False)
+        ]
+
+    def _separating(self, place: int, equals: Indistinguishable) -> str:
+        others = [f for i, f in enumerate(self.found.winners) if i != place]
+        chains = [self.found.chain, *self.found.rivals[place]]
+        values = {c.findings[place].id: c.findings[place].trial.fit.values for c in chains}
+        try:
+            return suggest(
+                with_effects(self.found.vehicle, others),
+                equals.effects,
+                self.referee.train,
+                values,
+                known=self._known,
+                tries=_MANOEUVRES,
+            )
+        except UndertowError as error:
+            return f"No manoeuvre can be suggested: {error}"
+
+    def _normalised(self, fit: Fitted) -> float:
+        """Error in units of the noise; what unknown first states leave open is left out on both sides."""
+        before, data = self._left_before, self.bench.test
+        after = scored(fit, data, self._whitening, before.r)
+        without, with_it = map(error_of, told_apart(before, after, data))
+        return self._before * with_it / without
+
+    @cached_property
+    def _left_before(self) -> Score:
+        return scored(self.base, self.bench.test, self._whitening)
+
+    @cached_property
+    def _before(self) -> float:
+        return self._left_before.error
+
+    def _steps(self) -> list[Step]:
+        ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
+        steps = [self._step(ids[:i], fit, self.simulated[i], freed) for i, fit in enumerate(self.fits)]
+        first = [self._step([], self.given, self.referee.squares(self.given))] if freed else []
+        return [*first, *steps]
+
+    def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
+        ahead = self.referee.ahead(fit.vehicle)
+        simulation = float(np.sqrt(np.mean(squares)))
+        return Step(
+            added=added,
+            error=self._normalised(fit),
+            prediction=ahead.get(f"{DECIDING:g} s", ahead["free run"]),
+            simulation=simulation if math.isfinite(simulation) else None,
+            ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
+            freed=list(freed),
+        )
+
+    def _in_order(self) -> list[FoundEffect]:
+        """The candidates as they look beside the model as it is, led by the one that was named in the end."""
+        leader = next(iter(unique_ids(self.judgement.effects)), None)
+        return sorted(self.found.rounds[0].findings, key=lambda f: f.id != leader)
+
+    def _ranked(self, finding: FoundEffect) -> Ranked:
+        trial = finding.trial
+        helps = finding.significant or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
+        names = finding.parameters if helps and trial.kept else ()
+        return Ranked(
+            effect=finding.id,
+            family=trial.candidate.effect.family,
+            about=trial.candidate.effect.about(),
+            parameters=[estimate(trial.fit, n, self.vehicle) for n in names],
+            error_before=self._before,
+            error_after=self._normalised(trial.fit) if helps else self._before,
+            explained=max(finding.explained, 0.0),
+            improvement=finding.evidence.mean,
+            interval=finding.evidence.interval,
+            # Where nothing is missing the simulation, which has the last word, needs none of them.
+            significant=finding.significant and self.judgement.verdict != "adequate",
+            p_value=finding.p_value if helps else None,
+            inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+        )
+
+    def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
+        named = tuple(unique_ids(self.judgement.effects))
+        claimed = {*named, *(e for s in self.judgement.sets for e in s.effects)}
+        helpers = [h for h in reliefs(self.found.rounds[0].findings) if claimed.issuperset(h.effects)]
+        if len(named) > 1:
+            helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
+        alike = {name: e.effects for e in equivalent for name in e.parameters}
+        return absorbing(self.vehicle, self.base, helpers, alike)
+
+
+def decided(found: Search, referee: Referee) -> Search:
+    """The search as far as it stands up to simulation.
+
+    An effect goes when the model simulates the kept-aside runs to within the noise before it is added to
+    others. All of a set of equally good effects are fitted by output error, started from the weak form, and
+    simulate the kept-aside runs; the best of them leads, and gets a last fit.
+    """
+    found = _without_surplus(found, referee)
+    for place in range(len(found.rivals)):
+        if found.rivals[place]:
+            best, *others = referee.standing([found.chain, *found.rivals[place]])
+            rivals: list[list[Chain]] = list(found.rivals)
+            rivals[place] = others
+            found = replace(found, chain=best, rivals=rivals)
+    return replace(found, chain=_last(found.chain, found.bench)) if found.winners else found
+
+
+def _last(chain: Chain, bench: Bench) -> Chain:
+    fit = last_fit(chain.fit, [f.trial.candidate for f in chain.findings])
+    return replace(chain, fit=fit, score=bench.judge(fit))
+
+
+def _without_surplus(found: Search, referee: Referee) -> Search:
+    """The search without effects that the simulation does not need."""
+    if _hidden_in_noise(found, referee):
+        return replace(found, chain=fitted(found.vehicle, [], found.bench), rivals=[])
+    for place in range(len(found.winners)) if len(found.winners) > 1 else ():
+        kept = [i for i in range(len(found.winners)) if i != place]
+        shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
+        if referee.leaves_only_noise(shorter.fit) and not referee.outdone(shorter.fit, found.chain.fit):
+            rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
+            return _without_surplus(replace(found, chain=shorter, rivals=rivals), referee)
+    return found
+
+
+def _hidden_in_noise(found: Search, referee: Referee) -> bool:
+    """Whether the model as it is leaves only noise, and simulates no worse than with what was found.
+
+    Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
+    of its own that an effect can take up.
+    """
+    if not found.winners or not referee.quiet(found.bench.base, found.bench.test):
+        return False
+    without = fitted(found.vehicle, [], found.bench)
+    squares = [referee.contender(c).squares for c in (without, found.chain)]
+    return not (clearly_worse(*squares) or referee.outdone(without.fit, found.chain.fit))
+
+
+def _only(chain: Chain, places: list[int]) -> Chain:
+    return replace(chain, findings=tuple(chain.findings[i] for i in places))
+
+
+def _either(equivalent: Equivalent) -> str:
+    return " or ".join(["wrong stated values", *equivalent.effects])
+
+
+_PIECES = 6
+_ASIDE = (1, 4)
+_GAP_SECONDS = 1.0
+# Samples of a run with fewer than which some of its pieces may hold none.
+_FEWEST = 10
+
+
+def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """Cut every run into six pieces and keep the second and the fifth aside.
+
+    Returns
+    -------
+    (list of Run, list of Run)
+        What models are fitted to, and what they are judged by.
+
+    Raises
+    ------
+    UndertowError
+        If a run is too short to be cut.
+    """
+    for run in runs:
+        if len(run.t) < _FEWEST:
+            raise UndertowError(
+                f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
+                f"({_FEWEST} at the very least): give longer logs, or another run to judge by with --holdout"
+            )
+    pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run))]
+    train = [piece for i, piece in pieces if i not in _ASIDE]
+    return train, [piece for i, piece in pieces if i in _ASIDE]
+
+
+def _pieces(run: Run) -> list[Run]:
+    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / _PIECES
+    edges = [start + i * length for i in range(_PIECES + 1)]
+    gap = min(_GAP_SECONDS, 0.1 * length)
+    return [
+        replace(run.slice(a, b if i == _PIECES - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
+        for i, (a, b) in enumerate(pairwise(edges))
+    ]
+
+
+# Noise alone has a standard deviation of once its own; a velocity below this many times that was not moved.
+_EXCITED = 2.0
+
+
+def check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: NDArray[np.float64]) -> None:
+    """Refuse logs in which no velocity of the vehicle stands out of its noise.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose velocities are looked at.
+    runs : sequence of Run
+        Logs that hold them.
+    sigma : (2n,) array
+        Noise of the channels, pose then velocity of the degrees of freedom, in their units.
+
+    Raises
+    ------
+    UndertowError
+        If nothing moves; the velocities are told with their noise.
+    """
+    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
+    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
+    if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
+        seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
+        raise UndertowError(
+            f"nothing moves in these logs: standard deviation of {seen}; "
+            "log a manoeuvre in which the vehicle moves"
+        )
+
 
 Role = Literal["train", "holdout", "blocks"]
 HORIZON = DECIDING
