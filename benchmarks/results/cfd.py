@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import undertow
 from undertow.identification.compare.comparison import regimes
 from undertow.identification.compare.forces import residual_forces
-from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.mapping import read_mapping

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from undertow.identification.compare.comparison import compare
-from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.run import Run

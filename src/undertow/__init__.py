@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from undertow.version import __version__
+
 if TYPE_CHECKING:
     from undertow.codegen.public import compile as compile
     from undertow.control.api import check_gains as check_gains
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
     from undertow.model.parameter import Parameter as Parameter
     from undertow.model.vehicle import Vehicle as Vehicle
 
-__version__ = "0.1.0"
 
 _HOME_OF = {
     "Run": "undertow.identification.logs.run",

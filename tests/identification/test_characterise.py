@@ -23,9 +23,9 @@ from undertow.identification.diagnosis.associations import (
     terms_of,
     without_waves,
 )
-from undertow.identification.diagnosis.diagnose import keep_blocks_aside
 from undertow.identification.diagnosis.residual import ForceRows, how, remaining, sentence
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
+from undertow.identification.diagnosis.validation import keep_blocks_aside
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.pose_velocity import velocities_from_pose

@@ -10,10 +10,9 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.diagnose import repeats
 from undertow.identification.diagnosis.evidence import Blocks, Linear, best_by_chance, inclusion, p_value
 from undertow.identification.diagnosis.trial import open_bench, told_apart
-from undertow.identification.diagnosis.validation import clearly_worse
+from undertow.identification.diagnosis.validation import clearly_worse, repeats
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened

@@ -17,7 +17,7 @@ from tests.identification.logs_of import run_of, runs_of, vehicle_of
 from undertow.errors import UndertowError
 from undertow.identification.api import Estimator
 from undertow.identification.compare.comparison import compare
-from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine, refuse_impossible
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose

@@ -13,7 +13,7 @@ import pytest
 
 from undertow.cli.diagnose import _content
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.diagnose import _with_doctor
+from undertow.identification.diagnose import _with_doctor
 from undertow.identification.diagnosis.result import (
     Diagnosis,
     Estimate,

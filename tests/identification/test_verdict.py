@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from undertow.identification.diagnosis.diagnose import Story
+from undertow.identification.diagnose import Story
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
 from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
 

@@ -25,6 +25,7 @@ from rich.table import Table
 from undertow.files import write_whole
 from undertow.identification.compare.comparison import compare
 from undertow.identification.compare.forces import Forces, residual_forces
+from undertow.identification.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.addition import (
     Addition,
     Ground,
@@ -32,7 +33,6 @@ from undertow.identification.diagnosis.addition import (
     lay_ground,
     visible_effects,
 )
-from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.trial import T_KEEP
 from undertow.identification.diagnosis.verdict import NAMED_SHARE
 from undertow.identification.figures import unit_text
@@ -57,7 +57,7 @@ from .diagnose import write_vehicle
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undertow.identification.diagnosis.diagnose import Outcome
+    from undertow.identification.diagnose import Outcome
     from undertow.identification.report.data import ReportData, RunTraces
 
     from ._vehicle_and_logs import Loaded

@@ -43,7 +43,7 @@ from .doctor import show_finding
 
 if TYPE_CHECKING:
     from undertow.identification.api import Diagnosed
-    from undertow.identification.diagnosis.diagnose import Outcome
+    from undertow.identification.diagnose import Outcome
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
 
@@ -79,7 +79,7 @@ def diagnose(
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
     from undertow.identification.api import diagnose as run
-    from undertow.identification.diagnosis.diagnose import check_false_alarms
+    from undertow.identification.diagnose import check_false_alarms
     from undertow.model.catalogue import catalogue, load_effects, merge
 
     from ._terminal import progress

@@ -17,9 +17,9 @@ import typer
 from typer.core import TyperCommand
 
 import undertow.cli as package
-from undertow import __version__
 from undertow.cli._terminal import keep_warnings_back, open_streams
 from undertow.errors import UndertowError
+from undertow.version import __version__
 
 from ._terminal import insisting
 

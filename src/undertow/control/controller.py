@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 import sympy as sm
 
-import undertow
 from undertow.codegen.convert import Converter
 from undertow.codegen.export import Report, comment, filled, identifier, listing, slug, strings
 from undertow.codegen.functions import solve_symmetric
@@ -24,6 +23,7 @@ from undertow.files import make_folder, together, write_whole
 from undertow.model.loading import Quantity
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.units import to_si
+from undertow.version import __version__
 
 from .gains import GainSet
 
@@ -475,7 +475,7 @@ class ControllerExport:
         words = ("REPORTS", "DESIRED", "STATES", "GAINS", "COMMANDS", "FORCES")
         lists = dict(zip(words, map(listing, entries.values()), strict=True))
         gains = self._controller.gains
-        named = {"LOWER": self._name, "UPPER": self._name.upper(), "VERSION": undertow.__version__}
+        named = {"LOWER": self._name, "UPPER": self._name.upper(), "VERSION": __version__}
         titles = {"TITLE": comment(gains.name), "VEHICLE": comment(self._vehicle.name), "LAW": gains.law.id}
         declared = f"\n{filled(_HEADING, named)};\n" if self._plane else ""
         return {**named, **titles, **sizes, **lists, "HEADING_DECLARED": declared}

@@ -12,8 +12,7 @@ from typing import Annotated, Literal
 import sympy as sm
 from pydantic import Field, StrictStr
 
-from undertow.errors import UndertowError
-from undertow.model.catalogue import nearest
+from undertow.errors import UndertowError, nearest
 from undertow.model.loading import FileTable, Identifier, Quantity, is_file, read_table
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.units import to_si

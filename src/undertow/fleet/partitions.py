@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
-from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.step import bounds_of, prior_of, reach_of
 from undertow.model.composition import Composition
 from undertow.model.loading import resolve_vehicle
+from undertow.version import __version__
 
 if TYPE_CHECKING:
     import polars as pl

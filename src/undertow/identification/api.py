@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
+from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
 from .compare.comparison import compare
+from .diagnose import Outcome
+from .diagnose import diagnose as diagnosed
 from .diagnosis.addition import add_effect as added
 from .diagnosis.addition import lay_ground
-from .diagnosis.diagnose import Outcome, check_excitation, keep_blocks_aside
-from .diagnosis.diagnose import diagnose as diagnosed
 from .diagnosis.trial import FALSE_ALARM_RATE
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible

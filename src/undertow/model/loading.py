@@ -26,10 +26,10 @@ from pydantic import (
     ValidationError,
 )
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 
-from .catalogue import Catalogue, catalogue, load_effects, lookup, merge, nearest
+from .catalogue import Catalogue, catalogue, load_effects, lookup, merge
 from .effect import Effect
 from .parameter import Parameter, Taken, printed
 from .plausibility import check_vehicle

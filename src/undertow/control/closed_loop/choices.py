@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from undertow.control.gains import GainTable, load_gains
-from undertow.errors import UndertowError
-from undertow.model.catalogue import catalogue, nearest
+from undertow.errors import UndertowError, nearest
+from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 
 from .simulate import ClosedLoop

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from undertow.errors import UndertowError
-from undertow.model.catalogue import nearest
+from undertow.errors import UndertowError, nearest
 from undertow.model.loading import Quantity
 from undertow.model.symbols import FASTEST, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.units import to_si

@@ -14,8 +14,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter
 
 from undertow.control.gains import GainSet
-from undertow.errors import UndertowError
-from undertow.model.catalogue import nearest
+from undertow.errors import UndertowError, nearest
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

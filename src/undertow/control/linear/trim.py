@@ -8,8 +8,7 @@ from math import isfinite
 
 import numpy as np
 
-from undertow.errors import UndertowError
-from undertow.model.catalogue import nearest
+from undertow.errors import UndertowError, nearest
 from undertow.model.symbols import FASTEST, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

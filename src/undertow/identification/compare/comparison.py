@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from scipy.special import chdtrc
 
-from undertow import __version__
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, prepare
@@ -22,6 +21,7 @@ from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
+from undertow.version import __version__
 
 from .forces import Forces, residual_forces
 

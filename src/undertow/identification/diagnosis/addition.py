@@ -10,7 +10,6 @@ import numpy as np
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.diagnose import HORIZON
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.trial import (
@@ -21,6 +20,7 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
+from undertow.identification.diagnosis.validation import DECIDING, check_excitation, keep_blocks_aside
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
@@ -33,7 +33,6 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
 from undertow.model.vehicle import Vehicle
 
-from .diagnose import check_excitation, keep_blocks_aside
 from .search import last_fit
 from .trial import begun, scout, scouts
 from .validation import Referee
@@ -134,7 +133,7 @@ def lay_ground(
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(HORIZON, 0.9 * longest))
+    windows = cut(test_runs, vehicle, min(DECIDING, 0.9 * longest))
     referee = Referee(vehicle, train_runs, test_runs, train.sigma)
     return Ground(vehicle, train_runs, test_runs, bench, windows, referee)
 

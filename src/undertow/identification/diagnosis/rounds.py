@@ -19,7 +19,6 @@ from undertow.identification.estimation.step import (
     prior_of,
 )
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.parallel import mapped
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -38,6 +37,7 @@ from .evidence import (
     linear,
     p_value,
 )
+from .parallel import mapped
 from .trial import (
     Bench,
     Score,

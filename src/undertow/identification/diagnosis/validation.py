@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -498,3 +499,113 @@ def _stretches(data: WeakData) -> NDArray[np.intp]:
     """Stretch of every row: blocks of a run that follow each other, alike in number."""
     block = data.block
     return np.asarray(block * _STRETCHES // (int(block.max(initial=0)) + 1))
+
+
+# Rms difference of the commands of two runs, as a share of their rms, up to which they are the same: clocks
+# may be half a sample apart at every step. Unrelated manoeuvres differ by more than their size.
+_SAME = 0.15
+# Share of the shorter run in which both must be under way for their commands to be compared.
+_LONG = 0.5
+
+
+def repeats(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, str]]:
+    """Runs kept aside that repeat the commands of a run that was fitted, with that run.
+
+    A model that has learned the manoeuvre by heart does as well on them as the right one.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose commands are compared.
+    train, test : sequence of Run
+        What models are fitted to, and what they are judged by.
+    """
+    names = vehicle.command_names
+    pairs = ((kept, fitted) for kept in test for fitted in train)
+    return [(kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names)]
+
+
+def _same(one: Run, other: Run, names: Sequence[str]) -> bool:
+    """Whether two runs have the same commands, each counted from its own beginning."""
+    first, second = one.t - one.t[0], other.t - other.t[0]
+    common = first[first <= second[-1]]
+    if common[-1] < _LONG * min(first[-1], second[-1]):
+        return False
+    mine = np.nan_to_num(one.matrix(names)[: len(common)])
+    place = np.searchsorted(second, common, side="right") - 1
+    theirs = np.nan_to_num(other.matrix(names)[place])
+    size = float(np.sqrt(np.mean(mine**2)))
+    changes = bool(np.any(np.ptp(mine, axis=0) > 0.0))
+    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < _SAME * size
+
+
+_PIECES = 6
+_ASIDE = (1, 4)
+_GAP_SECONDS = 1.0
+# Samples of a run with fewer than which some of its pieces may hold none.
+_FEWEST = 10
+
+
+def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """Cut every run into six pieces and keep the second and the fifth aside.
+
+    Returns
+    -------
+    (list of Run, list of Run)
+        What models are fitted to, and what they are judged by.
+
+    Raises
+    ------
+    UndertowError
+        If a run is too short to be cut.
+    """
+    for run in runs:
+        if len(run.t) < _FEWEST:
+            raise UndertowError(
+                f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
+                f"({_FEWEST} at the very least): give longer logs, or another run to judge by with --holdout"
+            )
+    pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run))]
+    train = [piece for i, piece in pieces if i not in _ASIDE]
+    return train, [piece for i, piece in pieces if i in _ASIDE]
+
+
+def _pieces(run: Run) -> list[Run]:
+    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / _PIECES
+    edges = [start + i * length for i in range(_PIECES + 1)]
+    gap = min(_GAP_SECONDS, 0.1 * length)
+    return [
+        replace(run.slice(a, b if i == _PIECES - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
+        for i, (a, b) in enumerate(pairwise(edges))
+    ]
+
+
+# Noise alone has a standard deviation of once its own; a velocity below this many times that was not moved.
+_EXCITED = 2.0
+
+
+def check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: NDArray[np.float64]) -> None:
+    """Refuse logs in which no velocity of the vehicle stands out of its noise.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose velocities are looked at.
+    runs : sequence of Run
+        Logs that hold them.
+    sigma : (2n,) array
+        Noise of the channels, pose then velocity of the degrees of freedom, in their units.
+
+    Raises
+    ------
+    UndertowError
+        If nothing moves; the velocities are told with their noise.
+    """
+    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
+    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
+    if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
+        seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
+        raise UndertowError(
+            f"nothing moves in these logs: standard deviation of {seen}; "
+            "log a manoeuvre in which the vehicle moves"
+        )

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.identification.figures import AFTER, BEFORE, FAINT, figure, look, plain
 from undertow.identification.logs.mapping import LogMapping
@@ -18,6 +17,7 @@ from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
+from undertow.version import __version__
 
 from . import mistakes, sensors
 from .clocks import clock_findings, command_clock

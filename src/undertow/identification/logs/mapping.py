@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
-from undertow.identification.logs.checks import nearest
 from undertow.typing import Array
 
 SCHEMA = "undertow/mapping/1"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.identification.logs.mapping import (
     Channels,
     over_ground,
@@ -170,7 +170,7 @@ def must_have(
     names = list(names)
     if name not in names:
         have = list(names if columns is None else columns)
-        hint = checks.nearest(name, have)
+        hint = nearest(name, have)
         more = _delimiter_hint(have)
         raise UndertowError(f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}")
 

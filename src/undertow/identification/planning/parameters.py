@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.fitted import undetermined
@@ -16,6 +15,7 @@ from undertow.identification.estimation.weak_form import free_parameters
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
+from undertow.version import __version__
 
 from .flight import (
     Flight,

@@ -8,7 +8,6 @@ from itertools import combinations
 
 import numpy as np
 
-from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
@@ -19,6 +18,7 @@ from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
+from undertow.version import __version__
 
 from .flight import Airspace, Flight, Ground, Plant, Request, depth_spread
 from .manoeuvres import Design

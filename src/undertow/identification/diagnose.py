@@ -7,33 +7,32 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from undertow import __version__
 from undertow.errors import UndertowError
+from undertow.identification.diagnosis.parallel import aside
+from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside, repeats
 from undertow.identification.doctor.examine import examine, refuse_impossible
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.logs.run import Run
-from undertow.identification.parallel import aside
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
+from undertow.version import __version__
 
-from .candidates import possible
-from .evidence import Chain, FoundEffect, fitted, with_effects
-from .residual import remaining
-from .result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
-from .search import Search, last_fit, search
-from .trial import FALSE_ALARM_RATE, Bench, Score, error_of, noise_ratio, scored, told_apart
-from .validation import DECIDING, Referee, clearly_worse, sizes
-from .verdict import (
+from .diagnosis.candidates import possible
+from .diagnosis.evidence import Chain, FoundEffect, fitted, with_effects
+from .diagnosis.residual import remaining
+from .diagnosis.result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
+from .diagnosis.search import Search, last_fit, search
+from .diagnosis.trial import FALSE_ALARM_RATE, Bench, Score, error_of, noise_ratio, scored, told_apart
+from .diagnosis.validation import DECIDING, Referee, clearly_worse, sizes
+from .diagnosis.verdict import (
     Judgement,
     Left,
     Relief,
@@ -48,44 +47,6 @@ from .verdict import (
     unique_ids,
     with_values,
 )
-
-# Rms difference of the commands of two runs, as a share of their rms, up to which they are the same: clocks
-# may be half a sample apart at every step. Unrelated manoeuvres differ by more than their size.
-_SAME = 0.15
-# Share of the shorter run in which both must be under way for their commands to be compared.
-_LONG = 0.5
-
-
-def repeats(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, str]]:
-    """Runs kept aside that repeat the commands of a run that was fitted, with that run.
-
-    A model that has learned the manoeuvre by heart does as well on them as the right one.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose commands are compared.
-    train, test : sequence of Run
-        What models are fitted to, and what they are judged by.
-    """
-    names = vehicle.command_names
-    pairs = ((kept, fitted) for kept in test for fitted in train)
-    return [(kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names)]
-
-
-def _same(one: Run, other: Run, names: Sequence[str]) -> bool:
-    """Whether two runs have the same commands, each counted from its own beginning."""
-    first, second = one.t - one.t[0], other.t - other.t[0]
-    common = first[first <= second[-1]]
-    if common[-1] < _LONG * min(first[-1], second[-1]):
-        return False
-    mine = np.nan_to_num(one.matrix(names)[: len(common)])
-    place = np.searchsorted(second, common, side="right") - 1
-    theirs = np.nan_to_num(other.matrix(names)[place])
-    size = float(np.sqrt(np.mean(mine**2)))
-    changes = bool(np.any(np.ptp(mine, axis=0) > 0.0))
-    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < _SAME * size
-
 
 _MANOEUVRES = 20
 # Mean square of every equation, in units of the noise, below which next to nothing is left.
@@ -345,82 +306,12 @@ def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
 
 
-_PIECES = 6
-_ASIDE = (1, 4)
-_GAP_SECONDS = 1.0
-# Samples of a run with fewer than which some of its pieces may hold none.
-_FEWEST = 10
-
-
-def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
-    """Cut every run into six pieces and keep the second and the fifth aside.
-
-    Returns
-    -------
-    (list of Run, list of Run)
-        What models are fitted to, and what they are judged by.
-
-    Raises
-    ------
-    UndertowError
-        If a run is too short to be cut.
-    """
-    for run in runs:
-        if len(run.t) < _FEWEST:
-            raise UndertowError(
-                f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
-                f"({_FEWEST} at the very least): give longer logs, or another run to judge by with --holdout"
-            )
-    pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run))]
-    train = [piece for i, piece in pieces if i not in _ASIDE]
-    return train, [piece for i, piece in pieces if i in _ASIDE]
-
-
-def _pieces(run: Run) -> list[Run]:
-    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / _PIECES
-    edges = [start + i * length for i in range(_PIECES + 1)]
-    gap = min(_GAP_SECONDS, 0.1 * length)
-    return [
-        replace(run.slice(a, b if i == _PIECES - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
-        for i, (a, b) in enumerate(pairwise(edges))
-    ]
-
-
-# Noise alone has a standard deviation of once its own; a velocity below this many times that was not moved.
-_EXCITED = 2.0
-
-
-def check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: NDArray[np.float64]) -> None:
-    """Refuse logs in which no velocity of the vehicle stands out of its noise.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose velocities are looked at.
-    runs : sequence of Run
-        Logs that hold them.
-    sigma : (2n,) array
-        Noise of the channels, pose then velocity of the degrees of freedom, in their units.
-
-    Raises
-    ------
-    UndertowError
-        If nothing moves; the velocities are told with their noise.
-    """
-    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
-    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
-    if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
-        seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
-        raise UndertowError(
-            f"nothing moves in these logs: standard deviation of {seen}; "
-            "log a manoeuvre in which the vehicle moves"
-        )
-
-
-Role = Literal["train", "holdout", "blocks"]
 HORIZON = DECIDING
 # Chances of a false alarm that evidence can be held to: less than the first no bootstrap of 1000 draws shows.
 _LEAST_RATE, _MOST_RATE = 0.005, 0.2
+
+
+Role = Literal["train", "holdout", "blocks"]
 
 
 @dataclass(frozen=True)
