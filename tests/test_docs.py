@@ -21,6 +21,8 @@ from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import signals, symbol
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md"), *(DOCS / "examples").glob("*.md")])

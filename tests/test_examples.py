@@ -21,6 +21,8 @@ from undertow.identification.compare.comparison import compare
 from undertow.identification.logs import Run, read_log, read_mapping, velocities_from_pose
 from undertow.model.vehicle import Vehicle
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / "docs" / "examples"
 DATA = ROOT.parent / "shared" / "data"

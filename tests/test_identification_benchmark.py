@@ -17,6 +17,8 @@ from benchmarks.identification.study import METHODS, OUTPUT, study
 from benchmarks.identification.towing import towing
 from tests.identification.test_least_squares import profile_p
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared" / "data"
 DATA, BASIN = SHARED / "cfd-surge", SHARED / "ntnu-cse1"

@@ -10,6 +10,8 @@ from benchmarks.results.hidden import CASES, CaseResult, run_case
 from benchmarks.results.summary import EMPTY, summary_of, with_summary
 from benchmarks.results.text import number, percent, table
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "hidden-effects"
 PAGE = ROOT / "docs" / "results.md"

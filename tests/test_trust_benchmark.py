@@ -33,6 +33,8 @@ from benchmarks.trust.verdicts import Answer, accepted
 from undertow.identification.logs import Run
 from undertow.identification.parallel import jobs
 
+pytestmark = pytest.mark.docs
+
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
 
 
