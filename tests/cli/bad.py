@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,12 @@ Refused = Callable[..., str]
 
 LOG_COMMANDS = [name for name in ("compare", "diagnose", "add", "fit") if name in commands()]
 VEHICLE_COMMANDS = [*LOG_COMMANDS, "codegen"]
+
+
+def each_once(commands: Sequence[str], faults: Iterable[str]) -> list[tuple[str, str]]:
+    """Every fault with the first command, the first fault with the others: they share the loader."""
+    known = list(faults)
+    return [(commands[0], fault) for fault in known] + [(command, known[0]) for command in commands[1:]]
 
 
 def text_of(columns: Columns) -> str:
