@@ -4,6 +4,7 @@ nothing fits.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,6 +23,9 @@ from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 
+_FEW = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}
+_DRAGS = {i: c for i, c in catalogue().items() if "damping" in i or "drag" in i} | _FEW
+
 
 def _loaded(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options):
     case = make_case(vehicle, effects, seed, **options)
@@ -38,7 +42,11 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
 
 @pytest.mark.parametrize(
     ("vehicle", "effect", "seed"),
-    [("usv", "lift", 11), ("mini-auv", "thruster_deadband", 12), ("usv", "ocean_current", 13)],
+    [
+        ("usv", "lift", 11),
+        pytest.param("mini-auv", "thruster_deadband", 12, marks=pytest.mark.slow),
+        pytest.param("usv", "ocean_current", 13, marks=pytest.mark.slow),
+    ],
 )
 def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
     vehicle: str, effect: str, seed: int, tmp_path: Path
@@ -55,7 +63,14 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
     assert any(e.id == effect for e in outcome.after.effects)
 
 
-@pytest.mark.parametrize(("vehicle", "effects"), [("usv", ()), ("mini-auv", ()), ("usv", ("wrong_drag",))])
+@pytest.mark.parametrize(
+    ("vehicle", "effects"),
+    [
+        ("mini-auv", ()),
+        pytest.param("usv", (), marks=pytest.mark.slow),
+        pytest.param("usv", ("wrong_drag",), marks=pytest.mark.slow),
+    ],
+)
 def test_nothing_is_named_where_nothing_is_missing(
     vehicle: str, effects: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -66,7 +81,8 @@ def test_nothing_is_named_where_nothing_is_missing(
 
 
 def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> None:
-    d = _diagnosed(tmp_path, "usv", ("growing_drag",), 31, duration=60.0).diagnosis
+    _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=60.0)
+    d = diagnose(model, runs[:3], runs[3:], known=_DRAGS).diagnosis
     assert d.verdict == "unexplained"
     assert d.effects == []
     assert d.steps[0].error > 1.5
@@ -75,14 +91,14 @@ def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> 
 
 def test_the_same_logs_give_the_same_answer(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=30.0)
-    first, second = (diagnose(model, runs[:2], runs[3:]).diagnosis for _ in range(2))
+    first, second = (diagnose(model, runs[:2], runs[3:], known=_FEW).diagnosis for _ in range(2))
     drop = {"seconds"}
     assert first.model_dump(exclude=drop) == second.model_dump(exclude=drop)
 
 
 def test_blocks_are_kept_aside_where_no_run_is_given(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=60.0)
-    outcome = diagnose(model, runs[:3])
+    outcome = diagnose(model, runs[:3], known=_FEW)
     assert outcome.diagnosis.effects == ["lift"]
     assert {r.role for r in outcome.diagnosis.runs} == {"blocks"}
     for train in outcome.train:
@@ -118,8 +134,6 @@ def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
 def test_missing_parameters_of_a_present_effect_are_a_candidate() -> None:
     auv = load_vehicle("mini-auv")
     fewer = {n: v for n, v in auv.values.items() if n not in ("Z_wabsw", "N_rabsr")}
-    from dataclasses import replace
-
     found = {c.id: c for c in candidates(replace(auv, values=fewer), catalogue())}
     assert {"Z_wabsw", "N_rabsr"} <= {p.name for p in found["quadratic_damping"].parameters}
     assert "X_uabsu" not in {p.name for p in found["quadratic_damping"].parameters}
