@@ -19,7 +19,7 @@ VEHICLE_COMMANDS = [*LOG_COMMANDS, "codegen"]
 
 
 def each_once(commands: Sequence[str], faults: Iterable[str]) -> list[tuple[str, str]]:
-    """Every fault with the first command, the first fault with the others: they share the loader."""
+    """Every fault with the first command (or place), the first fault with the others: the code is shared."""
     known = list(faults)
     return [(commands[0], fault) for fault in known] + [(command, known[0]) for command in commands[1:]]
 

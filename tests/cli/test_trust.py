@@ -16,7 +16,7 @@ import polars as pl
 import pytest
 
 from benchmarks.hidden_effects import Case
-from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, contents, refusal
+from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, contents, each_once, refusal
 from undertow.cli.main import main
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.export import Export
@@ -64,8 +64,7 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("payload", PAYLOADS)
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("place", "payload"), each_once(list(PLACES), PAYLOADS))
 def test_code_in_a_vehicle_file_is_refused_as_what_it_is_not(
     place: str, payload: str, case: Path, capsys: Capture
 ) -> None:
@@ -102,19 +101,21 @@ def test_code_in_cells_and_headers_of_a_log_is_refused_or_ignored(
     assert not (case / "owned").exists()
 
 
-@pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize(
-    "mapping",
-    [
-        "[columns]\nf2 = {{ channel = {0} }}\n",
-        '[columns]\nu = {{ channel = "u", unit = {0} }}\n',
-        '[columns]\nu = {{ channel = "u", scale = {0} }}\n',
-        "[time]\ncolumn = {0}\n",
-        "[time]\nunit = {0}\n",
-        "[frames]\nposition = {0}\n",
-        "delimiter = {0}\n",
-        "{0} = 1\n",
-    ],
+    ("mapping", "payload"),
+    each_once(
+        [
+            "[columns]\nf2 = {{ channel = {0} }}\n",
+            '[columns]\nu = {{ channel = "u", unit = {0} }}\n',
+            '[columns]\nu = {{ channel = "u", scale = {0} }}\n',
+            "[time]\ncolumn = {0}\n",
+            "[time]\nunit = {0}\n",
+            "[frames]\nposition = {0}\n",
+            "delimiter = {0}\n",
+            "{0} = 1\n",
+        ],
+        PAYLOADS,
+    ),
 )
 def test_code_in_a_mapping_file_is_refused(mapping: str, payload: str, case: Path, capsys: Capture) -> None:
     top = 'schema = "undertow/mapping/1"\n'

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of, with_effect
+from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.identification.compare.cutting import cut
 from undertow.identification.compare.predictor import reported_late
@@ -222,7 +223,7 @@ def test_a_delay_is_found_by_output_error() -> None:
     assert fit.standard_errors["velocity_delay"] < 0.02
 
 
-@pytest.mark.parametrize("seed", [1, 8])
+@pytest.mark.parametrize("seed", first_quick([1, 8]))
 def test_a_complete_model_gains_nothing_by_a_delay(seed: int) -> None:
     """Smoothing looks like an improvement to equation errors; here there is none to be had."""
     case = usv(seed=seed, duration=40.0)
@@ -238,6 +239,7 @@ def test_a_complete_model_gains_nothing_by_a_delay(seed: int) -> None:
     assert late.standard_errors["velocity_delay"] < 0.01
 
 
+@pytest.mark.slow
 def test_standard_errors_are_what_repeated_noise_gives() -> None:
     case = usv(seed=4, duration=30.0)
     quiet = runs_of(usv(seed=4, duration=30.0, noise=0.0))[:1]
