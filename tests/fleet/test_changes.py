@@ -53,6 +53,7 @@ def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Pa
         assert "starboard" not in statement.words
 
 
+@pytest.mark.slow
 def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> None:
     statement = said(panel, craft, fouling(0.4) | {"gain_error_bow": -0.3}, 3)[0]
     assert statement.answer == "grew"
@@ -75,9 +76,9 @@ def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> No
     "drift",
     [
         pytest.param({"m_w": 5.0}, id="water in the hull"),
-        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts"),
-        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone"),
-        pytest.param(fouling(-0.3), id="a hull that was cleaned"),
+        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts", marks=pytest.mark.slow),
+        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone", marks=pytest.mark.slow),
+        pytest.param(fouling(-0.3), id="a hull that was cleaned", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_neither_is_called_neither(panel: Panel, craft: Path, drift: Drift) -> None:
@@ -101,6 +102,7 @@ def test_more_vehicles_ask_for_more() -> None:
     assert holm([1e-9, 0.004, *[0.5] * 100], 0.01) == pytest.approx(0.01 / 101)
 
 
+@pytest.mark.slow
 def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
     """Days of an unchanged craft in random order, a hundred reports: two false ones at the most."""
     own, random = logged(panel, craft, {}, 8, months=2, each=5), np.random.default_rng(0)
