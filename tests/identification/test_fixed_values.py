@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.fixed_values import other_values
@@ -62,7 +63,7 @@ def _round() -> Round:
     return try_all(_bench({"Y_v": 2.5}), known, lambda done, words: None)
 
 
-@pytest.mark.parametrize("name", ["N_r", "X_u", "X_udot"])
+@pytest.mark.parametrize("name", first_quick(["N_r", "X_u", "X_udot"]))
 def test_a_wrong_fixed_value_is_no_missing_effect(name: str) -> None:
     found = _diagnosed((), ((name, 2.0),)).diagnosis
     true = true_vehicle(_case()).value_of(name).value
@@ -110,6 +111,7 @@ def test_a_wrong_fixed_value_beside_a_missing_effect() -> None:
     assert "Beside it, values that the vehicle file holds fixed do not fit: N_r" in found.headline
 
 
+@pytest.mark.slow
 def test_a_right_fixed_value_stays_where_it_is_and_takes_no_effect_away() -> None:
     found = _diagnosed(("thruster_lag",), (("Y_v", 1.0), ("N_r", 1.0))).diagnosis
     assert (found.verdict, found.effects, found.freed) == ("missing_effect", ["thruster_lag"], [])

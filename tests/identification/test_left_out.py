@@ -90,6 +90,7 @@ def test_a_width_that_cannot_be_zero_keeps_a_value_without_its_friction() -> Non
     assert trial.score.error == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
     """In nearly level motion a winch as far below explains much: only fits from both sides tell."""
     case = make_case("micro-auv", ("tether_drag", "constant_force"), 89518168, closed_loop=True)
