@@ -72,6 +72,7 @@ def test_jacobians(name: str) -> None:
         assert_close(np.array(matrix), derivative(reference_of(name).x_dot, exact(point), group))
 
 
+@pytest.mark.slow
 def test_the_derivatives_of_the_full_vehicle_are_those_of_its_effects() -> None:
     """Every effect at once, so that states of actuators and of the fluid meet the flow and each other."""
     functions, reference = functions_of("full"), reference_of("full")
