@@ -16,6 +16,7 @@ import pytest
 
 import undertow
 import undertow.cli
+from tests.quick import first_quick
 from undertow.cli import _progress
 from undertow.cli._docs import page
 from undertow.cli._lazy import commands, load
@@ -92,21 +93,24 @@ NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
 
 @pytest.mark.parametrize(
     ("words", "spared"),
-    [
-        ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
-        ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
-        ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
-        ("effects show lift", NO_NUMBERS),
-        ("vehicles show mini-auv", NO_NUMBERS),
-        ("audit mini-auv", NO_NUMBERS),
-        ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
-        ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
-        ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
-        ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
-        (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
-        (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
-        ("linearize mini-auv", {"polars", "plotly", "numba", "undertow.identification"}),
-    ],
+    first_quick(
+        [
+            ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
+            ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+            ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
+            ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
+            (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+            ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+            ("effects show lift", NO_NUMBERS),
+            ("vehicles show mini-auv", NO_NUMBERS),
+            ("audit mini-auv", NO_NUMBERS),
+            ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
+            ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
+            (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+            ("linearize mini-auv", {"polars", "plotly", "numba", "undertow.identification"}),
+        ],
+        5,
+    ),
 )
 def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:
     code = "from undertow.cli.main import main; assert main(sys.argv[1:]) in (0, 1)"
