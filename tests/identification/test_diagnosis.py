@@ -80,6 +80,14 @@ def test_nothing_is_named_where_nothing_is_missing(
     assert not any(r.significant for r in d.ranking)
 
 
+def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", ("ocean_current", "thruster_lag"), 3, duration=40.0)
+    known = _FEW | {i: catalogue()[i] for i in ("ocean_current", "cubic_damping")}
+    d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
+    assert set(d.effects) == {"ocean_current", "thruster_lag"}
+    assert d.steps[-1].error < 1.2
+
+
 def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=60.0)
     d = diagnose(model, runs[:3], runs[3:], known=_DRAGS).diagnosis

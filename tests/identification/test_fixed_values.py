@@ -15,7 +15,7 @@ from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.fixed_values import other_values
-from undertow.identification.diagnosis.rounds import Round, _finding, try_all
+from undertow.identification.diagnosis.rounds import Round, try_all
 from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.report.page import render_report
 from undertow.identification.weak.data import prepare
@@ -143,12 +143,10 @@ def test_what_is_weighed_is_not_called_wrong() -> None:
 @pytest.mark.parametrize(("rate", "enough"), [(0.005, False), (0.01, False), (0.05, True), (0.2, True)])
 def test_evidence_is_held_to_the_rate_of_false_alarms_that_is_asked_for(rate: float, enough: bool) -> None:
     """The same fall of the error, that happens by chance in 2 of 100 searches among as many candidates."""
-    found = _round().findings[0]
-    tried = round(0.01 / found.evidence.p_value)
-    bench = replace(_round().bench, false_alarms=rate)
-    again = _finding(found.trial, bench, 1.0, 1.0, tried)
-    assert again.p_value == pytest.approx(0.02, rel=0.05)
-    assert again.significant is enough
+    evidence = _round().findings[0].evidence
+    among = round(0.02 / evidence.p_value)
+    assert among * evidence.p_value == pytest.approx(0.02, rel=0.05)
+    assert evidence.beyond_chance(rate, among) is enough
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.001, 0.5, float("nan")])

@@ -193,13 +193,6 @@ def test_derivative_in_the_delay_is_that_of_finite_differences(extra: dict, seco
     assert np.std(found - difference) < 0.02 * np.std(difference)
 
 
-def test_a_model_whose_sensors_are_not_late_copies_nothing() -> None:
-    case = usv(duration=20.0)
-    weak = WeakModel(Functions(vehicle_of(case)), ())
-    (segment,) = prepare(runs_of(case)[:1], vehicle_of(case)).segments
-    assert weak._late.in_time(segment, np.array(weak.functions.values())) is segment
-
-
 # --- finding it -------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("uneven", [False, True])
 def test_a_delay_is_found_by_the_weak_form(uneven: bool) -> None:
