@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.bad import refusal
 from tests.control.test_gain_files import FAULTS, GOOD
+from tests.quick import first_quick
 from undertow.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
@@ -137,7 +138,7 @@ def test_what_is_left_out_is_looked_at(lag: float, stable: bool, sled: Path, cap
 PSI, NUMBER = "psi", r"[0-9.e-]+"
 
 
-@pytest.mark.parametrize("kind", ["routh", "lyapunov"])
+@pytest.mark.parametrize("kind", first_quick(["lyapunov", "routh"]))
 def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Capture) -> None:
     """Routh in every channel, and one iota for Q(iota) > 0 (V > 0 follows for a channel only)."""
     main(["gains", "mini-auv", "paper-pid", "--repair", kind])
@@ -155,7 +156,7 @@ def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Cap
     assert holding(sled, capsys, gains) >= wanted
 
 
-@pytest.mark.parametrize("gain", ["K_V", "K_I"])
+@pytest.mark.parametrize("gain", first_quick(["K_V", "K_I"]))
 def test_a_printed_bound_of_one_gain_is_on_the_safe_side(gain: str, sled: Path, capsys: Capture) -> None:
     main(["gains", "mini-auv", "paper-pid"])
     out = capsys.readouterr().out
