@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.control.linear.numeric import motion_of, reversing
@@ -137,7 +136,9 @@ def test_a_file_keeps_every_gain_to_its_thruster(names: tuple[str, ...], load: L
 
 
 # --- with logs ------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("names",), first_quick([(names,) for names in ODD]), ids=str)
+@pytest.mark.parametrize(
+    "names", [ODD[0], *(pytest.param(n, marks=pytest.mark.slow) for n in ODD[1:])], ids=str
+)
 def test_the_weak_thruster_is_found_whatever_it_is_called(
     names: tuple[str, ...], load: Load, runs: list[dict[str, np.ndarray]]
 ) -> None:
