@@ -53,12 +53,14 @@ def numbers(out: str) -> Counter[str]:
     return Counter(re.findall(r"(?<![\w.])[-+]?\d[\d.]*(?:e[-+]?\d+)?i?(?!\w)", out))
 
 
-_OTHERS = bundled_vehicles().keys() - {"mini-auv"}
+# Of another vehicle, or what the longest of the kind prints, too.
+_MORE = bundled_vehicles().keys() - {"mini-auv"}
+_LIKE = ("gains mini-auv paper-pd", "gains mini-auv paper-pid", "gains mini-auv paper-smc")
 
 
 @pytest.mark.parametrize(
     "words",
-    quick_if(lambda words: not _OTHERS & {*words.split()}, _commands()),
+    quick_if(lambda words: words not in _LIKE and not _MORE & {*words.split()}, _commands()),
     ids=lambda w: w.replace(str(AUV), "auv"),
 )
 def test_no_number_is_cut_at_80_columns(words: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,6 +35,7 @@ def said(panel: Panel, craft: Path, drift: Drift, seed: int, **more: int) -> lis
     return statements(asked(panel, logged(panel, craft, drift, seed, **more)))
 
 
+@pytest.mark.slow
 def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
     own = asked(panel, logged(panel, craft, fouling(0.4), 1))
     statement = statements(own)[0]

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
+from tests.quick import first_quick
 from undertow.identification import Mapping, Run, read_log, velocities_from_pose
 from undertow.identification.doctor import Examined, Finding, examine
 from undertow.identification.doctor.angles import in_degrees, wrapped_angles
@@ -55,7 +56,7 @@ def _pose_only(case: Case) -> Columns:
 
 
 # --- angles without velocities ---------------------------------------------------------------------------
-@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("wrapped", first_quick([True, False]))
 def test_a_heading_in_degrees_shows_without_velocities(
     auv: Case, examined: Callable[..., Examined], wrapped: bool
 ) -> None:
