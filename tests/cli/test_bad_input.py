@@ -518,14 +518,14 @@ class Pull(Wrench):
     ("command", "outputs"),
     [("diagnose", ["--json", "o.json", "--report", "o.html"]), ("diagnose", ["--apply", "o.toml"])],
 )
-def test_ctrl_c_in_the_middle(command: str, outputs: list[str], case: Path, capsys: Capture) -> None:
+def test_ctrl_c_in_the_middle(command: str, outputs: list[str], quick: Path, capsys: Capture) -> None:
     """It comes while an effect of the user's own is tried."""
-    (case / "own.py").write_text(_INTERRUPTING.format("raise KeyboardInterrupt"))
-    before = contents(case)
+    (quick / "own.py").write_text(_INTERRUPTING.format("raise KeyboardInterrupt"))
+    before = contents(quick)
     words = [str(word) for word in [*_words(command), "--effects", "own.py", *outputs]]
     assert main(words) == 130
     assert capsys.readouterr().err == "interrupted\n"
-    assert contents(case) == before
+    assert contents(quick) == before
 
 
 @pytest.mark.parametrize(

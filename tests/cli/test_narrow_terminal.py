@@ -55,7 +55,7 @@ def numbers(out: str) -> Counter[str]:
 
 # Of another vehicle, or what the longest of the kind prints, too.
 _MORE = bundled_vehicles().keys() - {"mini-auv"}
-_LIKE = ("gains mini-auv paper-pd", "gains mini-auv paper-pid", "gains mini-auv paper-smc")
+_LIKE = ("gains mini-auv paper-pd", "gains mini-auv paper-pid", "gains mini-auv paper-pid --repair literal")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import pytest
 
 from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, contents, each_once, refusal
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.export import Export
@@ -74,7 +75,7 @@ def test_code_in_a_vehicle_file_is_refused_as_what_it_is_not(
     assert "evil.toml" in refusal(_words("compare"), capsys, case)
 
 
-@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("payload", first_quick(PAYLOADS, 2))
 def test_code_in_free_text_of_a_vehicle_file_stays_text(payload: str, case: Path, capsys: Capture) -> None:
     text = json.dumps(PAYLOADS[payload])
     _replaced(case, 'name = "usv"', f"name = {text}\ndescription = {text}\nsource = {text}")
@@ -86,7 +87,7 @@ def test_code_in_free_text_of_a_vehicle_file_stays_text(payload: str, case: Path
     assert not (case / "owned").exists()
 
 
-@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("payload", first_quick(PAYLOADS, 2))
 def test_code_in_cells_and_headers_of_a_log_is_refused_or_ignored(
     payload: str, case: Path, simulated: Case, capsys: Capture
 ) -> None:
@@ -296,6 +297,7 @@ def test_control_characters_are_no_part_of_a_name(name: str, case: Path, capsys:
     assert "printable" in refusal(_words("codegen"), capsys, case)
 
 
+@pytest.mark.slow
 def test_pictures_of_logs_with_evil_names_stay_in_their_folder(case: Path, capsys: Capture) -> None:
     shutil.copy(case / "train.csv", case / "..;touch owned;.csv")
     before = contents(case)
@@ -322,7 +324,7 @@ C_NAMES = [
 REFUSED = ["f-1", "f 1", "1f", "x" * 41, "é", "", 'f"; int y;', "f*/", "u", "psi", "tau_X", "t"]
 
 
-@pytest.mark.parametrize("name", C_NAMES)
+@pytest.mark.parametrize("name", first_quick(C_NAMES, 3))
 def test_a_thruster_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys: Capture) -> None:
     _replaced(case, 'name = "f2"', f'name = "{name}"')
     if not re.match("[A-Za-z]", name):  # names begin with a letter
@@ -342,7 +344,7 @@ def test_a_thruster_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", first_quick(REFUSED, 4))
 def test_a_thruster_with_no_name_or_a_taken_one_is_refused(name: str, case: Path, capsys: Capture) -> None:
     _replaced(case, 'name = "f2"', f"name = {json.dumps(name)}")
     for command in ("codegen", "compare"):
@@ -352,7 +354,8 @@ def test_a_thruster_with_no_name_or_a_taken_one_is_refused(name: str, case: Path
 
 
 @pytest.mark.parametrize(
-    "name", ["int", "double", "7", "main", "con", 'a"; system("touch owned"); //', "*/ #error"]
+    "name",
+    first_quick(['a"; system("touch owned"); //', "*/ #error", "int", "double", "7", "main", "con"], 3),
 )
 def test_a_vehicle_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys: Capture) -> None:
     compiler = find_compiler()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions import attitude, interval
 from undertow.control.conditions.attitude import Attitudes, least
 from undertow.control.conditions.check import check
@@ -116,7 +117,7 @@ def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
     assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
 
 
-@pytest.mark.parametrize("sideways", [60.0, 50.0])
+@pytest.mark.parametrize("sideways", first_quick([60.0, 50.0]))
 def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     """With other gains to the side the heading matters, and is searched as well."""
     found = check(rov_gains(tmp_path, "pd", sideways), Uncertainty(rov()), forms=["derived"])
@@ -127,6 +128,7 @@ def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     assert ("psi" in row.where) == (sideways != 60.0)
 
 
+@pytest.mark.slow
 def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -> None:
     """The nominal verdict is proved by intervals; over the parameters a few attitudes are tried only."""
     vehicle = rov()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions import CONDITIONS, Signs
 from undertow.control.conditions.check import check
 from undertow.control.conditions.problem import Problem
@@ -51,7 +52,7 @@ def row(form: str, condition: str, scope: str, signs: str, gains: str = "paper-p
 
 
 # --- as printed -------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("signs", "right"), [("forward", 10.088308), ("backward", 11.408386)])
+@pytest.mark.parametrize(("signs", "right"), first_quick([("forward", 10.088308), ("backward", 11.408386)]))
 def test_printed_damper(signs: str, right: float) -> None:
     found = row("printed", "K_V", "matrices", signs)
     assert (found.left, found.verdict) == (0.005, "fails")

@@ -73,6 +73,7 @@ def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> No
     assert all(score.p_value > 0.01 for score in of.scores)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drift",
     [

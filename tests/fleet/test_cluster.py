@@ -150,6 +150,7 @@ def test_nobody_outside_this_machine_reaches_the_cluster(cluster: OnDask) -> Non
     assert _listening(cluster) == {"127.0.0.1"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only on Linux every address of 127/8 is this machine")
 def test_a_cluster_listens_elsewhere_only_where_it_is_told_to() -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")

@@ -132,6 +132,7 @@ def test_a_complete_model_shows_nothing() -> None:
     assert all(r.residual_rms == pytest.approx(r.noise_rms, rel=0.15) for r in left.values())
 
 
+@pytest.mark.slow
 def test_gusts_go_with_nothing() -> None:
     values, left = _left("gusts", seed=6)
     loud = [r for r in left.values() if r.normalised_error > 1.2]

@@ -66,9 +66,9 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
 @pytest.mark.parametrize(
     ("vehicle", "effects"),
     [
-        ("mini-auv", ()),
+        ("usv", ("wrong_drag",)),
         pytest.param("usv", (), marks=pytest.mark.slow),
-        pytest.param("usv", ("wrong_drag",), marks=pytest.mark.slow),
+        pytest.param("mini-auv", (), marks=pytest.mark.slow),
     ],
 )
 def test_nothing_is_named_where_nothing_is_missing(
@@ -97,6 +97,7 @@ def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> 
     assert any(r.normalised_error > 1.5 for r in d.remaining)
 
 
+@pytest.mark.slow
 def test_the_same_logs_give_the_same_answer(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=30.0)
     first, second = (diagnose(model, runs[:2], runs[3:], known=_FEW).diagnosis for _ in range(2))

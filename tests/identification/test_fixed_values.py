@@ -105,6 +105,7 @@ def test_what_is_handed_on_has_the_other_value() -> None:
     assert after.estimate
 
 
+@pytest.mark.slow
 def test_a_wrong_fixed_value_beside_a_missing_effect() -> None:
     found = _diagnosed(("thruster_lag",), (("N_r", 2.0),)).diagnosis
     assert (found.effects, found.freed) == (["thruster_lag"], ["N_r"])

@@ -45,7 +45,7 @@ def _parts(case: Case, vehicle: Vehicle) -> tuple[WeakData, WeakData]:
     return train, prepare([aside], vehicle, sigma=train.sigma)
 
 
-@pytest.mark.parametrize("seed", first_quick([ALL, NONE, PART], 2), ids=["all", "none", "part"])
+@pytest.mark.parametrize("seed", first_quick([ALL, NONE, PART]), ids=["all", "none", "part"])
 def test_a_tether_is_found_with_what_of_it_is_out(seed: int) -> None:
     trial, true = _tried(seed)
     assert trial.score.error == pytest.approx(1.0, abs=0.03), "what is left is noise"
@@ -57,6 +57,7 @@ def test_a_tether_is_found_with_what_of_it_is_out(seed: int) -> None:
     assert place == pytest.approx([true["x_a"], true["y_a"], true["z_a"]], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_where_the_winch_is_cannot_show_if_the_tether_is_always_out() -> None:
     (always, _), (grows, _) = _tried(ALL), _tried(NONE)
     winch = {"x_winch", "y_winch", "z_winch"}

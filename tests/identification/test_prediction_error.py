@@ -54,6 +54,7 @@ def test_a_disturbance_is_told_from_what_the_parameters_do(kind: str, gain: floa
         assert wander == pytest.approx((0.008 / 9.130825) ** 2 / 0.1, rel=1.0)
 
 
+@pytest.mark.slow
 def test_without_a_disturbance_it_is_output_error() -> None:
     for seed in range(3):
         run = logged(seed, "none")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
@@ -61,6 +62,7 @@ def test_the_steady_force_is_found_at_its_size() -> None:
     assert abs(error) < 3.5 * spread < 0.1 * abs(truth)
 
 
+@pytest.mark.slow
 def test_what_does_not_explain_all_is_not_found_by_the_second_look() -> None:
     """Without the truth among the candidates none may take its place."""
     vehicle, bench, _ = _bench()
