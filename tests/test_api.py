@@ -37,6 +37,7 @@ def test_the_example_of_an_effect_of_ones_own_runs() -> None:
     assert doctest.DocTestRunner(verbose=False).run(found) == (0, 4)
 
 
+@pytest.mark.slow
 def test_checked_gains_say_what_holds() -> None:
     found = ut.check_gains(ut.load_vehicle("mini-auv"), "paper-pid")
     held = sum(row.verdict == "holds" for row in found.rows)

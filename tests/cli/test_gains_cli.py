@@ -149,6 +149,7 @@ def test_what_is_left_out_is_looked_at(lag: float, stable: bool, sled: Path, cap
 PSI, NUMBER = "psi", r"[0-9.e-]+"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", first_quick(["lyapunov", "routh"]))
 def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Capture) -> None:
     """Routh in every channel, and one iota for Q(iota) > 0 (V > 0 follows for a channel only)."""
@@ -348,6 +349,7 @@ def test_matrix_conditions_are_in_the_notation_of_the_paper(sled: Path, capsys: 
     assert "Λ ≻ 0: λmin" in printed("mini-auv", "paper-smc")
 
 
+@pytest.mark.slow
 def test_no_iota_is_a_verdict_of_its_own(sled: Path, capsys: Capture) -> None:
     code, found = content(capsys, "mini-auv", "paper-pid")
     assert code == 1

@@ -133,6 +133,7 @@ def test_a_vehicle_without_a_steady_motion_is_refused(folder: Path, capsys: Capt
     assert "depend on time" in said
 
 
+@pytest.mark.slow
 def test_a_vehicle_without_thrusters_has_poles_only(folder: Path, capsys: Capture) -> None:
     text = Path("auv.toml").read_text()
     buoyant = text.replace('B_net = { value = "-14.309872 N"', 'B_net = { value = "0 N"')

@@ -91,6 +91,7 @@ def simulated(vehicle: Vehicle, start: np.ndarray, force: np.ndarray) -> np.ndar
     return Simulator(functions, compiled=False).run(start, t, np.tile(force, (len(t), 1)), p, max_step=0.05)
 
 
+@pytest.mark.slow
 def test_a_mesh_in_other_axes_about_another_point(no_extra: None, hulls: Path) -> None:
     stl(box_mesh().moved([1.0, 0.5, 0.3]), hulls / "off.stl")
     words = ["vehicle", "new", "--mesh", "off.stl", "--frame", "FLU", "--mass", "60", "--out", "my.toml"]

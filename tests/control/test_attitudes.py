@@ -145,6 +145,7 @@ def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -
         assert (rows[scope].verdict, box.verdict) == (HOLDS, verdict)
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(attitude, "_MOST_BOXES", 1)
     gains = rov_gains(tmp_path, "pd", 10.0)

@@ -362,6 +362,7 @@ def test_the_start_that_diverged_is_outside_the_region() -> None:
     assert region.speeds["q"] < 3
 
 
+@pytest.mark.slow
 def test_gains_that_tell_north_from_east_end_without_a_traceback() -> None:
     """One iota is chosen at headings of which the region must not look between."""
     if not STATED.exists():

@@ -68,6 +68,7 @@ def test_ellipsoid_is_exact_where_the_margin_is_linear() -> None:
         assert row.ellipsoid.verdict == verdict
 
 
+@pytest.mark.slow
 def test_correlation_of_a_fit_counts() -> None:
     """The margin falls with mass and rises with drag: errors that go together cancel in it."""
     verdicts = {}

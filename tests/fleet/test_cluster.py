@@ -81,6 +81,7 @@ def _may_die(times: int, dask_scheduler: Any = None) -> None:
     dask_scheduler.allowed_failures = times
 
 
+@pytest.mark.slow
 def test_what_kills_its_workers_is_given_up_and_the_rest_is_done(cluster: OnDask) -> None:
     cluster.client.run_on_scheduler(_may_die, 0)
     (_, killer), *more = cluster.results(_fatal, [(1,)])
@@ -109,6 +110,7 @@ def _page(dask_scheduler: Any = None) -> int:
     return dask_scheduler.http_server.port
 
 
+@pytest.mark.slow
 def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: OnDask) -> None:
     """The page of the scheduler is at any port that is free, so that Dask has nothing to warn of."""
     assert cluster.client.run_on_scheduler(_page) != 8787

@@ -181,6 +181,7 @@ def test_how_narrow_a_friction_is_has_to_be_found_unless_the_model_has_it() -> N
     assert there.value_of("friction_speed").value == 0.02
 
 
+@pytest.mark.slow
 def test_the_width_of_a_friction_that_is_not_there_goes_with_it(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("dry_friction",), 16977316, strength=0.4, noise=0.3)
     train = prepare(runs[:3], model)

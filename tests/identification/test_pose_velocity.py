@@ -178,6 +178,7 @@ def test_what_cannot_be_done_is_told():
         velocities_from_pose(Run("a", t, {"x": scattered}), ["surge"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CSE1.is_dir(), reason=f"the CSE1 logs are not shipped; put them into {CSE1}")
 @pytest.mark.parametrize("name", first_quick(["manual_random_run1", "manual_random_run3", "dp_dptest2"]))
 def test_real_motion_capture(name):
