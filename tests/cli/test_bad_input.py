@@ -22,8 +22,7 @@ import pytest
 from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, each_once, refusal, text_of
 from undertow import files
-from undertow.cli._run import run  # what every command runs in: nothing else drops a Ctrl-C reliably
-from undertow.cli.main import main
+from undertow.cli.main import main, run
 
 Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parents[2]

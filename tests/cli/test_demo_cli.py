@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.quick import first_quick
-from undertow.cli._demo.scene import DATA
+from undertow.cli.demo import DATA
 from undertow.cli.main import main
 
 AUV = ("diagnosis.json", "error-map.png", "falling-error.png", "measured-vs-simulated.png")

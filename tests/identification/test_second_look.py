@@ -9,13 +9,12 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.evidence import explains_all, hidden_by_disturbance
 from undertow.identification.diagnosis.search import search
-from undertow.identification.diagnosis.second_look import explains_all, hidden_by_disturbance
 from undertow.identification.diagnosis.trial import Bench, only_noise, open_bench
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.residual import whitened
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import load_gains
-from undertow.errors import UndertowError
-from undertow.model.catalogue import catalogue, nearest
+from undertow.control.gains import GainTable, load_gains
+from undertow.errors import UndertowError, nearest
+from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 
 from .simulate import ClosedLoop

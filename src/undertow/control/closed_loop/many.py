@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undertow.codegen.lanes import in_threads, shares
-from undertow.errors import UndertowError
-from undertow.model.catalogue import nearest
+from undertow.errors import UndertowError, nearest
 from undertow.typing import Progress
 
 from .measures import CREDIBLE
