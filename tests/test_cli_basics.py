@@ -17,8 +17,8 @@ import pytest
 import undertow
 import undertow.cli
 from tests.quick import first_quick
-from undertow.cli import _terminal
-from undertow.cli._docs import page
+from undertow.cli import _terminal  # the terminal that a test stands for
+from undertow.cli._docs import page  # what writes docs/cli.md
 from undertow.cli.main import commands, load, main
 
 ROOT = Path(__file__).parents[1]
@@ -259,7 +259,9 @@ def _program(
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
 @pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&- 2>&-"])
-@pytest.mark.parametrize(("words", "code"), [("--version", 0), ("effects show lift", 0), ("nothing", 2)])
+@pytest.mark.parametrize(
+    ("words", "code"), first_quick([("--version", 0), ("effects show lift", 0), ("nothing", 2)], 3)
+)
 def test_streams_that_were_closed(closed: str, words: str, code: int) -> None:
     done = _program(words, closed)
     assert done.returncode == code
@@ -366,13 +368,6 @@ def test_short_work_prints_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_a_terminal_nothing_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _progress_on(io.StringIO(), monkeypatch, runs_out=True) == ""
-
-
-def test_a_bar_that_comes_too_late_is_not_shown() -> None:
-    bar = _terminal._Bar("fitting", 1.0)
-    bar.close()
-    bar.show()
-    assert bar._picture is None
 
 
 # documentation and public names ----------------------------------------------------------------------------

@@ -16,11 +16,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 
 from benchmarks.hidden_effects import Case
-from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, each_once, refusal, text_of
+from tests.cli.bad import (
+    LOG_COMMANDS,
+    SURGE,
+    VEHICLE_COMMANDS,
+    Columns,
+    contents,
+    each_once,
+    refusal,
+    surge_log,
+    text_of,
+)
 from undertow import files
 from undertow.cli.main import main, run
 
@@ -284,37 +293,13 @@ def test_a_dead_channel_is_told(case: Path, simulated: Case, capsys: Capture) ->
 
 # --- 10^6 samples --------------------------------------------------------------------------------
 
-_SURGE = """\
-schema = "undertow/vehicle/1"
-name = "hull"
-degrees_of_freedom = ["surge"]
-signs = "sname"
-generalised_forces = ["tau_X"]
-[effects.rigid_body]
-m = 100
-[effects.linear_damping]
-X_u = { value = -25, estimate = true }
-"""
-
-
-def _surge(samples: int) -> pl.DataFrame:
-    """First-order answer to a force that steps fifty times a log or every 10 s, at 50 Hz."""
-    t, rng = np.arange(samples) * 0.02, np.random.default_rng(0)
-    each = min(samples // 50, 500)
-    force = np.repeat(rng.uniform(-50, 50, samples // each), each)
-    a, speed, u = np.exp(-0.02 * 25 / 100), 0.0, np.empty(samples)
-    for i, push in enumerate((force / 25).tolist()):
-        u[i] = speed
-        speed = push + a * (speed - push)
-    return pl.DataFrame({"t": t, "u": u + 0.005 * rng.standard_normal(samples), "tau_X": force})
-
 
 @pytest.fixture(scope="module")
 def million(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a log of 10^6 samples."""
     folder = tmp_path_factory.mktemp("million")
-    _surge(10**6).write_parquet(folder / "million.parquet")
-    (folder / "hull.toml").write_text(_SURGE)
+    surge_log(10**6).write_parquet(folder / "million.parquet")
+    (folder / "hull.toml").write_text(SURGE)
     return folder
 
 
@@ -424,14 +409,6 @@ FAILURES = [
     (OSError(errno.EROFS, os.strerror(errno.EROFS)), 2, "read-only file system; nothing was written"),
     (KeyboardInterrupt(), 130, "interrupted"),
 ]
-
-
-@pytest.fixture
-def quick(case: Path) -> Path:
-    """The folder `case` with a hull that only surges: a diagnosis takes a second."""
-    (case / "usv.toml").write_text(_SURGE)
-    _surge(1500).write_csv(case / "train.csv")
-    return case
 
 
 @pytest.mark.parametrize(

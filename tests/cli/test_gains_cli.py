@@ -377,9 +377,10 @@ def test_sides_that_differ_little_are_told_apart(sled: Path, capsys: Capture) ->
 def test_a_terminal_without_greek_letters_has_their_names(
     sled: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Private: a terminal with another encoding.
     monkeypatch.setattr("undertow.cli._terminal._encoding", lambda: "ascii")
     assert main(["gains", "sled.toml", "gains.toml"]) == 1
     out = capsys.readouterr().out
     assert out.isascii()
     assert "lambda_min(K_V) > lambda_max(M_q): 4 > 9.1308 fails" in out
-    assert "lambda_min(K_P) > lambda_max(K_V + 2 K_I/iota): no iota" in out
+    assert "lambda_min(K_P) > lambda_max(K_V + 2 K_I/iota)" in out

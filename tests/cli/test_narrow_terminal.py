@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.quick import quick_if
-from undertow.cli._terminal import console, table, text, wrapped
+from undertow.cli._terminal import console, table, text, wrapped  # what all commands print with
 from undertow.cli.main import main
 from undertow.model.loading import bundled_vehicles
 

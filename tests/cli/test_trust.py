@@ -262,13 +262,13 @@ class _Page(HTMLParser):
         self.text += data
 
 
-def test_names_are_escaped_in_the_report_and_kept_everywhere(case: Path, capsys: Capture) -> None:
-    _replaced(case, 'name = "usv"', f"name = {json.dumps(EVIL)}")
-    shutil.copy(case / "train.csv", case / EVIL_LOG)
-    words = ["diagnose", "evil.toml", EVIL_LOG, "--holdout", "holdout.csv"]
+def test_names_are_escaped_in_the_report_and_kept_everywhere(quick: Path, capsys: Capture) -> None:
+    _replaced(quick, 'name = "hull"', f"name = {json.dumps(EVIL)}")
+    shutil.copy(quick / "train.csv", quick / EVIL_LOG)
+    words = ["diagnose", "evil.toml", EVIL_LOG]
     out = ["--json", "o.json", "--report", "o.html", "--apply", "o.toml"]
     assert main([*words, *out]) == 0, capsys.readouterr().err
-    text = (case / "o.html").read_text()
+    text = (quick / "o.html").read_text()
     page = _Page(text)
     assert not {"script", "img", "iframe", "object", "embed", "link"} & set(page.tags)
     assert not [name for name, _ in page.attributes if name.startswith("on")]
@@ -276,10 +276,10 @@ def test_names_are_escaped_in_the_report_and_kept_everywhere(case: Path, capsys:
     assert html.escape(EVIL_LOG.removesuffix(".csv"), quote=False) in text.replace("&#34;", '"').replace(
         "&#39;", "'"
     )
-    diagnosis = json.loads((case / "o.json").read_text())
+    diagnosis = json.loads((quick / "o.json").read_text())
     assert diagnosis["vehicle"] == EVIL
     assert diagnosis["runs"][0]["name"] == EVIL_LOG.removesuffix(".csv")
-    assert load_vehicle(case / "o.toml").name == EVIL
+    assert load_vehicle(quick / "o.toml").name == EVIL
 
 
 def test_names_reach_the_terminal_as_they_are(case: Path, capsys: Capture) -> None:

@@ -123,6 +123,7 @@ def test_a_mass_far_from_the_displacement_is_told(no_extra: None, hulls: Path, c
     assert (hulls / "box.toml").is_file()
 
 
+@pytest.mark.slow
 @needs_capytaine
 def test_with_the_extra_the_hull_itself_is_computed(hulls: Path) -> None:
     words = ["--mesh", "spheroid.stl", "--mass", "100", "--out", "my.toml", "--panels", "1600"]

@@ -1,5 +1,7 @@
 """Which compiled code is trusted, and what happens without a compiler."""
 
+# Private names of `cache` and `compiler`: what they remember in a process is forgotten, as in a new one.
+
 from __future__ import annotations
 
 import json

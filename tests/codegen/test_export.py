@@ -146,7 +146,7 @@ int main(void) {
 """
 
 
-@pytest.mark.parametrize("lanes", [0, 1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([0, 1, 4, 8]))
 def test_the_loops_are_clean_too(lanes: int, c_compiler: Compiler, tmp_path: Path) -> None:
     """Zero lanes: the driver with sensitivities."""
     from undertow.codegen.driver import driver_source

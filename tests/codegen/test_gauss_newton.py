@@ -12,6 +12,8 @@ from tests.codegen.support import functions_of, random_parameters, vehicle_with
 from tests.quick import first_quick
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
+
+# Private: counts of windows beside a multiple of the lanes.
 from undertow.codegen.gauss_newton import _LANES, Products, _parts
 from undertow.codegen.lanes import shares
 from undertow.model.effect import Wrench

@@ -84,7 +84,7 @@ def test_numba_compiled_code_and_the_virtual_machine_agree(
     t, u = np.cumsum(rng.uniform(0, 0.2, 12)), rng.normal(size=(12, functions.u.numel()))
     differentiated = {"wrt": range(0, p.size, 3), "initial": [0, x0.shape[1] - 1]}
     simulator = Simulator(functions)
-    assert isinstance(simulator._steppers[False], InterpretedStepper)
+    assert isinstance(simulator._steppers[False], InterpretedStepper)  # private: the numbers are the same
     found = [simulator.run(x0, t, u, p), *simulator.run_with_sensitivities(x0, t, u, p, **differentiated)]
     monkeypatch.delenv("UNDERTOW_NO_COMPILER")
     for other in (Simulator(functions, compiled=c) for c in (True, False)):

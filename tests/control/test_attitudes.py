@@ -155,6 +155,7 @@ def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: 
     assert not found.ok
 
 
+@pytest.mark.slow
 def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None:
     """A gain that the damping of roll just outweighs on an even keel is too much when pitched."""
     problem = Problem(rov_gains(tmp_path))

@@ -210,6 +210,7 @@ def test_a_dead_band_at_rest_is_no_stable_loop() -> None:
     assert not report.ok
 
 
+@pytest.mark.slow
 def test_a_law_without_integral_that_rests_far_from_its_set_point_is_told() -> None:
     """A quarter of the thrust is missing: K_P = 2 N/m leaves metres, which the integral of PID takes away."""
     weak = with_effect(sinker(), "thruster_gain", gain_error_f1=-0.25)
@@ -241,6 +242,7 @@ def rov_pd() -> GainSet:
     return law(load_vehicle("bluerov2"), "pd", gains=gains)
 
 
+@pytest.mark.slow
 def test_six_degrees_of_freedom_are_certified_within_angles_and_speeds() -> None:
     """V = theta' K_P theta/2 at 60 degrees of the softer of roll and pitch: nothing leaves that level."""
     gains = rov_pd()
@@ -302,6 +304,7 @@ def test_a_weight_on_an_axis_that_nothing_pushes_is_refused() -> None:
     assert not report.ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("z_b", "ok"), first_quick([(0.02, False), (-0.02, True)]))
 def test_roll_and_pitch_left_alone_need_a_righting_moment(z_b: float, ok: bool) -> None:
     """M s^2 + D s + S_z = 0 with S_z = z_g W - z_b B: buoyancy below the weight turns the vehicle over."""

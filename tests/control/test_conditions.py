@@ -145,6 +145,7 @@ def test_sliding_mode_reaches_although_the_weight_is_uncertain() -> None:
 
 
 # --- gains that tell north from east ----------------------------------------------------------------
+@pytest.mark.slow
 def test_gains_that_are_good_heading_north_only_are_refused() -> None:
     """Heading east, the stiff gains of y act on surge: M k_i > K k_p there."""
     vehicle = load_vehicle("mini-auv")

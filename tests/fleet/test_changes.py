@@ -46,6 +46,7 @@ def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
         assert change.error < 0.04
 
 
+@pytest.mark.slow
 def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Path) -> None:
     for statement in said(panel, craft, {"gain_error_port": -0.2}, 2):
         assert (statement.answer, statement.effects) == ("grew", ("thruster wear",))

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.surge import surge_run, surge_vehicle
+from tests.quick import first_quick
 from undertow.identification.diagnosis.associations import (
     Along,
     Association,
@@ -90,7 +91,7 @@ def test_a_force_that_turns_with_the_heading() -> None:
     assert left["sway"].spectrum is None
 
 
-@pytest.mark.parametrize("effects", [HEADING, COMMANDS])
+@pytest.mark.parametrize("effects", first_quick([HEADING, COMMANDS]))
 def test_what_is_right_stays_right_although_all_accelerations_are_coupled(effects: tuple[str, ...]) -> None:
     _, left = _left(*effects)
     assert _is_silent(left["yaw"])
@@ -118,6 +119,7 @@ def test_a_periodic_force_shows_its_period() -> None:
     assert f"period {found.period:.3g} s stands out" in left["sway"].summary
 
 
+@pytest.mark.slow
 def test_a_drag_that_grows_is_a_trend() -> None:
     values, left = _left("growing_drag")
     trend = left["yaw"].trend
@@ -384,6 +386,7 @@ def _turning(fit: WeakFit, aside: WeakData) -> Dependence:
     return left["sway"].depends_on[0]
 
 
+@pytest.mark.slow
 def test_velocities_from_pose() -> None:
     _, vehicle, runs = _simulated(HEADING, 1)
     kept = ("x", "y", "psi", *vehicle.command_names)

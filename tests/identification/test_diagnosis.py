@@ -21,7 +21,7 @@ from undertow.identification.diagnosis.validation import keep_blocks_aside
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.model.catalogue import catalogue
+from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.loading import load_vehicle
 
 _FEW = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}
@@ -42,17 +42,18 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "effect", "seed"),
+    ("vehicle", "effect", "seed", "known"),
     [
-        ("usv", "lift", 11),
-        pytest.param("mini-auv", "thruster_deadband", 12, marks=pytest.mark.slow),
-        pytest.param("usv", "ocean_current", 13, marks=pytest.mark.slow),
+        ("usv", "lift", 11, _DRAGS),
+        pytest.param("mini-auv", "thruster_deadband", 12, None, marks=pytest.mark.slow),
+        pytest.param("usv", "ocean_current", 13, None, marks=pytest.mark.slow),
     ],
 )
 def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
-    vehicle: str, effect: str, seed: int, tmp_path: Path
+    vehicle: str, effect: str, seed: int, known: Catalogue | None, tmp_path: Path
 ) -> None:
-    outcome = _diagnosed(tmp_path, vehicle, (effect,), seed, duration=60.0)
+    _, model, runs = _loaded(tmp_path, vehicle, (effect,), seed, duration=60.0)
+    outcome = diagnose(model, runs[:3], runs[3:], known=known)
     d = outcome.diagnosis
     named = {e for s in d.indistinguishable for e in s.effects} | set(d.effects)
     assert d.verdict in ("missing_effect", "indistinguishable")

@@ -13,7 +13,7 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick
-from undertow.identification.doctor.clocks import Shift, _remedy
+from undertow.identification.doctor.clocks import Shift, _remedy  # its words for every kind of shift
 from undertow.identification.doctor.dynamics import best_of, dynamic_mistakes, dynamics_of, reversed_commands
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Finding, edited

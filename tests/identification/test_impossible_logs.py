@@ -31,7 +31,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 POSE, VELOCITY = ("x", "y", "z", "phi", "theta", "psi"), ("u", "v", "w", "p", "q", "r")
 QUICK = ("usv", "mini-auv", "box")  # what `make test` takes
-QUICK_EFFECTS = (("ocean_current",), ("waves",), ("tether_drag",))
+QUICK_EFFECTS = (("ocean_current",),)
 MMPS, CMPS, KNOTS, KMH, FTPS = 1000.0, 100.0, 1 / 0.514444, 3.6, 1 / 0.3048
 
 

@@ -16,6 +16,8 @@ from undertow.errors import UndertowError
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
+
+# Private: sums as large as these come from no simulation that is worth a test.
 from undertow.identification.estimation.shooting import Shooting, _condensed, eliminated
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.estimation.windows import cut

@@ -86,6 +86,7 @@ def test_without_noise_the_truth_is_found() -> None:
     np.testing.assert_allclose(list(fit.values.values()), EXACT, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_three_degrees_of_freedom_with_pose_and_an_own_state() -> None:
     case = make_case("usv", ("thruster_lag",), 2, duration=25.0, runs=("steps", "multisine"))
     model = with_effect(vehicle_of(case), "thruster_lag", T_lag=0.3)

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
+
+# Private: by its input each of these rules would take a search of its own.
 from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
