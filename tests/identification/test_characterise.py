@@ -10,7 +10,6 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.surge import surge_run, surge_vehicle
-from tests.quick import first_quick
 from undertow.identification.diagnosis.associations import (
     Along,
     Association,
@@ -91,7 +90,7 @@ def test_a_force_that_turns_with_the_heading() -> None:
     assert left["sway"].spectrum is None
 
 
-@pytest.mark.parametrize("effects", first_quick([HEADING, COMMANDS]))
+@pytest.mark.parametrize("effects", [HEADING, pytest.param(COMMANDS, marks=pytest.mark.slow)])
 def test_what_is_right_stays_right_although_all_accelerations_are_coupled(effects: tuple[str, ...]) -> None:
     _, left = _left(*effects)
     assert _is_silent(left["yaw"])
