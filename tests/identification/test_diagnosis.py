@@ -83,9 +83,9 @@ def test_nothing_is_named_where_nothing_is_missing(
 
 
 def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("ocean_current", "thruster_lag"), 3, duration=40.0)
-    known = _FEW | {i: catalogue()[i] for i in ("ocean_current", "cubic_damping")}
-    d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
+    _, model, runs = _loaded(tmp_path, "usv", ("ocean_current", "thruster_lag"), 3, duration=30.0)
+    known = {i: catalogue()[i] for i in ("ocean_current", "thruster_lag", "constant_force")}
+    d = diagnose(model, runs[:2], runs[3:], known=known).diagnosis
     assert set(d.effects) == {"ocean_current", "thruster_lag"}
     assert d.steps[-1].error < 1.2
 
