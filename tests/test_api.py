@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import undertow as ut
 
+DOCS = Path(__file__).parents[1] / "docs"
 DEMO = Path(ut.__file__).parent / "demo_data" / "auv"
 FUNCTIONS = [
     "add_effect", "catalogue", "check_gains", "compile", "diagnose", "fit", "linearize",
@@ -48,6 +52,7 @@ def test_the_example_of_an_effect_of_ones_own_runs() -> None:
     assert doctest.DocTestRunner(verbose=False).run(found) == (0, 4)
 
 
+@pytest.mark.slow
 def test_checked_gains_say_what_holds() -> None:
     found = ut.check_gains(ut.load_vehicle("mini-auv"), "paper-pid")
     held = sum(row.verdict == "holds" for row in found.rows)
@@ -120,3 +125,31 @@ def test_a_simulation_is_held_between_samples() -> None:
     assert np.abs(x[11:] - calm[11:]).max() > 1e-6
     with pytest.raises(ut.UndertowError, match=r"dt = 0 s"):
         model.simulate(np.zeros(len(model.states)), u, dt=0)
+
+
+# --- tutorial.ipynb ---------------------------------------------------------------------------------
+def _cells() -> list[dict[str, Any]]:
+    cells: list[dict[str, Any]] = json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8"))["cells"]
+    return cells
+
+
+def test_the_notebook_stores_no_outputs() -> None:
+    assert [c["id"] for c in _cells() if c.get("outputs") or c.get("execution_count")] == []
+
+
+def test_the_notebook_does_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its code, run as one program: an error, or a warning, in any cell fails."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    code = ["".join(c["source"]) for c in _cells() if c["cell_type"] == "code"]
+    assert {w for c in code for w in re.findall(r"undertow[\w.]*", c)} == {"undertow"}
+    there: dict[str, Any] = {}
+    exec(compile("\n\n".join(code), "tutorial.ipynb", "exec"), there)
+    there["plt"].close("all")
+    assert there["result"].effects == ["ocean_current"]
+    for name in ("u", "v", "r"):
+        before, after = (there["rms_error"](there[m], name) for m in ("refitted", "with_current"))
+        assert after < before / 10
+    assert there["better"].value_of("V_N").value == pytest.approx(0.12, abs=0.005)
+    assert there["checks"].conditions_hold
+    assert not there["checks"].ok
+    assert max(there["system"].poles().real) > 0.2

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.util
-import json
 import re
 import subprocess
 import sys
@@ -22,6 +21,8 @@ from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import signals, symbol
+
+pytestmark = pytest.mark.docs
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -173,34 +174,6 @@ def test_the_glossary_is_short() -> None:
     (body,) = _blocks("glossary.md", "{glossary}")
     terms = [line for line in body.splitlines() if line and not line.startswith(" ")]
     assert 1 <= len(terms) <= 15
-
-
-# --- tutorial.ipynb ---------------------------------------------------------------------------------
-def _cells() -> list[dict[str, Any]]:
-    cells: list[dict[str, Any]] = json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8"))["cells"]
-    return cells
-
-
-def test_the_notebook_stores_no_outputs() -> None:
-    assert [c["id"] for c in _cells() if c.get("outputs") or c.get("execution_count")] == []
-
-
-def test_the_notebook_does_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its code, run as one program: an error, or a warning, in any cell fails."""
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    code = ["".join(c["source"]) for c in _cells() if c["cell_type"] == "code"]
-    assert {w for c in code for w in re.findall(r"undertow[\w.]*", c)} == {"undertow"}
-    there: dict[str, Any] = {}
-    exec(compile("\n\n".join(code), "tutorial.ipynb", "exec"), there)
-    there["plt"].close("all")
-    assert there["result"].effects == ["ocean_current"]
-    for name in ("u", "v", "r"):
-        before, after = (there["rms_error"](there[m], name) for m in ("refitted", "with_current"))
-        assert after < before / 10
-    assert there["better"].value_of("V_N").value == pytest.approx(0.12, abs=0.005)
-    assert there["checks"].conditions_hold
-    assert not there["checks"].ok
-    assert max(there["system"].poles().real) > 0.2
 
 
 # --- commands on pages ------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ from benchmarks.speed.goals import GOALS
 from benchmarks.speed.history import by_processor, runs
 from undertow.cli.main import commands
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "hidden-effects"
 PAGE = ROOT / "docs" / "results.md"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.codegen.support import BUNDLED, functions_of, random_parameters
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
@@ -37,7 +38,7 @@ def batch(functions: Functions, samples: int = 8) -> tuple[np.ndarray, ...]:
     return x0, t, u, np.array([random_parameters(functions, k) for k in range(RUNS)])
 
 
-@pytest.mark.parametrize("lanes", [4, 8])
+@pytest.mark.parametrize("lanes", first_quick([8, 4]))
 @pytest.mark.parametrize("name", [*BUNDLED, "full"])
 def test_lanes_are_runs_one_by_one(
     name: str, lanes: int, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
@@ -70,7 +71,7 @@ def test_what_runs_share_may_be_given_once(c_compiler: Compiler, monkeypatch: py
     assert np.array_equal(runs.run(x0, t[0], u[0], p[0]), runs.run(x0, *repeated))
 
 
-@pytest.mark.parametrize("lanes", [1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([8, 4, 1]))
 def test_a_run_that_diverges_leaves_the_others_alone(
     lanes: int, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,7 +115,7 @@ def test_a_fault_in_a_thread_is_told() -> None:
         in_threads(work, range(8), 2)
 
 
-@pytest.mark.parametrize("lanes", [1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([8, 4, 1]))
 def test_packing_is_undone(lanes: int) -> None:
     array = np.arange(11 * 3 * 2, dtype=float).reshape(11, 3, 2)
     side_by_side = packed(array, lanes)
