@@ -27,25 +27,14 @@ _TOUCHED = 1e-3
 
 @dataclass(frozen=True)
 class Day:
-    """All partitions of a vehicle and day.
+    """All partitions of a vehicle and day."""
 
-    Attributes
-    ----------
-    day : date
-        Of which day.
-    factor : (q, k + 1) array
-        Their factors stacked in the order of their files.
-    samples, entries : int
-        Rows of the logs and of the regression.
-    seconds : float
-        Time that they cover, s.
-    """
-
-    day: date
-    factor: Array
+    day: date  # of which day
+    factor: Array  # (q, k + 1): their factors stacked in the order of their files
+    # samples, entries: rows of the logs and of the regression
     samples: int
     entries: int
-    seconds: float
+    seconds: float  # time that they cover, s
 
     @cached_property
     def gram(self) -> Array:
@@ -59,13 +48,7 @@ class Day:
 
 
 def days_of(parts: Iterable[tuple[date, Reduced]]) -> list[Day]:
-    """Days in order, whatever order the partitions of each came in.
-
-    Parameters
-    ----------
-    parts : iterable of (date, Reduced)
-        Partitions of one vehicle in the order of their files.
-    """
+    """Days in order, whatever order the partitions of each came in."""
     found: dict[date, list[Reduced]] = {}
     for day, reduced in parts:
         found.setdefault(day, []).append(reduced)
@@ -91,27 +74,13 @@ class Prior:
 
 @dataclass(frozen=True)
 class Solved:
-    """Least squares over days.
+    """Least squares over days."""
 
-    Attributes
-    ----------
-    theta : (m,) array
-        Unknowns.
-    covariance : (m, m) array
-        Of the noise alone.
-    determined : (m,) array of bool
-        Whether the days determine each.
-    shifts : (days, m) array
-        What leaving out each day does to the unknowns.
-    fall : float
-        How much less the sum of squares is than at zero.
-    """
-
-    theta: Array
-    covariance: Array
-    determined: NDArray[np.bool_]
-    shifts: Array
-    fall: float
+    theta: Array  # (m,): unknowns
+    covariance: Array  # (m, m): of the noise alone
+    determined: NDArray[np.bool_]  # (m,): whether the days determine each
+    shifts: Array  # (days, m): what leaving out each day does to the unknowns
+    fall: float  # how much less the sum of squares is than at zero
 
     def variance_of(self, days: Sequence[int] | slice = slice(None)) -> Array:
         """Jackknife variance by these days; they count as independent of each other."""
@@ -129,14 +98,7 @@ class Solved:
 def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> Solved:
     """Least squares for unknowns that stand for the columns of every day.
 
-    Parameters
-    ----------
-    days : sequence of Day
-        In order: the order decides the last digits.
-    designs : sequence of (k, m) arrays
-        For every day, what turns unknowns into coefficients of its columns.
-    prior : Prior
-        Of the unknowns, shape (m,).
+    `prior`: of the unknowns, shape (m,).
     """
     wide = [_widened(design) for design in designs]
     rows = [day.factor @ w for day, w in zip(days, wide, strict=True)]
@@ -212,20 +174,11 @@ _GAIN = "gain_error_"
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One way in which a vehicle may change.
+    """One way in which a vehicle may change."""
 
-    Attributes
-    ----------
-    kind : str
-        "drag", "thrust" or "inertia".
-    of : str
-        Motion, or thruster.
-    coefficients : (k,) array
-        Change of the columns' parameters for a change of one: drag or added mass as a whole by 100 %.
-    """
-
-    kind: Kind
-    of: str
+    kind: Kind  # "drag", "thrust" or "inertia"
+    of: str  # motion, or thruster
+    # (k,): change of the columns' parameters for a change of one: drag or added mass as a whole by 100 %
     coefficients: Array
 
     @property
@@ -238,28 +191,15 @@ class Direction:
 
 @dataclass(frozen=True)
 class Change:
-    """How much something changed.
-
-    Attributes
-    ----------
-    direction : Direction
-        What.
-    value : float
-        Relative change over the whole span: 0.1 is ten per cent more. Drag and thrust are free side by side,
-        inertia being as it was; inertia is free by itself.
-    error : float
-        Its standard error; inf where the days do not determine it.
-    freedom : float
-        Degrees of freedom of the standard error.
-    alone : float
-        Chance of so much by scatter if nothing but its own kind may have changed.
-    """
+    """How much something changed."""
 
     direction: Direction
+    # relative change over the whole span: 0.1 is ten per cent more. Drag and thrust are free side by side,
+    # inertia being as it was; inertia is free by itself
     value: float
-    error: float
-    freedom: float
-    alone: float
+    error: float  # its standard error; inf where the days do not determine it
+    freedom: float  # degrees of freedom of the standard error
+    alone: float  # chance of so much by scatter if nothing but its own kind may have changed
 
     @property
     def p_value(self) -> float:
@@ -269,21 +209,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Span:
-    """Days that are compared.
-
-    Attributes
-    ----------
-    days : tuple of Day
-        The days.
-    profile : callable
-        For a day its place from 0 (as at first) to 1 (as at last).
-    groups : tuple of int
-        Days at the beginning and at the end; for a trend, all days and none.
-    """
+    """Days that are compared."""
 
     days: tuple[Day, ...]
-    profile: Profile
-    groups: tuple[int, int]
+    profile: Profile  # for a day its place from 0 (as at first) to 1 (as at last)
+    groups: tuple[int, int]  # days at the beginning and at the end; for a trend, all days and none
 
     @property
     def enough(self) -> bool:
@@ -318,13 +248,7 @@ def shift(before: Sequence[Day], after: Sequence[Day]) -> Span:
 
 
 class Changes:
-    """Tests of one vehicle.
-
-    Parameters
-    ----------
-    panel : Panel
-        Columns and model.
-    """
+    """Tests of one vehicle."""
 
     def __init__(self, panel: Panel) -> None:
         self.panel, self.names = panel, panel.names
@@ -377,17 +301,6 @@ class Changes:
     def suffices(self, span: Span, moving: Sequence[Direction], effect: str, limit: float) -> bool:
         """Whether changes of these directions, or of an effect of the catalogue, explain all: the effect
         stands out, and nothing else does beside them, one direction or one kind at a time.
-
-        Parameters
-        ----------
-        span : Span
-            Days that are compared.
-        moving : sequence of Direction
-            What may have changed.
-        effect : str
-            Id of an effect that may have changed; empty for none.
-        limit : float
-            Chance up to which something stands out.
         """
         own = self.panel.own.get(effect, ())
         if own and self._chance_of(span, own) > limit:

@@ -60,13 +60,7 @@ class _Draft:
 
 
 def summarised(vehicles: Vehicles) -> Fleet:
-    """Tables and statements of all vehicles; what is said of one takes into account how many were looked at.
-
-    Parameters
-    ----------
-    vehicles : mapping
-        Columns and days of every vehicle, by name.
-    """
+    """Tables and statements of all vehicles; those of one count all that were looked at."""
     drafts = [_draft(name, Changes(panel), days) for name, (panel, days) in vehicles.items()]
     said = iter(statements([a for d in drafts for a in d.asked]))
     told = tuple(_told(d, list(islice(said, len(d.asked)))) for d in drafts)
@@ -195,16 +189,6 @@ class Store:
 
     Its name comes from the hash of the log's bytes and of all that decides what is made of them: a log that
     was moved or renamed is found again, one that was changed is not.
-
-    Parameters
-    ----------
-    folder : Path
-        Where; made if it is not there.
-
-    Raises
-    ------
-    UndertowError
-        If nothing can be written there.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -258,21 +242,12 @@ _NO_NAME = "'{}' is no name that a file may have: rename the vehicle, or give on
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of which logs.
+    """What is asked of which logs."""
 
-    Attributes
-    ----------
-    patterns : sequence of str
-        Patterns of Parquet files.
-    job : Job
-        What is done with every log; `{vehicle}` in its vehicle file stands for the name of each vehicle.
-    passes : int
-        How often the model is linearised, each time at what was found before.
-    """
-
-    patterns: Sequence[str]
+    patterns: Sequence[str]  # patterns of Parquet files
+    # what is done with every log; `{vehicle}` in its vehicle file stands for the name of each vehicle
     job: Job
-    passes: int = 1
+    passes: int = 1  # how often the model is linearised, each time at what was found before
 
 
 @dataclass
@@ -291,22 +266,6 @@ def diagnose(
 
     A file that cannot be used, or whose worker is lost, is named in the answer; all others count. What was
     worked out is kept in the store, and only what is missing there is done.
-
-    Parameters
-    ----------
-    question : Question
-        What is asked.
-    engine : Engine
-        Who does the work.
-    store : Store
-        Where results of partitions are kept.
-    tell : callable
-        Told what share is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If no file fits a pattern, a vehicle file is bad, or not one file can be used.
     """
     paths = find(question.patterns)
     known = _looked_at(paths, question.job, engine, tell)

@@ -64,15 +64,7 @@ def guarded(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 class OnDask:
-    """A cluster of Dask.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Connected.
-    patience : float
-        Seconds without any answer after which what is left is given up.
-    """
+    """A cluster of Dask."""
 
     def __init__(self, client: Any, patience: float = PATIENCE) -> None:
         self.client, self._patience = client, patience
@@ -156,26 +148,7 @@ def engine(
     patience: float = PATIENCE,
     listen: str | None = None,
 ) -> Iterator[Engine]:
-    """Something that does the work.
-
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address of a Dask scheduler; without it a cluster of processes is started on this machine.
-    workers : int, optional
-        Processes of that cluster, by default one for each processor; 0 works in this process, without Dask.
-    patience : float
-        Seconds without any answer after which what is left is given up.
-    listen : str, optional
-        Address of this machine at which that cluster can be reached, by default by this machine alone; its
-        page of numbers is for this machine in any case.
-
-    Raises
-    ------
-    UndertowError
-        If Dask is not installed, the scheduler does not answer, this machine does not have the address, or
-        there is no cluster that could listen.
-    """
+    """Something that does the work."""
     if listen is not None and (workers == 0 or scheduler is not None):
         other = "--workers 0 starts none" if scheduler is None else "--scheduler names another one"
         raise UndertowError(f"--listen {listen} is for a cluster of this machine, and {other}: leave one out")

@@ -36,39 +36,18 @@ _REFUSED = 0.5
 
 @dataclass(frozen=True)
 class Flights:
-    """What is simulated; plain data, so that it can be sent to any machine.
+    """What is simulated; plain data, so that it can be sent to any machine."""
 
-    Attributes
-    ----------
-    vehicle : str
-        Path of the vehicle file as workers see it, or name of a bundled vehicle.
-    effects : tuple of str
-        Paths of files with effects of the user.
-    mapping : str
-        The mapping file's content as JSON.
-    fill : str, optional
-        What to do where a command has no sample.
-    horizon : float
-        Length of a window, s.
-    coverage : float
-        Share of the rollouts within the band.
-    seed : int
-        Of all that is drawn.
-    trust_log : bool
-        Whether logs count that cannot be.
-    files : str
-        Hash of the vehicle file and the effects, by which workers see that they have the same; empty where
-        it is not known yet.
-    """
-
-    vehicle: str
-    effects: tuple[str, ...] = ()
-    mapping: str = "{}"
-    fill: CommandPolicy | None = None
-    horizon: float = 10.0
-    coverage: float = 0.9
-    seed: int = 0
-    trust_log: bool = False
+    vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
+    effects: tuple[str, ...] = ()  # paths of files with effects of the user
+    mapping: str = "{}"  # the mapping file's content as JSON
+    fill: CommandPolicy | None = None  # what to do where a command has no sample
+    horizon: float = 10.0  # length of a window, s
+    coverage: float = 0.9  # share of the rollouts within the band
+    seed: int = 0  # of all that is drawn
+    trust_log: bool = False  # whether logs count that cannot be
+    # hash of the vehicle file and the effects, by which workers see that they have the same; empty where it
+    # is not known yet
     files: str = ""
 
 
@@ -82,44 +61,25 @@ class Source:
 
 @dataclass(frozen=True)
 class Band:
-    """The rollouts of one window.
+    """The rollouts of one window."""
 
-    Attributes
-    ----------
-    log : str
-        Path of the log.
-    window : int
-        Its place in the log.
-    names : tuple of str
-        Channels.
-    t : (k,) array
-        Time, s.
-    measured, low, median, high : (k, c) array
-        Measurement and quantiles of the rollouts, the noise of the sensors included; SI.
-    diverged : int
-        Rollouts that are left out since they diverged: they are no numbers any more, or none that a vehicle
-        in water can have.
-    """
-
-    log: str
-    window: int
+    log: str  # path of the log
+    window: int  # its place in the log
     names: tuple[str, ...]
-    t: Array
+    t: Array  # (k,): time, s
+    # measured, low, median, high: (k, c), measurement and quantiles of the rollouts, the noise of the sensors
+    # included; SI
     measured: Array
     low: Array
     median: Array
     high: Array
+    # rollouts that are left out since they diverged: they are no numbers any more, or none that a vehicle in
+    # water can have
     diverged: int
 
 
 def drawn(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
-    """Parameters of vehicles that a fit does not rule out, shape (count, n_parameters), and where from.
-
-    Raises
-    ------
-    UndertowError
-        If the file states no uncertainty, or most draws are no vehicle.
-    """
+    """Parameters of vehicles that a fit does not rule out, shape (count, n_parameters), and where from."""
     from undertow.codegen.functions import Functions
     from undertow.control.linear.family import spread_of
 
@@ -160,18 +120,7 @@ def windows_of(flights: Flights, source: Source) -> int:
 def rolled_out(flights: Flights, source: Source, window: int, place: int, p: Array) -> Band:
     """The band of one window.
 
-    Parameters
-    ----------
-    flights : Flights
-        What is simulated.
-    source : Source
-        The log.
-    window : int
-        Place of the window in the log.
-    place : int
-        Place of the window among all: the seed of its noise.
-    p : (count, n_parameters) array
-        Parameters of the rollouts.
+    `p` (count, n_parameters): parameters of the rollouts.
     """
     chosen = _cut(flights, source).take(np.array([window]), np.iinfo(np.int64).max)
     count, samples = len(p), int(chosen.count[0])
@@ -260,11 +209,6 @@ def rollouts(
     """Bands of all windows of all logs in order, what failed and why, and where the uncertainty is from.
 
     The same numbers come out for any engine and any number of workers.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle file states no uncertainty, or no log can be used.
     """
     flights = replace(flights, files=files_digest(flights.vehicle, flights.effects))
     p, source = drawn(flights.vehicle, flights.effects, count, flights.seed)

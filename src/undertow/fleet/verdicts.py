@@ -25,22 +25,13 @@ Answer = Literal["grew", "none seen", "cannot tell"]
 
 @dataclass(frozen=True)
 class Statement:
-    """What the days say.
+    """What the days say."""
 
-    Attributes
-    ----------
-    answer : str
-        "grew" (something changed, and which is told), "none seen" or "cannot tell".
-    effects : tuple of str
-        What changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot
-        be told which, all that it may be.
-    words : str
-        One line.
-    """
-
-    answer: Answer
+    answer: Answer  # "grew" (something changed, and which is told), "none seen" or "cannot tell"
+    # what changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot be
+    # told which, all that it may be
     effects: tuple[str, ...]
-    words: str
+    words: str  # one line
 
 
 @dataclass(frozen=True)
@@ -244,128 +235,66 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Shift:
-    """How much something changed against the first month, or over all days.
+    """How much something changed against the first month, or over all days."""
 
-    Attributes
-    ----------
-    of : str
-        "drag in surge", "thrust of f1" ...
-    percent, error : float or None
-        Change and standard error, %; None where the days do not determine it.
-    p_value : float
-        Chance of so much by the scatter of the days, before what many tests ask for.
-    """
-
-    of: str
+    of: str  # "drag in surge", "thrust of f1"
+    # percent, error: change and standard error, %; None where the days do not determine it
     percent: float | None
     error: float | None
-    p_value: float
+    p_value: float  # chance of so much by the scatter of the days, before what many tests ask for
 
 
 @dataclass(frozen=True)
 class Period:
-    """A month of one vehicle, or all its days.
+    """A month of one vehicle, or all its days."""
 
-    Attributes
-    ----------
-    name : str
-        Month, or "all".
-    days, samples : int
-        How many.
-    seconds : float
-        Time that the logs cover, s.
-    misfit : float
-        Root mean square of what the parameters of these days leave, in units of what was counted as noise.
-    parameters : tuple of Parameter
-        Estimates.
-    changes : tuple of Shift
-        Against the first month; over all days for "all".
-    statement : Statement, optional
-        What is said of the changes; None for the first month.
-    """
-
-    name: str
+    name: str  # month, or "all"
+    # days, samples: how many
     days: int
     samples: int
-    seconds: float
+    seconds: float  # time that the logs cover, s
+    # root mean square of what the parameters of these days leave, in units of what was counted as noise
     misfit: float
     parameters: tuple[Parameter, ...]
-    changes: tuple[Shift, ...]
-    statement: Statement | None
+    changes: tuple[Shift, ...]  # against the first month; over all days for "all"
+    statement: Statement | None  # what is said of the changes; None for the first month
 
 
 @dataclass(frozen=True)
 class Score:
-    """What one linear step of an effect that the model lacks would take off what the model leaves.
-
-    Attributes
-    ----------
-    effect : str
-        Id.
-    share : float
-        Share of the squares.
-    p_value : float
-        Chance of its most certain parameter by the scatter of the days, times the number of parameters that
-        were looked at.
-    """
+    """What one linear step of an effect that the model lacks would take off what the model leaves."""
 
     effect: str
-    share: float
+    share: float  # share of the squares
+    # chance of its most certain parameter by the scatter of the days, times the number of parameters that
+    # were looked at
     p_value: float
 
 
 @dataclass(frozen=True)
 class Of:
-    """All that is said of one vehicle.
-
-    Attributes
-    ----------
-    vehicle : str
-        Name.
-    whole : Period
-        All its days.
-    months : tuple of Period
-        Its months.
-    scores : tuple of Score
-        What its model lacks, the best first.
-    remarks : tuple of str
-        What speaks against the numbers.
-    """
+    """All that is said of one vehicle."""
 
     vehicle: str
-    whole: Period
+    whole: Period  # all its days
     months: tuple[Period, ...]
-    scores: tuple[Score, ...]
-    remarks: tuple[str, ...]
+    scores: tuple[Score, ...]  # what its model lacks, the best first
+    remarks: tuple[str, ...]  # what speaks against the numbers
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """The report of a fleet.
+    """The report of a fleet."""
 
-    Attributes
-    ----------
-    vehicles : tuple of Of
-        By name.
-    failed : dict of str
-        Files that nothing is known of, and why.
-    twins : dict of str
-        Files that were left out because another one has the same content, and that one.
-    done, found : int
-        Partitions that the report stands on, and that there are.
-    worked : int
-        Partitions that were worked out in this run; the others were known.
-    unscored : tuple of str
-        Effects that one linear step says nothing of.
-    """
-
-    vehicles: tuple[Of, ...]
-    failed: dict[str, str] = field(default_factory=dict)
+    vehicles: tuple[Of, ...]  # by name
+    failed: dict[str, str] = field(default_factory=dict)  # files that nothing is known of, and why
+    # files that were left out because another one has the same content, and that one
     twins: dict[str, str] = field(default_factory=dict)
+    # done, found: partitions that the report stands on, and that there are
     done: int = 0
     found: int = 0
-    worked: int = 0
-    unscored: tuple[str, ...] = ()
+    worked: int = 0  # partitions that were worked out in this run; the others were known
+    unscored: tuple[str, ...] = ()  # effects that one linear step says nothing of
 
     @property
     def whole(self) -> bool:

@@ -22,21 +22,11 @@ def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Param
 
 @dataclass(frozen=True)
 class Bulk:
-    """How large a vehicle is, as its mass and inertia tell.
+    """How large a vehicle is, as its mass and inertia tell."""
 
-    Attributes
-    ----------
-    mass : float
-        kg.
-    length : float
-        Edge of a cube of water of this mass, m.
-    gyration : float
-        Largest radius of gyration that the file tells, m; zero where it tells none.
-    """
-
-    mass: float
-    length: float
-    gyration: float
+    mass: float  # kg
+    length: float  # edge of a cube of water of this mass, m
+    gyration: float  # largest radius of gyration that the file tells, m; zero where it tells none
 
 
 class Effect(abc.ABC):

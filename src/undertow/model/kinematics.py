@@ -79,14 +79,8 @@ def inertia_tensor(
 def inertia_matrix(mass: sm.Expr, moments: sm.Matrix, tensor: sm.Matrix) -> sm.Matrix:
     """Inertia matrix of a body about the origin from its base parameters, shape (6, 6).
 
-    Parameters
-    ----------
-    mass : Expr
-        Mass, kg.
-    moments : Matrix, shape (3, 1)
-        Static moments, mass times place of the centre of gravity, kg m.
-    tensor : Matrix, shape (3, 3)
-        Inertia tensor about the origin, kg m^2.
+    `mass`: mass, kg; `moments` (3, 1): static moments, mass times place of the centre of gravity, kg m;
+    `tensor` (3, 3): inertia tensor about the origin, kg m^2.
     """
     arm = skew(moments)
     upper = sm.Matrix.hstack(mass * sm.eye(3), -arm)

@@ -29,56 +29,21 @@ _BLOCK = 128
 
 @dataclass(frozen=True)
 class LinearSolution:
-    """Estimates of least squares.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters.
-    theta : (k,) array
-        Their estimates, SI.
-    factor : (k, k) array
-        Upper triangular; factor' factor = H' W H.
-    squares : float
-        Weighted sum of squares of what is left.
-    count : int
-        Samples that were taken in.
-    condition : float
-        Condition number of the regressor with its columns scaled to unit length.
-    way : str
-        "normal", "refined" or "triangular".
-    """
+    """Estimates of least squares."""
 
     names: tuple[str, ...]
-    theta: Array
-    factor: Array
-    squares: float
-    count: int
-    condition: float
-    way: Literal["normal", "refined", "triangular"]
+    theta: Array  # (k,): their estimates, SI
+    factor: Array  # (k, k): upper triangular; factor' factor = H' W H
+    squares: float  # weighted sum of squares of what is left
+    count: int  # samples that were taken in
+    condition: float  # condition number of the regressor with its columns scaled to unit length
+    way: Literal["normal", "refined", "triangular"]  # "normal", "refined" or "triangular"
 
 
 class LinearFit:
     """Least squares on H theta = target, the rows of a model at the samples of logs.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    names : sequence of str
-        Parameters that are sought; they have to enter linearly.
-    compiled : bool, optional
-        As for `Simulator`.
-
-    Attributes
-    ----------
-    needed : tuple of str
-        Channels that the rows depend on: states, accelerations ("u_dot"), commands, "t".
-
-    Raises
-    ------
-    UndertowError
-        If a parameter does not enter linearly.
+    `needed`: channels that the rows depend on: states, accelerations ("u_dot"), commands, "t".
     """
 
     def __init__(self, functions: Functions, names: Sequence[str], *, compiled: bool | None = None) -> None:
@@ -99,18 +64,7 @@ class LinearFit:
     ) -> LinearSolution:
         """Estimates from the samples of all logs; samples with a gap in what is needed do not count.
 
-        Parameters
-        ----------
-        logs : sequence of mapping
-            Columns of each log by name, (n,) each; they are read in place, two or more times where the
-            regressor is ill conditioned.
-        weights : array of shape (dof,), or one of shape (dof, n) for each log, optional
-            Weight of the square of every row's residual.
-
-        Raises
-        ------
-        UndertowError
-            If a channel is missing, a weight is negative, or the samples leave a parameter open.
+        `weights` (dof, n): weight of the square of every row's residual.
         """
         parts = [self._part(log, _weights_of(weights, i)) for i, log in enumerate(logs)]
         k = len(self.names)
@@ -131,11 +85,6 @@ class LinearFit:
         """Few rows with the same products as those of all samples, shape (k + 1, k + 1), and their count.
 
         The last column is that of the target. The factor is good to 1e-10 whatever the condition.
-
-        Raises
-        ------
-        UndertowError
-            If a channel is missing or a weight is negative.
         """
         part = self._part(samples, weights)
         sums = Sums(np.zeros((len(self.names) + 1, len(self.names) + 1)))
