@@ -159,7 +159,7 @@ def _date_of(path: Path, time: float) -> date:
         ) from error
 
 
-def twins(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]:
+def duplicates(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]:
     """Partitions with the content of an earlier one, and that one: the same data would count twice."""
     pairs = sorted(hashes)
     first: dict[str, Partition] = {}

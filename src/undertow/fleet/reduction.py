@@ -229,7 +229,7 @@ def _keep(key: str, panel: Panel) -> None:
     _PANELS[key] = panel
 
 
-def marked(job: Job) -> tuple[Job, Panel]:
+def with_fingerprint(job: Job) -> tuple[Job, Panel]:
     """A job with its fingerprint, and its columns."""
     panel = _made(job)
     done = replace(job, fingerprint=fingerprint(job, panel))
@@ -259,7 +259,7 @@ def fingerprint(job: Job, panel: Panel) -> str:
     return digest(content)
 
 
-def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
+def identify_log(path: str, mapping: str) -> tuple[Partition, str]:
     """Whose and which day's log a file is, and the SHA-256 of its bytes."""
     try:
         sha256 = hash_of(Path(path))

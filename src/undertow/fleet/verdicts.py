@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from .changes import FEWEST_DAYS, KINDS, Change, Changes, Span
+from .changes import FEWEST_DAYS, KINDS, Change, ChangeTests, Span
 
 #: Chance of a single false statement in a whole report.
 ALPHA = 0.01
@@ -35,15 +35,15 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Asked:
+class SpanTest:
     """A span with its changes."""
 
-    of: Changes
+    of: ChangeTests
     span: Span
     changes: tuple[Change, ...]
 
 
-def statements(asked: Sequence[Asked]) -> list[Statement]:
+def statements(asked: Sequence[SpanTest]) -> list[Statement]:
     """A statement for every span; all of them together are wrong in one report of a hundred.
 
     Chances are held against each other by Holm's rule over all that was looked for in all spans, beside
@@ -66,7 +66,7 @@ def holm(chances: Sequence[float], alpha: float) -> float:
     return float(bounds[passed]) if passed < len(ordered) else alpha
 
 
-def _statement(asked: Asked, limit: float) -> Statement:
+def _statement(asked: SpanTest, limit: float) -> Statement:
     if not asked.span.enough:
         return Statement("cannot tell", (), f"cannot tell: {_lacking(asked.span)}")
     found = [c for c in asked.changes if c.alone <= limit]
@@ -86,17 +86,17 @@ def _statement(asked: Asked, limit: float) -> Statement:
 
 
 def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
-    names = tuple(dict.fromkeys(_READING.get(name, name) for cause in causes for name in cause))
+    names = tuple(dict.fromkeys(_CAUSES.get(name, name) for cause in causes for name in cause))
     return Statement("cannot tell", names, f"something changed; cannot tell which: {_listed(causes)}")
 
 
 def _listed(causes: Sequence[tuple[str, ...]]) -> str:
-    told = [" with ".join(_READING.get(n, n) for n in cause) for cause in causes]
+    told = [" with ".join(_CAUSES.get(n, n) for n in cause) for cause in causes]
     more = [f"{len(told) - _SHOWN} more"] if len(told) > _SHOWN else []
     return " or ".join([*told[:_SHOWN], *more])
 
 
-def _causes(asked: Asked, limit: float) -> list[tuple[str, ...]]:
+def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
     """The fewest kinds, or the effects of the catalogue, whose change explains all; all that do so.
 
     A single cause that explains all goes before two that happened to come together. A cause is out when
@@ -104,12 +104,12 @@ def _causes(asked: Asked, limit: float) -> list[tuple[str, ...]]:
     """
     of, span, out = asked.of, asked.span, ALPHA / max(len(asked.changes), 1)
     kinds = [k for k in KINDS if any(c.alone <= limit for c in asked.changes if c.direction.kind == k)]
-    single: list[tuple[str, ...]] = [(k,) for k in kinds if of.suffices(span, of.of(k), "", out)]
-    single += [(e,) for e in of.rivals() if of.suffices(span, [], e, out)]
+    single: list[tuple[str, ...]] = [(k,) for k in kinds if of.explains_all(span, of.of(k), "", out)]
+    single += [(e,) for e in of.rivals() if of.explains_all(span, [], e, out)]
     if single:
         return single
     pairs = list(combinations(KINDS, 2))
-    return [pair for pair in pairs if of.suffices(span, of.of(*pair), "", out)]
+    return [pair for pair in pairs if of.explains_all(span, of.of(*pair), "", out)]
 
 
 def _lacking(span: Span) -> str:
@@ -118,24 +118,24 @@ def _lacking(span: Span) -> str:
     return f"{told}, at least {FEWEST_DAYS} are needed to know the scatter from day to day"
 
 
-def _nothing(asked: Asked, limit: float) -> Statement:
+def _nothing(asked: SpanTest, limit: float) -> Statement:
     """Nothing stands out: because nothing changed, or because it would not have shown."""
     kinds = [k for k in KINDS if k != "inertia" and any(c.direction.kind == k for c in asked.changes)]
-    halves = {k: _halves(asked, k, limit) for k in kinds}
+    halves = {k: _half_widths(asked, k, limit) for k in kinds}
     seen = {n: v for own in halves.values() for n, v in own.items() if v <= _WORTH}
     told = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
     open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > _WORTH]
     likely = [c for c in asked.changes if min(c.p_value, c.alone) <= ALPHA]
     if seen and not open_ and not likely:
         return Statement("none seen", (), f"no change seen; would have shown from, %: {told}")
-    words = _perhaps(likely) + open_
+    words = _possible(likely) + open_
     if not words:
         return Statement("cannot tell", (), "cannot tell: these days determine neither drag nor thrust")
     rest = f"; otherwise no change seen; would have shown from, %: {told}" if seen else ""
     return Statement("cannot tell", (), f"cannot tell: {'; '.join(words)}{rest}")
 
 
-def _perhaps(likely: Sequence[Change]) -> list[str]:
+def _possible(likely: Sequence[Change]) -> list[str]:
     """What may have changed: what stands out beside the other kinds, else what would if it were alone."""
     beside = [c for c in likely if c.p_value <= ALPHA]
     if beside or not likely:
@@ -144,9 +144,9 @@ def _perhaps(likely: Sequence[Change]) -> list[str]:
     return [f"something may have changed ({names}), but is not sure enough"]
 
 
-def _halves(asked: Asked, kind: str, limit: float) -> dict[str, float]:
+def _half_widths(asked: SpanTest, kind: str, limit: float) -> dict[str, float]:
     """From which size a change of each direction of a kind would have been seen."""
-    return {c.direction.name: _half(c, limit) for c in asked.changes if c.direction.kind == kind}
+    return {c.direction.name: _half_width(c, limit) for c in asked.changes if c.direction.kind == kind}
 
 
 def _unseen(kind: str, halves: dict[str, float]) -> str:
@@ -156,10 +156,10 @@ def _unseen(kind: str, halves: dict[str, float]) -> str:
     return f"a change of {name} below {least:.0%} would not show"
 
 
-_READING = {"drag": "fouling", "thrust": "thruster wear", "inertia": "added mass"}
+_CAUSES = {"drag": "fouling", "thrust": "thruster wear", "inertia": "added mass"}
 
 
-def _named(cause: tuple[str, ...], asked: Asked, limit: float) -> Statement:
+def _named(cause: tuple[str, ...], asked: SpanTest, limit: float) -> Statement:
     names, words = [], []
     for name in cause:
         every = [c for c in asked.changes if c.direction.kind == name]
@@ -168,10 +168,10 @@ def _named(cause: tuple[str, ...], asked: Asked, limit: float) -> Statement:
             names.append(name)
             words.append(f"a change of {name} explains all, and none of drag, thrust or added mass does")
         elif not sure:
-            told = f"something changed; {_READING[name]} would explain it, but no single motion is sure"
-            return Statement("cannot tell", (_READING[name],), told)
+            told = f"something changed; {_CAUSES[name]} would explain it, but no single motion is sure"
+            return Statement("cannot tell", (_CAUSES[name],), told)
         else:
-            found, told = _SAID[name](sure, every, limit)
+            found, told = _WORDING[name](sure, every, limit)
             names.append(found)
             words.append(told)
     return Statement("grew", tuple(names), "; ".join(words))
@@ -182,7 +182,7 @@ def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tupl
     if any(c.value < 0 for c in sure):
         return "drag", f"drag changed: {told}; less of it is no fouling (cleaned? another trim?)"
     least = _CONTRADICTS * min(c.value for c in sure)
-    against = [c.direction.of for c in every if c.value + _half(c, limit) < least]
+    against = [c.direction.of for c in every if c.value + _half_width(c, limit) < least]
     if against:
         return "drag", f"drag grew: {told}, not in {', '.join(against)}, which fouling would have raised, too"
     if len(sure) == 1 and len(every) > 1:
@@ -206,10 +206,10 @@ def _told(change: Change) -> str:
     return f"{change.direction.name} {100 * change.value:+.3g} ± {error} %"
 
 
-_SAID = {"drag": _drag, "thrust": _thrust, "inertia": _inertia}
+_WORDING = {"drag": _drag, "thrust": _thrust, "inertia": _inertia}
 
 
-def _half(change: Change, limit: float) -> float:
+def _half_width(change: Change, limit: float) -> float:
     """Half the width of the interval that goes with a chance."""
     if not (np.isfinite(change.error) and change.freedom > 0):
         return np.inf
@@ -272,7 +272,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Of:
+class VehicleReport:
     """All that is said of one vehicle."""
 
     vehicle: str
@@ -283,10 +283,10 @@ class Of:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class FleetReport:
     """The report of a fleet."""
 
-    vehicles: tuple[Of, ...]  # by name
+    vehicles: tuple[VehicleReport, ...]  # by name
     failed: dict[str, str] = field(default_factory=dict)  # files that nothing is known of, and why
     # files that were left out because another one has the same content, and that one
     twins: dict[str, str] = field(default_factory=dict)
