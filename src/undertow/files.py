@@ -232,7 +232,8 @@ class FileSet:
 
     def add(self, target: Path, payload: bytes) -> None:
         """Put a file on the disk under a temporary name."""
-        mode = _mode_of(target)
+        _check_target(target)
+        mode = target.stat().st_mode if target.exists() else None
         if mode is not None and not stat.S_ISREG(mode):
             self.streams.append((target, payload))  # /dev/stdout, a pipe: there is nothing to replace
             return
@@ -307,6 +308,8 @@ def check_writable(
     read = [Path(path) for path in inputs]
     for i, path in enumerate(outputs):
         _check_target(path)
+        if not _is_special(path):
+            _try_folder(path)
         taken = next((other for other in read if other.is_file() and _same(path, other)), None)
         if taken is not None:
             raise UndertowError(f"output '{path}' is the input '{taken}': choose another name for it")
@@ -325,16 +328,15 @@ def check_folder(path: str | os.PathLike[str]) -> None:
 
 
 def _check_target(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise UndertowError(f"cannot write '{path}': folder '{path.parent}' does not exist: make it first")
+    folder = path.parent
+    if not folder.exists():
+        raise UndertowError(f"cannot write '{path}': the folder '{folder}' does not exist; create it first")
+    if not folder.is_dir():
+        raise UndertowError(f"cannot write '{path}': '{folder}' is not a folder; choose another place")
     if path.is_dir():
-        raise UndertowError(f"cannot write '{path}': it is a folder: name a file in it")
-    if not os.access(path if _is_special(path) else path.parent, os.W_OK):
-        raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
-    if path.is_file() and not os.access(path, os.W_OK):
+        raise UndertowError(f"cannot write '{path}': it is a folder; give the name of a file")
+    if path.exists() and not os.access(path, os.W_OK):
         raise UndertowError(f"cannot write '{path}': it is write-protected; choose another name")
-    if not _is_special(path):
-        _try_folder(path)
 
 
 def _try_folder(path: Path) -> None:
@@ -362,22 +364,6 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as failure:
         raise UndertowError(f"cannot read '{os.fspath(path)}': {_reason(failure)}") from failure
-
-
-def _mode_of(target: Path) -> int | None:
-    """The mode of an existing target that may be written, None for a new one."""
-    folder = target.parent
-    if not folder.exists():
-        raise UndertowError(f"cannot write '{target}': the folder '{folder}' does not exist; create it first")
-    if not folder.is_dir():
-        raise UndertowError(f"cannot write '{target}': '{folder}' is not a folder; choose another place")
-    if not target.exists():
-        return None
-    if target.is_dir():
-        raise UndertowError(f"cannot write '{target}': it is a folder; give the name of a file")
-    if not os.access(target, os.W_OK):
-        raise UndertowError(f"cannot write '{target}': it is write-protected; choose another name")
-    return target.stat().st_mode
 
 
 def _fill(temporary: Path, payload: bytes) -> None:

@@ -27,9 +27,9 @@ Answer = Literal["grew", "none seen", "cannot tell"]
 class Statement:
     """What the days say."""
 
-    answer: Answer  # "grew" (something changed, and which is told), "none seen" or "cannot tell"
+    answer: Answer  # "grew" (something changed, and it is known what), "none seen" or "cannot tell"
     # what changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot be
-    # told which, all that it may be
+    # text which, all that it may be
     effects: tuple[str, ...]
     words: str  # one line
 
@@ -78,11 +78,11 @@ def _statement(asked: SpanTest, limit: float) -> Statement:
     common = tuple(name for name in causes[0] if all(name in cause for cause in causes))
     if not common:
         return _open(causes)
-    said = _named(common, asked, limit)
+    text = _named(common, asked, limit)
     rest = [tuple(n for n in cause if n not in common) for cause in causes]
     if not all(rest):
-        return said
-    return replace(said, words=f"{said.words}; beside it {_listed(rest)}: cannot tell which")
+        return text
+    return replace(text, words=f"{text.words}; beside it {_listed(rest)}: cannot tell which")
 
 
 def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
@@ -91,9 +91,9 @@ def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
 
 
 def _listed(causes: Sequence[tuple[str, ...]]) -> str:
-    told = [" with ".join(_CAUSES.get(n, n) for n in cause) for cause in causes]
-    more = [f"{len(told) - _SHOWN} more"] if len(told) > _SHOWN else []
-    return " or ".join([*told[:_SHOWN], *more])
+    text = [" with ".join(_CAUSES.get(n, n) for n in cause) for cause in causes]
+    more = [f"{len(text) - _SHOWN} more"] if len(text) > _SHOWN else []
+    return " or ".join([*text[:_SHOWN], *more])
 
 
 def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
@@ -114,8 +114,8 @@ def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
 
 def _lacking(span: Span) -> str:
     first, last = span.groups
-    told = f"{first} days" if not last else f"{first} days before and {last} in it"
-    return f"{told}, at least {FEWEST_DAYS} are needed to know the scatter from day to day"
+    text = f"{first} days" if not last else f"{first} days before and {last} in it"
+    return f"{text}, at least {FEWEST_DAYS} are needed to know the scatter from day to day"
 
 
 def _nothing(asked: SpanTest, limit: float) -> Statement:
@@ -123,15 +123,15 @@ def _nothing(asked: SpanTest, limit: float) -> Statement:
     kinds = [k for k in KINDS if k != "inertia" and any(c.direction.kind == k for c in asked.changes)]
     halves = {k: _half_widths(asked, k, limit) for k in kinds}
     seen = {n: v for own in halves.values() for n, v in own.items() if v <= _WORTH}
-    told = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
+    text = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
     open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > _WORTH]
     likely = [c for c in asked.changes if min(c.p_value, c.alone) <= ALPHA]
     if seen and not open_ and not likely:
-        return Statement("none seen", (), f"no change seen; would have shown from, %: {told}")
+        return Statement("none seen", (), f"no change seen; would have shown from, %: {text}")
     words = _possible(likely) + open_
     if not words:
         return Statement("cannot tell", (), "cannot tell: these days determine neither drag nor thrust")
-    rest = f"; otherwise no change seen; would have shown from, %: {told}" if seen else ""
+    rest = f"; otherwise no change seen; would have shown from, %: {text}" if seen else ""
     return Statement("cannot tell", (), f"cannot tell: {'; '.join(words)}{rest}")
 
 
@@ -139,7 +139,7 @@ def _possible(likely: Sequence[Change]) -> list[str]:
     """What may have changed: what stands out beside the other kinds, else what would if it were alone."""
     beside = [c for c in likely if c.p_value <= ALPHA]
     if beside or not likely:
-        return [f"{_told(c)} may be a change, but is not sure enough" for c in beside]
+        return [f"{_with_error(c)} may be a change, but is not sure enough" for c in beside]
     names = " or ".join(c.direction.name for c in likely)
     return [f"something may have changed ({names}), but is not sure enough"]
 
@@ -168,40 +168,40 @@ def _named(cause: tuple[str, ...], asked: SpanTest, limit: float) -> Statement:
             names.append(name)
             words.append(f"a change of {name} explains all, and none of drag, thrust or added mass does")
         elif not sure:
-            told = f"something changed; {_CAUSES[name]} would explain it, but no single motion is sure"
-            return Statement("cannot tell", (_CAUSES[name],), told)
+            text = f"something changed; {_CAUSES[name]} would explain it, but no single motion is sure"
+            return Statement("cannot tell", (_CAUSES[name],), text)
         else:
-            found, told = _WORDING[name](sure, every, limit)
+            found, text = _WORDING[name](sure, every, limit)
             names.append(found)
-            words.append(told)
+            words.append(text)
     return Statement("grew", tuple(names), "; ".join(words))
 
 
 def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
-    told = ", ".join(map(_told, sure))
+    text = ", ".join(map(_with_error, sure))
     if any(c.value < 0 for c in sure):
-        return "drag", f"drag changed: {told}; less of it is no fouling (cleaned? another trim?)"
+        return "drag", f"drag changed: {text}; less of it is no fouling (cleaned? another trim?)"
     least = _CONTRADICTS * min(c.value for c in sure)
     against = [c.direction.of for c in every if c.value + _half_width(c, limit) < least]
     if against:
-        return "drag", f"drag grew: {told}, not in {', '.join(against)}, which fouling would have raised, too"
+        return "drag", f"drag grew: {text}, not in {', '.join(against)}, which fouling would have raised, too"
     if len(sure) == 1 and len(every) > 1:
-        return "drag", f"drag grew: {told}; that of other motions is not known well enough to call it fouling"
-    return "fouling", f"fouling: {told}"
+        return "drag", f"drag grew: {text}; that of other motions is not known well enough to call it fouling"
+    return "fouling", f"fouling: {text}"
 
 
 def _thrust(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
-    told = ", ".join(map(_told, sure))
+    text = ", ".join(map(_with_error, sure))
     if any(c.value > 0 for c in sure):
-        return "thrust", f"thrust changed: {told}; more of it is no wear (another propeller, another supply?)"
-    return "thruster wear", f"thruster wear: {told}"
+        return "thrust", f"thrust changed: {text}; more of it is no wear (another propeller, another supply?)"
+    return "thruster wear", f"thruster wear: {text}"
 
 
 def _inertia(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
-    return "added mass", f"added mass changed: {', '.join(map(_told, sure))}"
+    return "added mass", f"added mass changed: {', '.join(map(_with_error, sure))}"
 
 
-def _told(change: Change) -> str:
+def _with_error(change: Change) -> str:
     error = f"{100 * change.error:.2g}"
     return f"{change.direction.name} {100 * change.value:+.3g} ± {error} %"
 

@@ -19,19 +19,7 @@ def rotation(angles: sm.Matrix) -> sm.Matrix:
     Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 2 (zyx order).
     """
     phi, theta, psi = angles
-    return _about_z(psi) * _about_y(theta) * _about_x(phi)
-
-
-def _about_x(a: sm.Expr) -> sm.Matrix:
-    return sm.Matrix([[1, 0, 0], [0, sm.cos(a), -sm.sin(a)], [0, sm.sin(a), sm.cos(a)]])
-
-
-def _about_y(a: sm.Expr) -> sm.Matrix:
-    return sm.Matrix([[sm.cos(a), 0, sm.sin(a)], [0, 1, 0], [-sm.sin(a), 0, sm.cos(a)]])
-
-
-def _about_z(a: sm.Expr) -> sm.Matrix:
-    return sm.Matrix([[sm.cos(a), -sm.sin(a), 0], [sm.sin(a), sm.cos(a), 0], [0, 0, 1]])
+    return sm.rot_ccw_axis3(psi) * sm.rot_ccw_axis2(theta) * sm.rot_ccw_axis1(phi)
 
 
 def body_rates(angles: sm.Matrix) -> sm.Matrix:
