@@ -30,21 +30,13 @@ _STEPS = 0.5  # sampling steps below which a shift does not matter
 
 @dataclass(frozen=True)
 class Shift:
-    """How late velocities are against the rate of the pose.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The velocities.
-    delay, delay_error : float
-        In the middle of the runs, s.
-    drift, drift_error : float
-        From the first to the last sample of a run, s.
-    """
+    """How late velocities are against the rate of the pose."""
 
     names: tuple[str, ...]
+    # delay, delay_error: in the middle of the runs, s.
     delay: float
     delay_error: float
+    # drift, drift_error: from the first to the last sample of a run, s.
     drift: float
     drift_error: float
 

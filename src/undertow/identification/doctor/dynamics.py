@@ -54,26 +54,13 @@ _SMALL = 0.5
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A vehicle's model on logs, refitted.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : list of Run
-        The part of the logs that is looked at.
-    data : WeakData
-        The same, prepared.
-    fit : WeakFit
-        The fit, under a noise model that takes what the model does not explain for a disturbance.
-    quiet : (n,) array
-        Mean square of what it leaves of each equation of motion, in units of the sensors' noise.
-    """
+    """A vehicle's model on logs, refitted."""
 
     vehicle: Vehicle
-    runs: list[Run]
+    runs: list[Run]  # the part of the logs that is looked at
     data: WeakData
-    fit: WeakFit
+    fit: WeakFit  # the fit, under a noise model that takes what the model does not explain for a disturbance
+    # (n,) mean square of what it leaves of each equation of motion, in units of the sensors' noise.
     quiet: Array
 
     @property
@@ -98,17 +85,7 @@ class Dynamics:
     def refitted(
         self, vehicle: Vehicle | None = None, undo: Undo | None = None, free: Sequence[str] = ()
     ) -> WeakFit | None:
-        """The fit with something changed, under the same noise model; None where it cannot be made.
-
-        Parameters
-        ----------
-        vehicle : Vehicle, optional
-            Another model.
-        undo : callable, optional
-            Applied to every run.
-        free : sequence of str
-            Parameters that are fitted besides those that the vehicle marks.
-        """
+        """The fit with something changed, under the same noise model; None where it cannot be made."""
         data = self.data if undo is None else self.undone(undo)
         if data is None:
             return None
@@ -149,19 +126,12 @@ class Dynamics:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a refitted model leaves of each equation of motion, before and after a change.
+    """What a refitted model leaves of each equation of motion, before and after a change."""
 
-    Attributes
-    ----------
-    before, after : (n,) arrays
-        Mean squares in units of the sensors' noise.
-    moved : (n,) bool array
-        Whether the velocity stands out of its noise.
-    """
-
+    # before, after: (n,) mean squares in units of the sensors' noise.
     before: Array
     after: Array
-    moved: NDArray[np.bool_]
+    moved: NDArray[np.bool_]  # (n,) whether the velocity stands out of its noise
 
     @property
     def factors(self) -> Array:
@@ -206,15 +176,7 @@ def _other_unit(before: Array, after: Array) -> Array:
 
 
 def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
-    """Fit a vehicle to the liveliest part of logs; None where they are too short or hold no motion.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` are refitted.
-    runs : sequence of Run
-        Logs with its velocities and commands.
-    """
+    """Fit a vehicle to the liveliest part of logs; None where they are too short or hold no motion."""
     most = _MOST if len(vehicle.dof_indices) <= _MANY else _MOST_OF_MANY
     try:
         parts = [_part(run, vehicle, most // len(runs)) for run in runs]
@@ -350,21 +312,11 @@ _UNREADABLE = 0.5
 
 @dataclass(frozen=True)
 class Explanation:
-    """A mistake with what undoing it does to the fit of the model.
+    """A mistake with what undoing it does to the fit of the model."""
 
-    Attributes
-    ----------
-    mistake : Mistake
-        The best explanation.
-    gain : Gain
-        What it does.
-    rivals : list of Mistake
-        Others that do as well.
-    """
-
-    mistake: Mistake
+    mistake: Mistake  # the best explanation
     gain: Gain
-    rivals: list[Mistake]
+    rivals: list[Mistake]  # others that do as well
 
 
 def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
@@ -402,19 +354,6 @@ def dynamic_mistakes(
 
     None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
     no evidence of anything.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    at : Dynamics
-        Its fit to (part of) the logs.
-    kinematics : Kinematics
-        What pose rates and velocities allow.
-    runs : sequence of Run
-        The logs.
-    mapping : Mapping
-        How they were read.
     """
     if kinematics and np.any(kinematics.mismatch(runs).excess > _UNREADABLE):
         return None
@@ -481,22 +420,14 @@ _HOME, _FAR = 2.0, 4.0
 
 @dataclass(frozen=True)
 class OtherMass:
-    """The mass that logs ask for.
+    """The mass that logs ask for."""
 
-    Attributes
-    ----------
-    stated, found, error : float
-        In the file, from the logs, and its standard error, kg.
-    gain : Gain
-        What refitting it does to the equations of motion.
-    moved : dict
-        Added masses that have left their stated values, in standard deviations, and come back with this mass.
-    """
-
+    # stated, found, error: in the file, from the logs, and its standard error, kg.
     stated: float
     found: float
     error: float
-    gain: Gain
+    gain: Gain  # what refitting it does to the equations of motion
+    # Added masses that have left their stated values, in standard deviations, and come back with this mass.
     moved: dict[str, float]
 
 
@@ -550,21 +481,11 @@ def _standardised(fit: WeakFit) -> dict[str, float]:
 # --- squares ----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class LostSign:
-    """An effect whose force is even in its own velocity.
-
-    Attributes
-    ----------
-    effect : str
-        Its id.
-    terms : list of str
-        Such as "X: u^2".
-    vehicle : Vehicle
-        The vehicle with |u| u in its place.
-    """
+    """An effect whose force is even in its own velocity."""
 
     effect: str
-    terms: list[str]
-    vehicle: Vehicle
+    terms: list[str]  # such as "X: u^2"
+    vehicle: Vehicle  # the vehicle with |u| u in its place
 
 
 def lost_signs(vehicle: Vehicle) -> Iterator[LostSign]:

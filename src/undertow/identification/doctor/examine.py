@@ -133,22 +133,14 @@ _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle fil
 
 @dataclass(frozen=True)
 class Examined:
-    """An examination with what it was about.
+    """An examination with what it was about."""
 
-    Attributes
-    ----------
-    result : Examination
-        What is written to JSON.
-    given, mended : list of Run
-        The logs, less those that are wrong alone, and what they are once the mistakes found are undone.
-    edits : tuple of Edit
-        What to change in the mapping file.
-    """
-
-    result: Examination
+    result: Examination  # what is written to JSON
+    # given, mended: the logs, less those that are wrong alone, and what they are once the mistakes found are
+    # undone.
     given: list[Run]
     mended: list[Run]
-    edits: Edits
+    edits: Edits  # what to change in the mapping file
 
 
 def examine(
@@ -434,17 +426,7 @@ _DECIDES = 2.0
 
 
 def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
-    """The mistake that the model speaks for, and those that it does not speak against.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs with the mistake.
-    found : Explained
-        What kinematics says.
-    """
+    """The mistake that the model speaks for, and those that it does not speak against."""
     tied = [found.mistake, *found.rivals][:_TRIED]
     if len(tied) == 1:
         return found.mistake, []
@@ -466,13 +448,7 @@ _OUTLIERS = 0.002
 
 
 def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
-    """One row for each pose coordinate: rate of the pose against what the velocities make of it.
-
-    Raises
-    ------
-    UndertowError
-        If the logs have no pose with a velocity of its own.
-    """
+    """One row for each pose coordinate: rate of the pose against what the velocities make of it."""
     kinematics = Kinematics(examined.given, vehicle)
     if not kinematics:
         raise UndertowError(

@@ -84,23 +84,13 @@ class Excited(_Table):
 
 
 class Examination(_Table):
-    """Outcome of `undertow doctor`.
-
-    Attributes
-    ----------
-    findings : list of Finding
-        The most serious first.
-    excitation : list of Excited
-        One for each degree of freedom of the vehicle.
-    seconds : float
-        Time that it took.
-    """
+    """Outcome of `undertow doctor`."""
 
     schema_id: str = EXAMINATION_SCHEMA
     undertow: str
     vehicle: str
     runs: list[str]
-    findings: list[Finding]
+    findings: list[Finding]  # the most serious first
     excitation: list[Excited]
     seconds: float
 
@@ -134,17 +124,7 @@ Edits = tuple[Edit, ...]
 
 
 def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
-    """Change how the column of a channel is read.
-
-    Parameters
-    ----------
-    mapping : Mapping
-        How the log was read.
-    channel : str
-        Name of the channel inside undertow (after the turn to NED).
-    changes
-        Attributes of `Column`; `times` multiplies its scale and its offset.
-    """
+    """Change attributes of the column of a channel; `times` multiplies its scale and its offset."""
     name, column = column_of(mapping, channel)
     times = changes.pop("times", 1.0)
     scaled = {"scale": times * column.scale, "offset": times * column.offset}
@@ -154,15 +134,7 @@ def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
 
 
 def reassigned(mapping: LogMapping, places: TypingMapping[str, tuple[str, float]]) -> Edits:
-    """Let the columns of some channels become others, possibly with the opposite sign.
-
-    Parameters
-    ----------
-    mapping : Mapping
-        How the log was read.
-    places : mapping
-        Channel to (channel that the column stands for now, sign).
-    """
+    """Let columns of channels become others: channel to (channel that its column stands for now, sign)."""
     found = []
     for target, (source, sign) in places.items():
         name, column = column_of(mapping, source)

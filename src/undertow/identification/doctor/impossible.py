@@ -39,27 +39,16 @@ _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
 
 @dataclass(frozen=True)
 class Response:
-    """How one motion answers one command, or all of them together.
-
-    Attributes
-    ----------
-    degree_of_freedom : str
-        The motion.
-    command : str
-        The command; empty for all together.
-    gain, error : float
-        Inertial force found per force commanded, 1 as the vehicle file has it, and its standard error.
-    share : float
-        Share that the command explains of what nothing else does.
-    needed, given : float
-        Inertial and commanded force or moment, rms, N or N m.
-    """
+    """How one motion answers one command, or all of them together."""
 
     degree_of_freedom: str
-    command: str
+    command: str  # the command; empty for all together
+    # gain, error: inertial force found per force commanded, 1 as the vehicle file has it, and its standard
+    # error.
     gain: float
     error: float
-    share: float
+    share: float  # share that the command explains of what nothing else does
+    # needed, given: inertial and commanded force or moment, rms, N or N m.
     needed: float
     given: float
 
@@ -78,19 +67,9 @@ class _Table:
 
 
 class Responses:
-    """Where and how motion is held against commands; the same for a log as given and as mended.
+    """Where and how motion is compared with commands; the same for a log as given and as mended.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Mass matrix and thrusters as its file has them.
-    settings : Settings
-        How much of the logs is looked at, and how.
-
-    Raises
-    ------
-    UndertowError
-        If what a command gives depends on the motion.
+    An actuation that depends on the motion is refused.
     """
 
     def __init__(self, vehicle: Vehicle, settings: Settings) -> None:
@@ -218,24 +197,12 @@ def _mass_matrix(functions: Functions, p: Array) -> Array:
 
 @dataclass(frozen=True)
 class Impossible:
-    """A mistake without which a log cannot be.
+    """A mistake without which a log cannot be."""
 
-    Attributes
-    ----------
-    mistake : Mistake
-        The likeliest.
-    rivals : list of Mistake
-        Others that would make it possible.
-    why : str
-        Value and limit, in words.
-    evidence : dict
-        The same in numbers, SI.
-    """
-
-    mistake: Mistake
-    rivals: list[Mistake]
-    why: str
-    evidence: dict[str, float]
+    mistake: Mistake  # the likeliest
+    rivals: list[Mistake]  # others that would make it possible
+    why: str  # value and limit, in words
+    evidence: dict[str, float]  # the same in numbers, SI
 
 
 def suspicious(
@@ -256,21 +223,7 @@ def impossible(
     kinematics: Kinematics,
     settings: Settings = SETTINGS,
 ) -> Impossible | None:
-    """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Mass, thrusters and their limits.
-    runs : sequence of Run
-        Logs whose pose rates and velocities do not contradict each other, as far as both were measured.
-    mapping : Mapping
-        How they were read.
-    kinematics : Kinematics
-        What pose rates and velocities allow.
-    settings : Settings
-        From where on something cannot be.
-    """
+    """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
     look = _Look(vehicle, list(runs), mapping, kinematics, settings)
     return look.by_force() or look.by_size() or look.by_limits()
 

@@ -74,19 +74,12 @@ class Rates:
 
 @dataclass(frozen=True)
 class Mismatch:
-    """How far pose rates and velocities are apart, for each block of `Kinematics.blocks`.
+    """How far pose rates and velocities are apart, for each block of `Kinematics.blocks`."""
 
-    Attributes
-    ----------
-    share : (b,) array
-        Mean square of the difference over the sum of both mean squares: 0 where they agree, 1 where they have
-        nothing to do with each other, 2 where they are opposite.
-    floor : (b,) array
-        What noise makes of it.
-    """
-
+    # (b,) mean square of the difference over the sum of both mean squares: 0 where they agree, 1 where they
+    # have nothing to do with each other, 2 where they are opposite.
     share: Array
-    floor: Array
+    floor: Array  # (b,) what noise makes of it
 
     @property
     def excess(self) -> Array:
@@ -100,17 +93,7 @@ class Mismatch:
 
 
 class Kinematics:
-    """Where and how pose rates are held against velocities; the same for a log as given and as mended.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs as given.
-    vehicle : Vehicle
-        Whose degrees of freedom matter.
-    most : int
-        Samples of all runs together that are looked at: those in which velocities are largest.
-    """
+    """Where and how pose rates are held against velocities; the same for a log as given and as mended."""
 
     def __init__(self, runs: Sequence[Run], vehicle: Vehicle, most: int = _MOST) -> None:
         self.most = most

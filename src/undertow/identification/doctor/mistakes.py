@@ -40,30 +40,16 @@ Undo = Callable[[Run], Run]
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake in how a log is read.
+    """A mistake in how a log is read."""
 
-    Attributes
-    ----------
-    id : str
-        Name of the kind.
-    told : str
-        What is wrong, as a clause: "the heading is in degrees, read as radians".
-    undo : callable
-        Takes a run with the mistake and returns it as it would be without.
-    edits : callable
-        Takes the mapping that the log was read by and returns what to change in it.
-    count : int
-        How many single things would have had to go wrong: of two explanations the simpler one is believed.
-    vehicle : str
-        What to change in the vehicle file to the same end; empty where nothing there can.
-    """
-
-    id: str
-    told: str
-    undo: Undo
+    id: str  # name of the kind
+    told: str  # what is wrong, as a clause: "the heading is in degrees, read as radians"
+    undo: Undo  # takes a run with the mistake and returns it as it would be without
+    # Takes the mapping that the log was read by and returns what to change in it.
     edits: Callable[[LogMapping], Edits]
+    # How many single things would have had to go wrong: of two explanations the simpler one is believed.
     count: int = 1
-    vehicle: str = ""
+    vehicle: str = ""  # what to change in the vehicle file to the same end; empty where nothing there can
 
 
 def with_channels(run: Run, channels: Mapping[str, Array]) -> Run:
@@ -212,15 +198,6 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
 
     Where only positions, or only angles, can be held against velocities, a unit of those explains the same; a
     usual step that is far too short or too long then speaks for the time.
-
-    Parameters
-    ----------
-    kinematics : Kinematics
-        What pose rates are held against.
-    runs : sequence of Run
-        Logs with velocities that were measured, not derived from the pose.
-    mapping : Mapping
-        How they were read.
     """
     if not kinematics or any(run.derived for run in runs):
         return None
@@ -326,15 +303,9 @@ _UPWARDS = {"z": "z counts upwards (it is height, and undertow's z is depth)"}
 
 
 def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
-    """All of them, the likelier ones first.
+    """All of them, the likelier ones first, as far as channels that move can show them.
 
-    Parameters
-    ----------
-    mapping : Mapping
-        How the log was read: what it says may itself be the mistake.
-    runs : sequence of Run
-        Logs; channels that they lack, or that never change, are left out, and so are mistakes without which
-        a log would lack a channel that it has, as one with x but no y in other axes.
+    Left out are mistakes without which a log would lack a channel that it has, as one with x but no y.
     """
     moving = {
         n
@@ -573,17 +544,7 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
 
 
 def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Mistake | None:
-    """Pitch that is too large, or a heading that turns too fast, to be in radians.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs without velocities to ask.
-    mapping : Mapping
-        How they were read.
-    names : sequence of str
-        Pose coordinates that matter.
-    """
+    """Pitch that is too large, or a heading that turns too fast, to be in radians."""
     tilted = "theta" in names and any(_beyond_upright(run) > _OFTEN for run in runs)
     turning = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
     if not tilted and turning < _FASTEST:

@@ -25,17 +25,7 @@ DROP = (Edit("time", "disorder", "drop"),)
 
 
 def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> list[Finding]:
-    """Everything about the clock of runs.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs.
-    channels : sequence of str
-        Measured channels that matter; commands may be held as they please.
-    mapping : Mapping
-        How the logs were read.
-    """
+    """Everything about the clock of runs."""
     found = [f for run in runs for f in _of_run(run, mapping)]
     slow = [f for name in channels if (f := _held(runs, name, mapping)) is not None]
     return [*found, *slow, *(f for run in runs if (f := _absent(run, channels)) is not None)]
@@ -196,15 +186,7 @@ def _sign_changes(values: Array) -> int:
 
 
 def excitation(vehicle: Vehicle, runs: Sequence[Run]) -> list[Excited]:
-    """What happened in each degree of freedom.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose degrees of freedom and thrusters matter.
-    runs : sequence of Run
-        Logs with its velocities.
-    """
+    """What happened in each degree of freedom."""
     names = vehicle.velocity_names
     noise = channel_noise(runs, names)
     return [

@@ -29,24 +29,13 @@ _ALIKE = {
 
 @dataclass(frozen=True)
 class Sensor:
-    """One kind of deviation of velocity sensors.
+    """One kind of deviation of velocity sensors."""
 
-    Attributes
-    ----------
-    id : str
-        Id of the effect of the catalogue that describes it; "water" for velocities through the water.
-    names : tuple of str
-        Its parameters, with units.
-    columns : callable
-        From samples to the change of J(eta) nu that each parameter makes, (n, 6, k).
-    largest : float
-        Parameters beyond this are not believed.
-    """
-
-    id: str
-    names: tuple[str, ...]
+    id: str  # id of the effect of the catalogue that describes it; "water" for velocities through the water
+    names: tuple[str, ...]  # its parameters, with units
+    # From samples to the change of J(eta) nu that each parameter makes, (n, 6, k).
     columns: Callable[[Samples, Stretch], Array]
-    largest: float = np.inf
+    largest: float = np.inf  # parameters beyond this are not believed
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -60,19 +49,10 @@ class Sensor:
 
 @dataclass(frozen=True)
 class SensorFit:
-    """A sensor's deviation as fitted.
-
-    Attributes
-    ----------
-    sensor : Sensor
-        Which kind.
-    value, error : (k,) arrays
-        Its parameters and their standard errors.
-    after : Mismatch
-        What it leaves.
-    """
+    """A sensor's deviation as fitted."""
 
     sensor: Sensor
+    # value, error: (k,) its parameters and their standard errors.
     value: Array
     error: Array
     after: Mismatch
@@ -240,20 +220,11 @@ _FEW = 800
 
 @dataclass(frozen=True)
 class Explained:
-    """A mistake with what undoing it does.
+    """A mistake with what undoing it does."""
 
-    Attributes
-    ----------
-    mistake : Mistake
-        The best explanation.
-    rivals : list of Mistake
-        Others that leave as little.
-    before, after : Mismatch
-        Of the log with the mistake, and without.
-    """
-
-    mistake: Mistake
-    rivals: list[Mistake]
+    mistake: Mistake  # the best explanation
+    rivals: list[Mistake]  # others that leave as little
+    # before, after: of the log with the mistake, and without.
     before: Mismatch
     after: Mismatch
 

@@ -26,38 +26,21 @@ _GRID = np.arange(-13.0, 4.0)
 
 @dataclass(frozen=True)
 class Lanes:
-    """Stretches of samples side by side, the short ones filled up with missing samples.
+    """Stretches of samples side by side, the short ones filled up with missing samples."""
 
-    Attributes
-    ----------
-    y : (n, lanes) array
-        Measured values, NaN where there is none.
-    step : (n, lanes) array
-        Time since the sample before, in units of the usual step.
-    jump : (n, lanes) bool array
-        Where the value may have been shifted, by any amount, since the sample before (its derivatives carry
-        on).
-    """
-
-    y: Array
-    step: Array
+    y: Array  # (n, lanes) measured values, NaN where there is none
+    step: Array  # (n, lanes) time since the sample before, in units of the usual step
+    # (n, lanes) where the value may have been shifted, by any amount, since the sample before (its
+    # derivatives carry on).
     jump: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class States:
-    """Value and its first two derivatives per step.
+    """Value and its first two derivatives per step."""
 
-    Attributes
-    ----------
-    mean : (n, lanes, 3) array
-        Estimates.
-    covariance : (n, lanes, 3, 3) array
-        Covariance of `mean`, divided by the noise variance.
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # (n, lanes, 3) estimates
+    covariance: Array  # (n, lanes, 3, 3) covariance of `mean`, divided by the noise variance
 
 
 def _transition(step: Array) -> Array:
@@ -119,20 +102,11 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
 
 
 def smooth(lanes: Lanes, ratio: Array) -> tuple[States, Array]:
-    """Return the states given all samples of their lane, and how badly a jump is missed at each.
+    """Return the states given all samples of their lane, and how badly a jump is missed at each, (n, lanes).
 
-    Parameters
-    ----------
-    lanes : Lanes
-        Samples.
-    ratio : (lanes,) array
-        Jerk intensity * step^5 / noise variance of each lane.
-
-    Returns
-    -------
-    States, (n, lanes) array
-        The array is what a jump between a sample and the one before would be, in its standard deviations,
-        times the standard deviation of the noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806).
+    The latter is what a jump since the sample before would be, in its standard deviations, times that of the
+    noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806). `ratio` (lanes,) is jerk intensity *
+    step^5 / noise variance.
     """
     filtered = _filter(lanes, ratio)
     after, before = filtered.after, filtered.before
@@ -199,35 +173,22 @@ Stretch = tuple[int, int]
 
 @dataclass(frozen=True)
 class Track:
-    """A smoothed signal.
+    """A smoothed signal."""
 
-    Attributes
-    ----------
-    value, rate : (n,) arrays
-        The signal and its time derivative; the rate is NaN where tracking was lost.
-    value_sd, rate_sd : (n,) arrays
-        Standard deviations of both.
-    outlier : (n,) bool array
-        Samples that were not believed.
-    jump : (n,) bool array
-        Samples where the signal was shifted since the sample before (a change of camera, a new satellite).
-    lost : list of (float, float)
-        Start and end in s of the times without samples.
-    noise : float
-        Standard deviation of the measurement noise.
-    resolution : float
-        Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor
-        1 / (1 + (w resolution)^6).
-    """
-
+    # value, rate: (n,) the signal and its time derivative; the rate is NaN where tracking was lost.
     value: Array
     rate: Array
+    # value_sd, rate_sd: (n,) standard deviations of both.
     value_sd: Array
     rate_sd: Array
-    outlier: Flags
+    outlier: Flags  # (n,) samples that were not believed
+    # (n,) samples where the signal was shifted since the sample before (a change of camera, a new
+    # satellite).
     jump: Flags
-    lost: list[tuple[float, float]]
-    noise: float
+    lost: list[tuple[float, float]]  # start and end in s of the times without samples
+    noise: float  # standard deviation of the measurement noise
+    # Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor 1 / (1 + (w
+    # resolution)^6).
     resolution: float
 
 
@@ -299,20 +260,7 @@ class _Signal:
 
 
 def track(t: Array, y: Array) -> Track:
-    """Smooth a signal and take its rate.
-
-    Parameters
-    ----------
-    t : (n,) array
-        Time in s.
-    y : (n,) array
-        Signal, NaN where there is no sample.
-
-    Raises
-    ------
-    ValueError
-        If there are too few samples together.
-    """
+    """Smooth a signal and take its rate."""
     signal = _Signal(t, y.copy(), np.zeros(len(y), dtype=bool))
     signal.y[_gross_outliers(t, y)] = np.nan
     for _ in range(_ESTIMATES):

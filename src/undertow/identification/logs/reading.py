@@ -105,19 +105,10 @@ def run_of_table(
     origin: Origin | None = None,
     before: Commands | None = None,
 ) -> Run:
-    """A run from the rows of a log, or of a part of it.
+    """A run from the rows of a log, or of a part of it; the other arguments are those of `read_log`.
 
-    Parameters
-    ----------
-    table : DataFrame
-        The rows.
-    path, mapping, channels, window, missing_commands, also
-        As for `read_log`.
-    origin : Decimal or float, optional
-        Time in the file that counts as zero, for parts of one log; by default that of the first row, where it
-        is a date.
-    before : mapping, optional
-        Last values of commands before the rows, for parts of one log, which may lack all values of a channel.
+    For parts of one log, `origin` is the time in the file that counts as zero, and `before` has the last
+    values of commands before the rows, which may then lack all values of a channel.
     """
     where = f"log {path}"
     table = table.gather_every(mapping.time.every)
@@ -364,18 +355,6 @@ def on_the_clock(run: Run, names: Iterable[str]) -> Run:
     Rows between two reports lie on a straight line; where no report came for three usual times they stay
     missing. The standard deviation in `sigma` is that of white noise in every row which blurs means over
     seconds as much as the noise of the few reports does: the values in between are no news.
-
-    Parameters
-    ----------
-    run : Run
-        With NaN where a channel has no report.
-    names : iterable of str
-        Channels to deal with.
-
-    Raises
-    ------
-    UndertowError
-        If a channel has too few reports.
     """
     channels, sigma, notes = dict(run.channels), dict(run.sigma), []
     for name in names:

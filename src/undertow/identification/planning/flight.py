@@ -51,26 +51,13 @@ _MISFIT = 5.0
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of the free parameters before a manoeuvre.
+    """What is known of the free parameters before a manoeuvre."""
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model at the values that are planned with.
-    free : tuple of str
-        Parameters to be determined.
-    prior : (k, k) array
-        Information of the stated standard deviations.
-    logs : (k, k) array
-        Information in the logs, as far as what the model leaves in them allows.
-    spread : (k,) array
-        How many times wider errors were on the logs than noise alone would make them, at least 1.
-    """
-
-    vehicle: Vehicle
-    free: tuple[str, ...]
-    prior: Array
-    logs: Array
+    vehicle: Vehicle  # the model at the values that are planned with
+    free: tuple[str, ...]  # parameters to be determined
+    prior: Array  # (k, k) information of the stated standard deviations
+    logs: Array  # (k, k) information in the logs, as far as what the model leaves in them allows
+    # (k,) how many times wider errors were on the logs than noise alone would make them, at least 1.
     spread: Array
 
     @property
@@ -109,11 +96,6 @@ def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Kno
 
     With logs, the model is fitted to them and planned with at the fitted values, unless these make up for
     something that the model lacks.
-
-    Raises
-    ------
-    UndertowError
-        If the logs do not fit the vehicle or are too short.
     """
     if not runs:
         return stated(vehicle, free)
@@ -181,21 +163,9 @@ def _told_by(fit: WeakFit) -> tuple[Array, Array]:
 
 
 def gram_along(model: WeakModel, data: WeakData, p: Array) -> Array | None:
-    """Information that a log will hold on the free parameters by noise alone, shape (k, k).
+    """Information that a log will hold on the free parameters by noise alone, (k, k).
 
-    Parameters
-    ----------
-    model : WeakModel
-        The model and its free parameters.
-    data : WeakData
-        The log as it is predicted, without noise but with the noise that its channels will have.
-    p : (n_parameters,) array
-        All parameters.
-
-    Returns
-    -------
-    (k, k) array or None
-        None where the residual is not finite.
+    `data` is the log as predicted, with the noise levels to come; None where the residual is not finite.
     """
     at = whitened(model.linearise(data, p), model.whitening(data, p))
     return np.asarray(at.J.T @ at.J) if np.isfinite(at.J).all() else None
@@ -232,20 +202,10 @@ _MOST_SAMPLES = 50_000
 
 @dataclass(frozen=True)
 class Plant:
-    """A model that can be flown.
-
-    Attributes
-    ----------
-    functions : Functions
-        The model.
-    p : (n_parameters,) array
-        Values of its parameters.
-    predictor : Predictor
-        Its simulator.
-    """
+    """A model that can be flown."""
 
     functions: Functions
-    p: Array
+    p: Array  # (n_parameters,) values of its parameters
     predictor: Predictor
 
     @classmethod
@@ -257,18 +217,10 @@ class Plant:
         )
 
     def reports(self, t: Array, u: Array, motion: Array, p: Array | None = None) -> Array:
-        """What the sensors report without noise, shape (b, n, 2n_dof); NaN where it diverges.
+        """What the sensors report without noise, (b, n, 2n_dof), for commands u of shape (b, n, k).
 
-        Parameters
-        ----------
-        t : (n,) array
-            Time, s.
-        u : (b, n, k) array
-            Commands; the first of each have been held for long.
-        motion : (2n_dof,) array
-            Pose and velocity at the start, without a past.
-        p : (n_parameters,) array, optional
-            Parameters, by default those of the model.
+        The first commands have been held for long; `motion` (2n_dof,) is the pose and velocity at the start.
+        NaN where the simulation diverges.
         """
         p = self.p if p is None else p
         delay = float(self.functions.dead_time(p))
@@ -281,27 +233,13 @@ class Plant:
 
 @dataclass(frozen=True)
 class Flight:
-    """A manoeuvre and the motions that the models predict for it.
+    """A manoeuvre and the motions that the models predict for it."""
 
-    Attributes
-    ----------
-    t : (n,) array
-        Time, s.
-    u : (n, k) array
-        Commands.
-    y : tuple of (n, 2n_dof) array
-        Reported pose and velocity, one array for each model.
-    strain : float
-        Largest motion over its limit; at most 1 where the manoeuvre is safe.
-    limit : str
-        Which limit that is.
-    """
-
-    t: Array
-    u: Array
-    y: tuple[Array, ...]
-    strain: float
-    limit: str
+    t: Array  # (n,) time, s
+    u: Array  # (n, k) commands
+    y: tuple[Array, ...]  # reported pose and velocity, one array for each model
+    strain: float  # largest motion over its limit; at most 1 where the manoeuvre is safe
+    limit: str  # which limit that is
 
     @property
     def safe(self) -> bool:
@@ -310,24 +248,9 @@ class Flight:
 
 
 class Airspace:
-    """Where manoeuvres are flown: time, actuators, limits, and the models that predict.
+    """Where manoeuvres are simulated: time, actuators, limits, and the models, all of which must be safe.
 
-    Parameters
-    ----------
-    plants : sequence of Plant
-        Models of the same vehicle; a manoeuvre must be safe by all of them.
-    duration, rate : float
-        Length of a manoeuvre, s, and samples per second.
-    trim : (k,) array
-        Commands at rest.
-    limits : (k,) array
-        Largest commands.
-    motion : MotionLimits
-        Largest motions.
-    noise : ChannelNoise
-        Of the log to come.
-    depth : float
-        Depth at the start, m.
+    `trim` and `limits` are commands at rest and the largest ones, (k,); `depth` is that of the start, m.
     """
 
     def __init__(
@@ -447,13 +370,7 @@ def _drives(axis: str, limit: str) -> bool:
 
 
 def refuse_samples(duration: float, rate: float) -> None:
-    """Refuse lengths and rates that make no manoeuvre.
-
-    Raises
-    ------
-    UndertowError
-        If there are too few or too many samples.
-    """
+    """Refuse lengths and rates that make no manoeuvre."""
     if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
         raise UndertowError(
             f"a manoeuvre of {duration:g} s at {rate:g} samples/s is none: give positive numbers"
@@ -509,58 +426,24 @@ _FEWEST_TRIES, _MOST_TRIES = 60, 600
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a plan.
+    """What is asked of a plan."""
 
-    Attributes
-    ----------
-    duration : float
-        Length, s.
-    rate : float
-        Samples per second, of the commands and of the log to come.
-    limits : mapping
-        Largest commands by name; "" for all that are not named.
-    noise : mapping
-        Standard deviation of the noise by channel, SI; inf for one that is not measured.
-    motion : MotionLimits
-        Largest motions.
-    depth : float, optional
-        Depth at the start, m; by default that of the logs, or 0.
-    seed : int
-        Of the random numbers.
-    tries : int, optional
-        Manoeuvres to be judged; by default as many as take some ten seconds.
-    compiled : bool, optional
-        As for `Simulator`.
-    report : callable
-        Told what share is done, and what is being done.
-    """
-
-    duration: float = 60.0
-    rate: float = 20.0
+    duration: float = 60.0  # length, s
+    rate: float = 20.0  # samples per second, of the commands and of the log to come
+    # Largest commands by name; "" for all that are not named.
     limits: Mapping[str, float] = field(default_factory=dict)
+    # Standard deviation of the noise by channel, SI; inf for one that is not measured.
     noise: Mapping[str, float] = field(default_factory=dict)
-    motion: MotionLimits = field(default_factory=MotionLimits)
-    depth: float | None = None
+    motion: MotionLimits = field(default_factory=MotionLimits)  # largest motions
+    depth: float | None = None  # depth at the start, m; by default that of the logs, or 0
     seed: int = 0
-    tries: int | None = None
-    compiled: bool | None = None
-    report: Progress = lambda done, words: None
+    tries: int | None = None  # manoeuvres to be judged; by default as many as take some ten seconds
+    compiled: bool | None = None  # as for `Simulator`
+    report: Progress = lambda done, words: None  # told what share is done, and what is being done
 
 
 class Ground:
-    """A request made concrete for a vehicle and its logs.
-
-    Parameters
-    ----------
-    request : Request
-        What is asked.
-    vehicle : Vehicle
-        The model without rivals.
-    plants : sequence of Plant
-        The models that predict; the first holds the actuators in trim.
-    runs : sequence of Run
-        Logs.
-    """
+    """A request made concrete for a vehicle and its logs."""
 
     def __init__(
         self, request: Request, vehicle: Vehicle, plants: Sequence[Plant], runs: Sequence[Run]
@@ -608,13 +491,7 @@ class Ground:
         return int(np.clip(_SECONDS / seconds, _FEWEST_TRIES, _MOST_TRIES))
 
     def refuse_unsafe(self, strained: Flight | None) -> None:
-        """Say that no manoeuvre stays within the limits.
-
-        Raises
-        ------
-        UndertowError
-            Always; the limit that the gentlest manoeuvre exceeds is named.
-        """
+        """Say that no manoeuvre stays within the limits."""
         name = "speed" if strained is None else strained.limit
         option = {"depth": "--max-depth-change"}.get(name, f"--max-{name}")
         why = "".join(

@@ -26,21 +26,11 @@ _FASTEST = 1.0
 
 @dataclass(frozen=True)
 class Shape:
-    """A kind of signal.
-
-    Attributes
-    ----------
-    name : str
-        As reports call it.
-    size : int
-        How many numbers it takes.
-    signal : callable
-        The signal from (share of time, length in s, numbers).
-    """
+    """A kind of signal."""
 
     name: str
-    size: int
-    signal: Callable[[Array, float, Array], Array]
+    size: int  # how many numbers it takes
+    signal: Callable[[Array, float, Array], Array]  # the signal from (share of time, length in s, numbers)
 
 
 def _steps(share: Array, length: float, q: Array) -> Array:
@@ -127,18 +117,10 @@ _VERTICAL = ("heave", "roll", "pitch")
 
 @dataclass(frozen=True)
 class Axis:
-    """One direction in the space of commands.
+    """One direction in the space of commands."""
 
-    Attributes
-    ----------
-    name : str
-        A degree of freedom, or a command.
-    pattern : (k,) array
-        Commands at full deflection.
-    """
-
-    name: str
-    pattern: Array
+    name: str  # a degree of freedom, or a command
+    pattern: Array  # (k,) commands at full deflection
 
 
 def allocation(vehicle: Vehicle) -> Array:
@@ -184,32 +166,15 @@ def actuator_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
 
 @dataclass(frozen=True)
 class Trim:
-    """Commands that hold a vehicle at rest against weight and buoyancy.
-
-    Attributes
-    ----------
-    commands : (k,) array
-        In the unit of the commands.
-    left : dict of float
-        Force or moment that the actuators cannot balance, by degree of freedom, N or N m.
-    """
+    """Commands that hold a vehicle at rest against weight and buoyancy."""
 
     commands: Array
+    # Force or moment that the actuators cannot balance, by degree of freedom, N or N m.
     left: dict[str, float]
 
 
 def trim(functions: Functions, limits: Array, depth: float = 0.0) -> Trim:
-    """Balance heave, roll and pitch at rest and level, without pushing any other way.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model, with the vehicle's values.
-    limits : (k,) array
-        Largest commands.
-    depth : float
-        Depth at which the vehicle rests, m.
-    """
+    """Balance heave, roll and pitch at rest and level, without pushing any other way."""
     vehicle = functions.vehicle
     rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in _VERTICAL]
     commands = np.zeros(len(limits))
@@ -249,27 +214,13 @@ _TURN = ("yaw",)
 
 @dataclass(frozen=True)
 class Family:
-    """Manoeuvres of one kind.
-
-    Attributes
-    ----------
-    name : str
-        As reports call it.
-    axes : tuple of Axis
-        What is driven.
-    shapes : tuple of Shape
-        The shape on every axis.
-    reach : (n_axes,) array
-        Largest useful deflection of every axis, 0 to 1.
-    in_turn : bool
-        Whether the axes are driven one after the other.
-    """
+    """Manoeuvres of one kind."""
 
     name: str
-    axes: tuple[Axis, ...]
-    shapes: tuple[Shape, ...]
-    reach: Array
-    in_turn: bool = False
+    axes: tuple[Axis, ...]  # what is driven
+    shapes: tuple[Shape, ...]  # the shape on every axis
+    reach: Array  # (n_axes,) largest useful deflection of every axis, 0 to 1
+    in_turn: bool = False  # whether the axes are driven one after the other
 
     @property
     def size(self) -> int:
@@ -277,16 +228,9 @@ class Family:
         return sum(1 + s.size for s in self.shapes)
 
     def excitation(self, t: Array, numbers: Array, sizes: Array | float = 1.0) -> Array:
-        """Commands beside the trim, shape (n, k); ends smoothly, may still exceed what actuators can do.
+        """Commands beside the trim, (n, k), at times from 0; smooth ends, may exceed what actuators can do.
 
-        Parameters
-        ----------
-        t : (n,) array
-            Time from 0, s, evenly spaced.
-        numbers : (size,) array
-            Between 0 and 1.
-        sizes : (n_axes,) array
-            Share of every axis that is kept.
+        `numbers` (size,) are between 0 and 1, `sizes` (n_axes,) the share of every axis that is kept.
         """
         duration = float(t[-1] + (t[1] - t[0]))
         waves = [self._wave(t / duration, duration, i, own) for i, own in enumerate(self._split(numbers))]
@@ -320,15 +264,7 @@ class Design:
 
 
 def every_axis(vehicle: Vehicle, room: Array) -> tuple[list[Axis], list[Axis]]:
-    """Axes of motions, and axes of single actuators where these are something else.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What is driven.
-    room : (k,) array
-        How far every command may go from its value at rest.
-    """
+    """Axes of motions, and of single actuators where these differ; commands may go `room` (k,) from rest."""
     motions, actuators = motion_axes(vehicle, room), actuator_axes(vehicle, room)
     if len(motions) == len(actuators) and all(np.count_nonzero(a.pattern) == 1 for a in motions):
         return motions, []
@@ -374,27 +310,13 @@ _EVERY = ""
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Bounds on the predicted motion, seen from where the manoeuvre starts; inf where there is none.
+    """Bounds on the predicted motion, seen from where the manoeuvre starts; inf where there is none."""
 
-    Attributes
-    ----------
-    speed : float
-        Magnitude of the linear velocity, m/s.
-    rate : float
-        Magnitude of every angular velocity, rad/s.
-    depth : float
-        Change of depth, m.
-    tilt : float
-        Magnitude of roll and of pitch, rad.
-    distance : float
-        Horizontal distance from the start, m.
-    """
-
-    speed: float = np.inf
-    rate: float = np.radians(60.0)
-    depth: float = 5.0
-    tilt: float = np.radians(45.0)
-    distance: float = np.inf
+    speed: float = np.inf  # magnitude of the linear velocity, m/s
+    rate: float = np.radians(60.0)  # magnitude of every angular velocity, rad/s
+    depth: float = 5.0  # change of depth, m
+    tilt: float = np.radians(45.0)  # magnitude of roll and of pitch, rad
+    distance: float = np.inf  # horizontal distance from the start, m
 
     def __post_init__(self) -> None:
         for name, value in self.as_dict().items():
@@ -408,37 +330,16 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """Largest magnitude of every command.
+    """Largest magnitude of every command."""
 
-    Attributes
-    ----------
-    value : (k,) array
-        In the unit of the command.
-    source : tuple of str
-        Where each comes from.
-    """
-
-    value: Array
-    source: tuple[str, ...]
+    value: Array  # (k,) in the unit of the command
+    source: tuple[str, ...]  # where each comes from
 
 
 def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> CommandLimits:
     """Largest commands: what was asked for, else the vehicle file, else the largest in the logs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose commands these are.
-    asked : mapping
-        Limits by name of the command; the key "" stands for all that are not named. They may lower what the
-        vehicle file says, never raise it.
-    runs : sequence of Run
-        Logs.
-
-    Raises
-    ------
-    UndertowError
-        If a command has no limit, or one was asked for that is unknown, not positive or above the file's.
+    The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
     for name, value in asked.items():
         if name not in (_EVERY, *vehicle.command_names):
@@ -473,15 +374,7 @@ def _limit(
 
 
 def exceeded(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
-    """The limit that a motion strains most, and how many times over (at most 1 is allowed).
-
-    Parameters
-    ----------
-    y : (n, 2n) array
-        Pose and velocity.
-    names : sequence of str
-        Names of the columns.
-    """
+    """The limit that a motion strains most, and how many times over (at most 1 is allowed); y is (n, 2n)."""
     if not np.isfinite(y).all():
         return "speed", float("inf")
     bounds = limits.as_dict()
@@ -515,24 +408,13 @@ ASSUMED = {"m": 0.02, "rad": 0.01, "m/s": 0.01, "rad/s": 0.005}
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Noise of the 2n channels of a vehicle.
+    """Noise of the 2n channels of a vehicle."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Pose, then velocity.
-    sigma : (2n,) array
-        Standard deviation of the white noise of a sample, SI; inf for a channel that is not measured.
-    source : tuple of str
-        Where each comes from.
-    derived : frozenset of str
-        Velocities that will be taken from the pose.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # pose, then velocity
+    # (2n,) standard deviation of the white noise of a sample, SI; inf for a channel that is not measured.
     sigma: Array
-    source: tuple[str, ...]
-    derived: frozenset[str] = frozenset()
+    source: tuple[str, ...]  # where each comes from
+    derived: frozenset[str] = frozenset()  # velocities that will be taken from the pose
 
     @property
     def finite(self) -> Array:
@@ -542,22 +424,9 @@ class ChannelNoise:
 
 
 def planned_noise(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> ChannelNoise:
-    """Noise of every channel of a log to come.
+    """Noise of every channel of a log to come: as asked (inf: not measured), else as in the logs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose channels these are.
-    asked : mapping
-        Standard deviations by name of the channel, SI; inf for one that is not measured.
-    runs : sequence of Run
-        Logs; a pose that they lack counts as not measured, and velocities are taken from the pose if they
-        were in the logs.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is unknown, its noise is not positive, or a velocity is not measured.
+    A pose that the logs lack counts as not measured; derived velocities stay derived.
     """
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for name, value in asked.items():

@@ -44,24 +44,13 @@ _ANEW = 0.25
 
 @dataclass
 class Search:
-    """The outcome of a search.
+    """The outcome of a search."""
 
-    Attributes
-    ----------
-    best : Design
-        The manoeuvre with the highest value, or None if no manoeuvre has one.
-    value : float
-        Its value.
-    by_family : dict
-        Highest value by name of the family; -inf where no manoeuvre of it was safe.
-    tries : int
-        Manoeuvres looked at.
-    """
-
-    best: Design | None = None
+    best: Design | None = None  # the manoeuvre with the highest value, or None if no manoeuvre has one
     value: float = -np.inf
+    # Highest value by name of the family; -inf where no manoeuvre of it was safe.
     by_family: dict[str, float] = field(default_factory=dict)
-    tries: int = 0
+    tries: int = 0  # manoeuvres looked at
 
 
 def search(
@@ -71,21 +60,7 @@ def search(
     seed: int,
     report: Progress = lambda done, words: None,
 ) -> Search:
-    """Find a manoeuvre of high value.
-
-    Parameters
-    ----------
-    families : sequence of Family
-        Where to look.
-    judge : callable
-        Value of a manoeuvre; -inf for one that is not allowed.
-    tries : int
-        How many manoeuvres are judged.
-    seed : int
-        Of the random numbers: the same seed finds the same manoeuvre.
-    report : callable
-        Told what share is done, and what is being done.
-    """
+    """Find a manoeuvre of high value."""
     return _Searching(judge, tries, np.random.default_rng(seed), report).over(families)
 
 
@@ -146,18 +121,10 @@ class _Searching:
 
 @dataclass(frozen=True)
 class Planned:
-    """A plan with its flight.
+    """A plan with its flight."""
 
-    Attributes
-    ----------
-    plan : Plan
-        What is written to JSON.
-    flight : Flight
-        Commands and predicted motions.
-    """
-
-    plan: Plan
-    flight: Flight
+    plan: Plan  # what is written to JSON
+    flight: Flight  # commands and predicted motions
 
 
 def plan_parameters(

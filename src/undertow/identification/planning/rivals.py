@@ -48,17 +48,6 @@ def typical_values(
     What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10 %; what
     does not change them is 0.1 in its unit. A parameter that cannot be zero (a time constant, a saturation)
     takes its default, or the middle one of the starting points of its declaration.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        The effect and the model that it is added to.
-    space : Airspace
-        Where it is flown; its first model is the one without the effect.
-    families : sequence of Family
-        Manoeuvres that can be flown.
-    command_scale : float
-        Size of the commands, for parameters in their unit.
     """
     own = candidate.parameters
     fixed = {p.name: _middle(p, command_scale) for p in own if p.neutral != 0.0}
@@ -195,30 +184,14 @@ AND = "+"
 
 @dataclass(frozen=True)
 class RivalModel:
-    """A model that could be the true one.
+    """A model that could be the true one."""
 
-    Attributes
-    ----------
-    name : str
-        Ids of its effects joined by +, or "none".
-    plant : Plant
-        The model at its values.
-    known : Knowledge
-        What priors and logs say of its free parameters.
-    model : WeakModel
-        Its weak residual, with the free parameters.
-    own : tuple of str
-        Parameters of the effects that it has beyond the others.
-    source : str
-        Where their values come from.
-    """
-
-    name: str
-    plant: Plant
-    known: Knowledge
-    model: WeakModel
-    own: tuple[str, ...]
-    source: str
+    name: str  # ids of its effects joined by +, or "none"
+    plant: Plant  # the model at its values
+    known: Knowledge  # what priors and logs say of its free parameters
+    model: WeakModel  # its weak residual, with the free parameters
+    own: tuple[str, ...]  # parameters of the effects that it has beyond the others
+    source: str  # where their values come from
 
     @property
     def parts(self) -> frozenset[str]:
@@ -233,27 +206,13 @@ def parts_of(name: str) -> list[str]:
 
 @dataclass(frozen=True)
 class RivalSpec:
-    """A model to be told apart as it is asked for.
+    """A model to be told apart as it is asked for."""
 
-    Attributes
-    ----------
-    name : str
-        Ids of effects joined by +, or "none".
-    values : mapping
-        Values of parameters as far as known, SNAME signs.
-    """
-
-    name: str
-    values: Mapping[str, float]
+    name: str  # ids of effects joined by +, or "none"
+    values: Mapping[str, float]  # values of parameters as far as known, SNAME signs
 
     def candidate(self, vehicle: Vehicle, known: Catalogue) -> Candidate | None:
-        """The last of its effects, added to the vehicle with the others; None for the model as it is.
-
-        Raises
-        ------
-        UndertowError
-            If an effect is unknown, or adds nothing to the vehicle.
-        """
+        """The last of its effects, added to the vehicle with the others; None for the model as it is."""
         if self.name == NONE:
             return None
         *others, last = parts_of(self.name)
@@ -293,28 +252,7 @@ def rival_models(
     *,
     compiled: bool | None = None,
 ) -> list[RivalModel]:
-    """The rivals with values: fitted to the logs, else as stated, else of typical size.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model without any of the effects.
-    specs : sequence of RivalSpec
-        The rivals.
-    known : Catalogue
-        Effects by id.
-    runs : sequence of Run
-        Logs, may be none.
-    ground : (Airspace, sequence of Family)
-        For typical sizes.
-    compiled : bool, optional
-        As for `Simulator`.
-
-    Raises
-    ------
-    UndertowError
-        If an effect is unknown or adds nothing, or the logs do not fit the vehicle.
-    """
+    """The rivals with values: fitted to the logs, else as stated, else of typical size (by `ground`)."""
     bench = _bench(vehicle, runs) if runs else None
     scale = float(np.median(ground[0].limits)) / 2
     before = free_parameters(vehicle)
@@ -433,13 +371,7 @@ class Diagnosed(BaseModel):
 
 
 def read_diagnosis(path: Path) -> Diagnosed:
-    """Read what `undertow diagnose --json` wrote.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or is no diagnosis.
-    """
+    """Read what `undertow diagnose --json` wrote."""
     try:
         found = Diagnosed.model_validate_json(read_json(path, "diagnosis"))
     except ValidationError as failure:
@@ -457,13 +389,7 @@ def read_diagnosis(path: Path) -> Diagnosed:
 
 
 def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[RivalSpec]:
-    """The rivals that a diagnosis leaves, with the values that it found.
-
-    Raises
-    ------
-    UndertowError
-        If an effect is unknown or the diagnosis is of another vehicle.
-    """
+    """The rivals that a diagnosis leaves, with the values that it found."""
     if diagnosed.vehicle != vehicle.name:
         raise UndertowError(
             f"the diagnosis is of '{diagnosed.vehicle}', the vehicle file of '{vehicle.name}': give those "

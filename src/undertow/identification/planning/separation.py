@@ -43,17 +43,7 @@ _ENOUGH = 0.01
 
 
 class Refit:
-    """Refits one rival to what another one predicts.
-
-    Parameters
-    ----------
-    rival : RivalModel
-        The model that gives way.
-    truth : RivalModel
-        The model that is taken for true.
-    with_logs : bool
-        Whether the rival has to keep fitting the logs that it was fitted to.
-    """
+    """Refits one rival to what another one predicts."""
 
     def __init__(self, rival: RivalModel, truth: RivalModel, *, with_logs: bool) -> None:
         self._model, self._p = rival.model, rival.plant.p
@@ -74,15 +64,6 @@ class Refit:
         """Sum of squares that no refit of the rival takes away, in units of the noise, and the refit.
 
         The residual that the true model leaves itself (quadrature, and noise in a real log) does not count.
-
-        Parameters
-        ----------
-        data : WeakData
-            A log that the true model predicts, or a real one.
-        start : (n_parameters,) array, optional
-            Values that the refit begins with.
-        rounds : int
-            Steps of Gauss and Newton; one alone is the linearised problem, as searches use it.
         """
         p = (self._p if start is None else start).copy()
         own = self._truth.linearise(data, self._true_p)
@@ -140,17 +121,7 @@ def _squares(r: Array) -> float:
 
 
 class Separations:
-    """Distances between all pairs of rivals.
-
-    Parameters
-    ----------
-    rivals : sequence of RivalModel
-        The models.
-    spread : float
-        How many times wider than by noise alone errors are.
-    with_logs : bool
-        As for `Refit`.
-    """
+    """Distances between all pairs of rivals."""
 
     def __init__(self, rivals: Sequence[RivalModel], spread: float, *, with_logs: bool) -> None:
         self._spread, self._count = spread, len(rivals)
