@@ -15,11 +15,13 @@ Severity = Literal["mistake", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("mistake", "warning", "note")
 
 
-class _Table(BaseModel):
+class ResultTable(BaseModel):
+    """A table of a result that is written to JSON."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class Finding(_Table):
+class Finding(ResultTable):
     """One thing that the logs show.
 
     Attributes
@@ -49,7 +51,7 @@ class Finding(_Table):
     alternatives: list[str] = []
 
 
-class Excited(_Table):
+class Excited(ResultTable):
     """What happened in one degree of freedom.
 
     Attributes
@@ -83,7 +85,7 @@ class Excited(_Table):
     cannot: list[str]
 
 
-class Examination(_Table):
+class Examination(ResultTable):
     """Outcome of `undertow doctor`."""
 
     schema_id: str = EXAMINATION_SCHEMA

@@ -251,7 +251,7 @@ def swap_body(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
 
 
 def velocity_to_body(channels: Mapping[str, NDArray[np.float64]], axes: str) -> Channels:
-    """Turn u, v, w along the axes of NED or ENU into body axes, by the attitude in NED (missing angles: 0)."""
+    """Turn u, v, w along the axes of NED or ENU into body axes, by the attitude in NED (else zero)."""
     linear = _three(channels, _LINEAR)
     north_east_down = linear if axes == "NED" else np.array([linear[1], linear[0], -linear[2]])
     turned = np.einsum("ijn,jn->in", to_body(*_three(channels, _ANGLES)), north_east_down)
