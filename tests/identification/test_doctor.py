@@ -18,7 +18,7 @@ from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Edit, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import halfway, wrapped_angles
+from undertow.identification.doctor.mistakes import angles_across_jumps, wrapped_angles
 from undertow.identification.doctor.sensors import inconsistent
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -168,7 +168,7 @@ def test_an_angle_that_was_averaged_across_its_jump() -> None:
     psi = np.angle(np.exp(0.4j * t))
     jumps = np.flatnonzero(np.abs(np.diff(psi)) > 6)
     psi[jumps] = 0.1
-    (found,) = halfway([Run("yaw", t, {"psi": psi})])
+    (found,) = angles_across_jumps([Run("yaw", t, {"psi": psi})])
     assert found.severity == "warning"
     assert f"psi takes a whole turn in two samples, {len(jumps)} times" in found.text
 

@@ -76,8 +76,8 @@ def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     tilted = {"phi": 3.0 * np.sin(t), "theta": 6.0 * np.cos(t), "psi": 20.0 * np.sin(0.1 * t)}
     found = in_degrees([Run("tilted", t, tilted)], LogMapping(), POSE)
     assert found is not None
-    assert "phi, theta" in found.told
-    assert "theta reaches 6 in the log" in found.told
+    assert "phi, theta" in found.clause
+    assert "theta reaches 6 in the log" in found.clause
     np.testing.assert_allclose(
         found.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
     )

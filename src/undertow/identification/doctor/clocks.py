@@ -22,10 +22,25 @@ _GROUPS = {
     "linear": (("u", "v", "w"), ("x", "y", "z")),
     "angular": (("p", "q", "r"), ("phi", "theta", "psi")),
 }
-_ROUNDS = 5
-_SETTLED = 0.02  # of a sampling step
-_SURE = 5.0  # standard errors
-_STEPS = 0.5  # sampling steps below which a shift does not matter
+
+
+@dataclass(frozen=True)
+class ClockSettings:
+    """From where on clocks differ."""
+
+    rounds: int = 5  # Gauss-Newton steps for velocities
+    converged: float = 0.02  # change, in sampling steps, that ends them
+    sure: float = 5.0  # standard errors of a shift of velocities
+    steps: float = 0.5  # sampling steps below which such a shift does not matter
+    command_rounds: int = 8  # the same for commands
+    command_sure: float = 6.0
+    command_steps: float = 3.0
+    cluster: int = 8  # neighbouring test functions that count as one
+    starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays of commands to begin with, s
+    gained: float = 0.1  # share of the misfit that a delay or drift of commands must explain
+
+
+SETTINGS = ClockSettings()
 
 
 @dataclass(frozen=True)
@@ -54,12 +69,12 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...]) -> S
     found = np.zeros(2)
     step = float(np.median(np.diff(runs[0].t)))
     sensor = Sensor("sensor_delay", ("delay s", "drift s"), _columns(names, runs))
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         moved = [_moved(run, names, found) for run in runs]
         fit = fit_sensor(kinematics, moved, kinematics.rates(moved), sensor)
         change = np.clip(fit.value, -1.0, 1.0)
         found = found + change
-        if np.all(np.abs(change) < _SETTLED * step):
+        if np.all(np.abs(change) < SETTINGS.converged * step):
             break
     return Shift(names, float(found[0]), float(fit.error[0]), float(found[1]), float(fit.error[1]))
 
@@ -95,7 +110,7 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
         names = ", ".join(one.names)
         verb = "is" if len(one.names) == 1 else "are"
         evidence = {"delay": one.delay, "drift": one.drift}
-        if abs(one.drift) > max(_SURE * one.drift_error, step):
+        if abs(one.drift) > max(SETTINGS.sure * one.drift_error, step):
             start, end = one.delay - one.drift / 2, one.delay + one.drift / 2
             yield Finding(
                 id="two_clocks",
@@ -105,7 +120,7 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
                 f"{one.drift_error:.1g} s); write both with the stamps of one clock",
                 evidence=evidence,
             )
-        elif abs(one.delay) > max(_SURE * one.delay_error, _STEPS * step):
+        elif abs(one.delay) > max(SETTINGS.sure * one.delay_error, SETTINGS.steps * step):
             way = "late" if one.delay > 0 else "early"
             yield Finding(
                 id="late_velocity",
@@ -123,14 +138,6 @@ def _remedy(one: Shift) -> str:
     return f"add {-one.delay:+.3f} s to their stamps, and interpolate them to those of the pose"
 
 
-_LATE_ROUNDS = 8
-_LATE_SURE = 6.0  # standard errors
-_LATE_STEPS = 3.0  # sampling steps below which a drift does not matter
-_CLUSTER = 8  # neighbouring test functions that count as one
-_LATE = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays to begin with, s
-_GAINED = 0.1  # share of the misfit that a drift must explain
-
-
 def command_clock(at: Dynamics) -> Finding | None:
     """Tell how late the motion follows the commands, or whether that grows or shrinks along the logs.
 
@@ -145,12 +152,12 @@ def command_clock(at: Dynamics) -> Finding | None:
         return None
     # A drift is judged beside the best constant delay: alone it would take a share of that, too.
     (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
-    if both[2] < (1 - _GAINED) * min(constant[2], start) and abs(drift) > max(
-        _LATE_SURE * spread, _LATE_STEPS * step
+    if both[2] < (1 - SETTINGS.gained) * min(constant[2], start) and abs(drift) > max(
+        SETTINGS.command_sure * spread, SETTINGS.command_steps * step
     ):
         return _drifting(both[0], float(spread))
-    if constant[2] < (1 - _GAINED) * start and abs(found[0]) > max(
-        _LATE_SURE * float(error[0]), _LATE_STEPS * step
+    if constant[2] < (1 - SETTINGS.gained) * start and abs(found[0]) > max(
+        SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
     ):
         return _late(at, float(found[0]), float(error[0]))
     return None
@@ -158,7 +165,7 @@ def command_clock(at: Dynamics) -> Finding | None:
 
 def _nearest(at: Dynamics, step: float) -> float:
     """The delay to begin with: of commands that step, Gauss-Newton does not find one of many samples, s."""
-    tried = np.unique([0.0, *(sign * max(late, step) for late in _LATE for sign in (1, -1))])
+    tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
     return float(min(tried, key=lambda late: _misfit(at, late)))
 
 
@@ -174,7 +181,7 @@ def _misfit(at: Dynamics, late: float) -> float:
 def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
     """Delay, and drift if free, by Gauss-Newton, their errors, and the misfit that is left."""
     found, error, left = start, np.full(2, np.inf), np.inf
-    for _ in range(_LATE_ROUNDS):
+    for _ in range(SETTINGS.command_rounds):
         stepped = _step(at, found, 2 * step, drifts)
         if stepped is None:
             return None
@@ -204,16 +211,18 @@ def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
         return None
     size = f"{abs(delay):.2f} ± {error:.1g} s"
     if delay > 0:
-        told = (
+        clause = (
             f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
         )
-        told += "actuation_delay or thruster_lag), or commands that are logged too early"
+        clause += "actuation_delay or thruster_lag), or commands that are logged too early"
     else:
-        told = f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
+        clause = (
+            f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
+        )
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",
-        text=f"{told}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
+        text=f"{clause}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
         evidence={"delay": delay, "error": error},
     )
 
@@ -229,7 +238,7 @@ def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array
     late = (moved - here) / small
     table = np.column_stack([at.fit.at.J, late, *([late * _late_along(at)] if drifts else [])])
     rows = len(at.data.rows)
-    value, error = clustered_least_squares(table, -here, _CLUSTER * rows)
+    value, error = clustered_least_squares(table, -here, SETTINGS.cluster * rows)
     known = at.fit.at.J.shape[1]
     unmoved = np.zeros(1 - int(drifts))
     left = float(np.sum((here + table @ value) ** 2))

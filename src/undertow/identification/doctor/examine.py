@@ -33,7 +33,7 @@ from .dynamics import (
     other_mass,
     rederived,
 )
-from .findings import Edit, Edits, Examination, Finding, as_toml, edited, most_serious_first, percent
+from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .impossible import impossible, suspicious
 from .kinematics import Kinematics
 from .mistakes import POSITIONS, UNITS_OF_MOTION, Mistake, Undo, other_time_unit, reading_mistakes
@@ -51,7 +51,7 @@ def kinematic_text(
     parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
     sizes = _sizes(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
     mismatch = f"the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
-    text = f"{chosen.told}: {sizes}undone, {mismatch}"
+    text = f"{chosen.clause}: {sizes}undone, {mismatch}"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
     return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
@@ -74,7 +74,7 @@ def _rms(table: Array) -> float:
 
 def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:
     """One line on a mistake that shows in the fit of the model, and its evidence."""
-    return f"{found.mistake.told}: undone, {_gained(vehicle, found.gain)}", _evidence(vehicle, found.gain)
+    return f"{found.mistake.clause}: undone, {_gained(vehicle, found.gain)}", _evidence(vehicle, found.gain)
 
 
 def _gained(vehicle: Vehicle, gain: Gain) -> str:
@@ -173,28 +173,28 @@ def examine(
         run.matrix([*vehicle.velocity_names, *vehicle.command_names])
     read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), LogMapping())
     alone = _wrong_alone(vehicle, runs)
-    case = _Case(vehicle, [run for run in runs if run.name not in alone], read_by)
-    case.findings += alone.values()
+    examiner = _Examiner(vehicle, [run for run in runs if run.name not in alone], read_by)
+    examiner.findings += alone.values()
     report(0.0, "looking at clock and samples")
-    case.look_at_samples()
+    examiner.look_at_samples()
     report(0.1, "holding pose rates against velocities")
-    case.undo_reading_mistakes()
-    case.undo_what_cannot_be()
+    examiner.undo_reading_mistakes()
+    examiner.undo_what_cannot_be()
     report(0.4, "holding motion against commands")
-    case.undo_model_mistakes()
+    examiner.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
-    rows = excitation(vehicle, case.runs)
-    case.look_at_the_rest()
-    case.findings += excitation_findings(rows, vehicle, case.runs)
+    rows = excitation(vehicle, examiner.runs)
+    examiner.look_at_the_rest()
+    examiner.findings += excitation_findings(rows, vehicle, examiner.runs)
     result = Examination(
         undertow=__version__,
         vehicle=vehicle.name,
         runs=[r.name for r in runs],
-        findings=most_serious_first(case.findings),
+        findings=sorted(examiner.findings, key=lambda f: SEVERITIES.index(f.severity)),
         excitation=rows,
         seconds=time.perf_counter() - began,
     )
-    return Examined(result, case.given, case.runs, tuple(case.edits))
+    return Examined(result, examiner.given, examiner.runs, tuple(examiner.edits))
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
@@ -229,11 +229,11 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
 
 def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
     """What cannot be in a log, and all that mends it."""
-    case = _Case(vehicle, [run], run.mapping or LogMapping())
-    case.look_at_samples()
-    case.undo_reading_mistakes()
-    case.undo_what_cannot_be()
-    return None if case.refused is None else (case.refused, tuple(case.edits))
+    examiner = _Examiner(vehicle, [run], run.mapping or LogMapping())
+    examiner.look_at_samples()
+    examiner.undo_reading_mistakes()
+    examiner.undo_what_cannot_be()
+    return None if examiner.refused is None else (examiner.refused, tuple(examiner.edits))
 
 
 def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
@@ -251,7 +251,7 @@ def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
     }
 
 
-class _Case:
+class _Examiner:
     """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
 
     def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: LogMapping) -> None:
@@ -267,15 +267,15 @@ class _Case:
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
-            text = f"{unit.told}: only then have pose rates and velocities the same size"
+            text = f"{unit.clause}: only then have pose rates and velocities the same size"
             self._undo(unit, text, {}, impossible=True)
         unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
         if degrees := mistakes.in_degrees(self.runs, self.mapping, unasked):
-            text = f"{degrees.told}, which is no vehicle's in radians"
+            text = f"{degrees.clause}, which is no vehicle's in radians"
             self._undo(degrees, text, {}, apply=self._afresh, impossible=True)
         for mistake, count in mistakes.wrapped_angles(self.runs):
-            self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
-        self.findings += mistakes.halfway(self.runs)
+            self._undo(mistake, f"{mistake.clause}: no vehicle turns so fast", {"times": float(count)})
+        self.findings += mistakes.angles_across_jumps(self.runs)
 
     def undo_reading_mistakes(self) -> None:
         for _ in range(_MOST_MISTAKES):
@@ -290,7 +290,7 @@ class _Case:
         found = found or sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
         if found is None:
             return False
-        others = [f.told() for f in sensors.as_good_as(found, fits)]
+        others = [f.description() for f in sensors.as_good_as(found, fits)]
         chosen, rivals = decided(self.vehicle, self.runs, found)
         text, evidence = kinematic_text(kinematics, found, chosen, self.runs)
         if others:
@@ -308,15 +308,15 @@ class _Case:
             found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
             if found is None:
                 return
-            text = f"{found.mistake.told}: {found.why}"
+            text = f"{found.mistake.clause}: {found.why}"
             self._undo(found.mistake, text, found.evidence, found.rivals, impossible=True)
 
     def doubt_forces(self) -> None:
         """Ask for the unit where a motion needs a few times the force commanded."""
         found = suspicious(self.vehicle, self.runs, self.mapping, self.kinematics)
         if found is not None:
-            others = [r.told for r in found.rivals]
-            text = f"{found.mistake.told}: {found.why}"
+            others = [r.clause for r in found.rivals]
+            text = f"{found.mistake.clause}: {found.why}"
             self._doubt(found.mistake, text, found.evidence, [*others, _WEAK_THRUSTERS])
 
     def undo_model_mistakes(self) -> None:
@@ -385,7 +385,7 @@ class _Case:
             evidence=evidence,
             mapping=as_toml(edits),
             vehicle=mistake.vehicle,
-            alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
+            alternatives=[f"{r.clause}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
         )
         self.findings.append(finding)
         self.refused = self.refused or (finding if impossible else None)
@@ -439,7 +439,7 @@ def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mi
 def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
     """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
     at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
-    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.quiet, 1.0)))))
+    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))
 
 
 _MOST = 1500

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
-from undertow.identification.logs.mapping import FLIPPED_BODY, SCHEMA, Column, LogMapping
+from undertow.identification.logs.mapping import FLIPPED_BODY, SCHEMA, Column, LogMapping, turned_name
 
 EXAMINATION_SCHEMA = "undertow/doctor/1"
 Severity = Literal["mistake", "warning", "note"]
@@ -16,7 +16,7 @@ SEVERITIES: tuple[Severity, ...] = ("mistake", "warning", "note")
 
 
 class ResultTable(BaseModel):
-    """A table of a result that is written to JSON."""
+    """A table of a result that is written to JSON; numbers that do not exist are null there."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -51,7 +51,7 @@ class Finding(ResultTable):
     alternatives: list[str] = []
 
 
-class Excited(ResultTable):
+class DofExcitation(ResultTable):
     """What happened in one degree of freedom.
 
     Attributes
@@ -93,7 +93,7 @@ class Examination(ResultTable):
     vehicle: str
     runs: list[str]
     findings: list[Finding]  # the most serious first
-    excitation: list[Excited]
+    excitation: list[DofExcitation]
     seconds: float
 
     @property
@@ -107,11 +107,6 @@ def percent(share: float) -> str:
     if share < 1e-4:
         return "< 0.01 %"
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
-
-
-def most_serious_first(findings: list[Finding]) -> list[Finding]:
-    """Findings by severity; their order is kept otherwise."""
-    return sorted(findings, key=lambda f: SEVERITIES.index(f.severity))
 
 
 class Edit(NamedTuple):
@@ -153,14 +148,9 @@ def _axis_sign(mapping: LogMapping, channel: str) -> float:
 
 def column_of(mapping: LogMapping, channel: str) -> tuple[str, Column]:
     """Column of the log that becomes a channel; without a mapping it is called like the channel."""
-    name = _in_the_file(mapping, channel)
+    name = turned_name(channel, mapping.frames.position)
     found = {c.channel: (n, c) for n, c in mapping.columns.items()}
     return found.get(name, (name, Column(channel=name)))
-
-
-def _in_the_file(mapping: LogMapping, channel: str) -> str:
-    swapped = {"x": "y", "y": "x"} if mapping.frames.position == "ENU" else {}
-    return swapped.get(channel, channel)
 
 
 def frames_edits(mapping: LogMapping, position: str, body: str, attitude: str) -> Edits:

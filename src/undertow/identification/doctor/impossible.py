@@ -19,18 +19,17 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .dynamics import other_units, rederived
-from .findings import Edits, column_edit
-from .kinematics import Kinematics, liveliest
+from .kinematics import Kinematics, most_active
 from .mistakes import (
+    PLAUSIBLE,
     RATES,
-    SETTINGS,
     SPEEDS,
     UNITS_OF_MOTION,
     Mistake,
-    Settings,
+    PlausibilitySettings,
     likely_time_units,
     reading_mistakes,
-    scaling,
+    rescaled,
 )
 from .sensors import clustered_least_squares
 
@@ -72,7 +71,7 @@ class Responses:
     An actuation that depends on the motion is refused.
     """
 
-    def __init__(self, vehicle: Vehicle, settings: Settings) -> None:
+    def __init__(self, vehicle: Vehicle, settings: PlausibilitySettings) -> None:
         self.vehicle, self.settings = vehicle, settings
         self._functions = Functions(vehicle)
         self._p = np.array(self._functions.values(), dtype=float)
@@ -125,9 +124,9 @@ class Responses:
     def _parts(self, run: Run, index: int, count: int) -> Iterator[tuple[Array, Array, Array]]:
         velocities, commands = self.vehicle.velocity_names, self.vehicle.command_names
         angles = [n for n in ("phi", "theta") if n in self.vehicle.pose_names and run.has(n)]
-        lively, force = liveliest(run, velocities, self.settings.samples // count), self._commanded(run)
+        active, force = most_active(run, velocities, self.settings.samples // count), self._commanded(run)
         for piece in run.segments([*velocities, *commands, *angles]):
-            part = slice(max(piece.start, lively.start), min(piece.stop, lively.stop))
+            part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
             functions = test_functions(t, self.settings.width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
@@ -171,7 +170,7 @@ def _without(beside: Array, columns: Array) -> Array:
     return np.asarray(columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-10)[0])
 
 
-def _fitted(columns: Array, force: Array, settings: Settings) -> tuple[Array, Array, Array]:
+def _fitted(columns: Array, force: Array, settings: PlausibilitySettings) -> tuple[Array, Array, Array]:
     """Gains of columns by least squares, their errors, and what share each explains that no other does."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     scaled = columns / size
@@ -212,8 +211,8 @@ def suspicious(
 
     Parameters are those of `impossible`. Lags and dead times make a motion need less, never more.
     """
-    milder = replace(SETTINGS, strongest=SETTINGS.doubtful, near=SETTINGS.alike)
-    return _Look(vehicle, list(runs), mapping, kinematics, milder).by_force()
+    milder = replace(PLAUSIBLE, strongest=PLAUSIBLE.doubtful, near=PLAUSIBLE.alike)
+    return _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, milder).by_force()
 
 
 def impossible(
@@ -221,11 +220,11 @@ def impossible(
     runs: Sequence[Run],
     mapping: LogMapping,
     kinematics: Kinematics,
-    settings: Settings = SETTINGS,
+    settings: PlausibilitySettings = PLAUSIBLE,
 ) -> Impossible | None:
     """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
-    look = _Look(vehicle, list(runs), mapping, kinematics, settings)
-    return look.by_force() or look.by_size() or look.by_limits()
+    check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, settings)
+    return check.by_force() or check.by_size() or check.by_limits()
 
 
 _Known = dict[tuple[str, str], Response]
@@ -233,12 +232,12 @@ _Known = dict[tuple[str, str], Response]
 
 
 @dataclass(frozen=True)
-class _Look:
+class _PlausibilityCheck:
     vehicle: Vehicle
     runs: list[Run]
     mapping: LogMapping
     kinematics: Kinematics
-    settings: Settings
+    settings: PlausibilitySettings
 
     # --- force -----------------------------------------------------------------------------------
     def by_force(self) -> Impossible | None:
@@ -299,7 +298,7 @@ class _Look:
     def _readings(self) -> Iterator[Mistake]:
         """Units of what was measured."""
         # Pose rates have been held against velocities: with them the clock was.
-        yield from () if self.kinematics else likely_time_units(self.runs, self.mapping)
+        yield from () if self.kinematics else (m for m, _ in likely_time_units(self.runs, self.mapping))
         known = reading_mistakes(self.mapping, self.runs)
         yield from (m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id)
 
@@ -386,17 +385,14 @@ def times(names: tuple[str, ...], found: float) -> Mistake:
     ten = 10.0 ** round(np.log10(found))
     factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")
 
-    def edits(m: LogMapping) -> Edits:
-        return tuple(column_edit(m, n, times=factor) for n in names)
-
     verb = "command {} is" if len(names) == 1 else "commands {} are"
     size = f"{1 / factor:.4g} times too large" if factor < 1 else f"{factor:.4g} times too small"
-    told = f"{verb.format(', '.join(names))} {size}"
+    clause = f"{verb.format(', '.join(names))} {size}"
     # It explains whatever one of the known units would, which comes first.
-    return Mistake("command_unit", told, scaling(dict.fromkeys(names, factor)), edits, 1 + len(names))
+    return rescaled("command_unit", clause, dict.fromkeys(names, factor), 1 + len(names))
 
 
-def _force_text(r: Response, settings: Settings) -> str:
+def _force_text(r: Response, settings: PlausibilitySettings) -> str:
     what = f"command {r.command} gives" if r.command else "the commands give"
     unit = "N" if r.degree_of_freedom in ("surge", "sway", "heave") else "N m"
     if abs(r.gain) > 1:

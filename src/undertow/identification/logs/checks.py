@@ -123,19 +123,19 @@ def fill_commands(
     if not len(missing):
         return data, ""
     spell = f"t = {t[missing[0]]:g} to {t[missing[-1]]:g} s"
-    told = f"command {name!r} is missing in {len(missing)} of {len(t)} rows ({spell})"
+    text = f"command {name!r} is missing in {len(missing)} of {len(t)} rows ({spell})"
     remedy = 'set missing_commands = "hold" or "gap" in the mapping file, or a time window without them'
     if policy == "refuse":
-        raise UndertowError(f"{where}: {told}: {remedy}")
+        raise UndertowError(f"{where}: {text}: {remedy}")
     if policy == "gap":
-        return data, f"{told}; left missing"
+        return data, f"{text}; left missing"
     data = np.concatenate([[before if np.isnan(data[0]) else data[0]], data[1:]])
     last = np.maximum.accumulate(np.where(np.isnan(data), -1, np.arange(len(data))))
     if last[0] < 0:
         raise UndertowError(
-            f"{where}: {told}, and none comes before t = {t[0]:g} s to be held: start the window later"
+            f"{where}: {text}, and none comes before t = {t[0]:g} s to be held: start the window later"
         )
-    return data[last], f"{told}; the last value was held"
+    return data[last], f"{text}; the last value was held"
 
 
 def constant_channels(run: Run, names: Iterable[str] | None = None) -> dict[str, float]:
@@ -149,8 +149,8 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
     """Refuse a run in which one of the channels never changes."""
     dead = constant_channels(run, names)
     if dead:
-        told = ", ".join(f"{name} = {value:g}" for name, value in dead.items())
+        text = ", ".join(f"{name} = {value:g}" for name, value in dead.items())
         raise UndertowError(
-            f"run {run.name!r}: {told} over all {len(run.t)} samples (dead sensor, or motion not excited): "
+            f"run {run.name!r}: {text} over all {len(run.t)} samples (dead sensor, or motion not excited): "
             "leave the channel out of the log, or the degree of freedom out of the vehicle"
         )

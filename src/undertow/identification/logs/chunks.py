@@ -48,8 +48,8 @@ class NeedsWhole(UndertowError):
     """What is asked of a log cannot be done in parts."""
 
 
-class Part(NamedTuple):
-    """Part of a long log."""
+class LogPart(NamedTuple):
+    """LogPart of a long log."""
 
     run: Run  # its samples within the window
     # Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
@@ -67,7 +67,7 @@ class LongLog:
     window: tuple[float | None, float | None] = (None, None)  # part that is used, s; None: no limit
     missing_commands: CommandPolicy | None = None  # what to do where a command has no sample
 
-    def parts(self, rows: int, overlap: int) -> Iterator[Part]:
+    def parts(self, rows: int, overlap: int) -> Iterator[LogPart]:
         """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before."""
         self._refuse()
         origin: Origin | None = None
@@ -81,7 +81,7 @@ class LongLog:
             if len(inside) > 1:
                 last = self._run(table, origin, _commands_before(float(inside[0]), last))
                 shared = min(max(overlap // 2, 1), len(t))
-                yield Part(last, float(np.fmax.accumulate(t)[-shared]))
+                yield LogPart(last, float(np.fmax.accumulate(t)[-shared]))
 
     def _times(self, table: pl.DataFrame, origin: Origin) -> NDArray[np.float64]:
         """Times of all rows of a table, s."""

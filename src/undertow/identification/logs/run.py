@@ -172,9 +172,16 @@ class Run:
         starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
         return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
 
-    def noted(self, *notes: str) -> Run:
+    def with_notes(self, *notes: str) -> Run:
         """Return the run with lines added to its notes."""
         return replace(self, notes=(*self.notes, *notes))
+
+
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle without jumps by turns; missing samples stay missing."""
+    result, there = angle.copy(), np.isfinite(angle)
+    result[there] = np.unwrap(angle[there])
+    return result
 
 
 def _frozen(data: object) -> NDArray[np.float64]:

@@ -40,10 +40,10 @@ for line in sys.stdin:
         table = pl.scan_parquet(json.loads(line), glob=False, hive_partitioning=False)
         flat = [name for name, kind in table.collect_schema().items() if not kind.is_nested()]
         table.select(pl.col(flat).hash().max()).collect(engine="streaming")
-        told = ""
+        text = ""
     except BaseException as error:
-        told = (str(error).split("\\n")[0] or type(error).__name__).strip()
-    print(json.dumps(told), flush=True)
+        text = (str(error).split("\\n")[0] or type(error).__name__).strip()
+    print(json.dumps(text), flush=True)
 """
 _UNREADABLE = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 
@@ -58,9 +58,9 @@ def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.Lazy
         raise UndertowError(_unreadable(where, str(error))) from error
     if most_cells is not None and rows * len(kinds) > most_cells:
         raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
-    told = _HELPER.trouble_with(path)
-    if told is not None:
-        raise UndertowError(_unreadable(where, told))
+    text = _HELPER.trouble_with(path)
+    if text is not None:
+        raise UndertowError(_unreadable(where, text))
     return table.with_columns(
         pl.lit(None).cast(kind).alias(n) for n, kind in kinds.items() if kind.is_nested()
     )
@@ -158,26 +158,15 @@ Origin = Decimal | float
 
 @dataclass(frozen=True)
 class LogLimits:
-    """What a log may be.
+    """What a log may be."""
 
-    Attributes
-    ----------
-    text : int
-        Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
-    cells : int
-        Rows times columns that are held at once: a cell of text takes 16 bytes, its number 8 more.
-    columns : int
-        Columns.
-    line : int
-        Bytes of one line.
-    rows : int, optional
-        Rows that what is to be done with the log can take at all, blank ones and comments included.
-    """
-
+    # Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
     text: int = 500_000_000
+    # Rows times columns that are held at once: a cell of text takes 16 bytes, its number 8 more.
     cells: int = 50_000_000
-    columns: int = 5_000
-    line: int = 1_000_000
+    columns: int = 5_000  # columns
+    line: int = 1_000_000  # bytes of one line
+    # Rows that what is to be done with the log can take at all, blank ones and comments included.
     rows: int | None = None
 
     def check(self, size: int, rows: int, columns: int, where: str) -> None:

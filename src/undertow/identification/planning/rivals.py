@@ -212,11 +212,11 @@ class RivalSpec:
         *others, last = parts_of(self.name)
         for effect in others:
             first = _checked(effect, vehicle, known)
-            vehicle = first.adopted({**beginning(first), **self.values})
+            vehicle = first.adopted({**neutral_values(first), **self.values})
         return _checked(last, vehicle, known)
 
 
-def beginning(candidate: Candidate) -> dict[str, float]:
+def neutral_values(candidate: Candidate) -> dict[str, float]:
     """Values with which an effect does nothing yet, as far as its parameters can be such."""
     return {
         p.name: p.neutral if p.neutral is not None else (p.starts[0] if p.starts else 1.0)
@@ -282,7 +282,7 @@ def _valued(
         own = {p.name for p in candidate.parameters}
         found = {n: v for n, v in spec.values.items() if n in own}
         source = "diagnosis" if found else "typical size"
-        values = {**beginning(candidate), **found} if found else typical_values(candidate, problem)
+        values = {**neutral_values(candidate), **found} if found else typical_values(candidate, problem)
         vehicle = candidate.adopted(values)
     stated_values = {n: v for n, v in spec.values.items() if n in vehicle.values}
     return vehicle.with_values(
