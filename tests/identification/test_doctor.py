@@ -157,8 +157,9 @@ def test_an_angle_that_jumps_is_unwrapped() -> None:
     t = np.arange(0.0, 30.0, 0.05)
     phi = 0.4 * t
     run = Run("roll", t, {"phi": np.angle(np.exp(1j * phi)), "theta": 0.1 * phi})
-    ((mistake, count),) = wrapped_angles([run])
-    assert count == 2
+    (found,) = wrapped_angles([run])
+    mistake = found.mistake
+    assert found.evidence == {"times": 2.0}
     assert mistake.edits(LogMapping()) == (Edit("columns", "phi", {"channel": "phi", "wrapped": True}),)
     np.testing.assert_allclose(mistake.undo(run).channels["phi"], phi)
 

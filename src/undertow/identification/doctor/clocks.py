@@ -84,6 +84,18 @@ def _along(t: Array) -> Array:
     return (t - t[0]) / max(t[-1] - t[0], 1e-9) - 0.5
 
 
+def _two_clocks(who: str, how: str, delay: float, drift: float, error: float) -> Finding:
+    """A delay that drifts; `how` has places for the delays at the beginning and at the end of a run."""
+    delays = how.format(delay - drift / 2, delay + drift / 2)
+    return Finding(
+        id="two_clocks",
+        severity="warning",
+        text=f"{who} are on two clocks: {delays} (drift {drift:+.2f} ± {error:.1g} s); write both with the "
+        "stamps of one clock",
+        evidence={"delay": delay, "drift": drift},
+    )
+
+
 def _moved(run: Run, names: tuple[str, ...], shift: Array) -> Run:
     """Velocities of a while later, at the times that they belong to."""
     at = run.t + shift[0] + shift[1] * _along(run.t)
@@ -109,17 +121,9 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
     for one in shifts(kinematics, runs):
         names = ", ".join(one.names)
         verb = "is" if len(one.names) == 1 else "are"
-        evidence = {"delay": one.delay, "drift": one.drift}
         if abs(one.drift) > max(SETTINGS.sure * one.drift_error, step):
-            start, end = one.delay - one.drift / 2, one.delay + one.drift / 2
-            yield Finding(
-                id="two_clocks",
-                severity="warning",
-                text=f"{names} and the pose are on two clocks: {names} {verb} {start:+.2f} s late at the "
-                f"beginning of a run and {end:+.2f} s at its end (drift {one.drift:+.2f} ± "
-                f"{one.drift_error:.1g} s); write both with the stamps of one clock",
-                evidence=evidence,
-            )
+            how = f"{names} {verb} {{:+.2f}} s late at the beginning of a run and {{:+.2f}} s at its end"
+            yield _two_clocks(f"{names} and the pose", how, one.delay, one.drift, one.drift_error)
         elif abs(one.delay) > max(SETTINGS.sure * one.delay_error, SETTINGS.steps * step):
             way = "late" if one.delay > 0 else "early"
             yield Finding(
@@ -127,7 +131,7 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
                 severity="warning",
                 text=f"{names} {verb} {abs(one.delay):.3f} ± {one.delay_error:.1g} s {way} against the pose; "
                 + _remedy(one),
-                evidence=evidence,
+                evidence={"delay": one.delay, "drift": one.drift},
             )
 
 
@@ -155,7 +159,9 @@ def command_clock(at: Dynamics) -> Finding | None:
     if both[2] < (1 - SETTINGS.gained) * min(constant[2], start) and abs(drift) > max(
         SETTINGS.command_sure * spread, SETTINGS.command_steps * step
     ):
-        return _drifting(both[0], float(spread))
+        follows = "the motion follows the commands by {:+.2f} s at the beginning of a run"
+        how = f"{follows} and by {{:+.2f}} s at its end"
+        return _two_clocks("commands and motion", how, float(both[0][0]), float(drift), float(spread))
     if constant[2] < (1 - SETTINGS.gained) * start and abs(found[0]) > max(
         SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
     ):
@@ -192,18 +198,6 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
     return found, error, left
 
 
-def _drifting(found: Array, spread: float) -> Finding:
-    begin, end = (found[0] - found[1] / 2, found[0] + found[1] / 2)
-    return Finding(
-        id="two_clocks",
-        severity="warning",
-        text=f"commands and motion are on two clocks: the motion follows the commands by {begin:+.2f} s at "
-        f"the beginning of a run and by {end:+.2f} s at its end (drift {found[1]:+.2f} ± {spread:.1g} s); "
-        "write both with the stamps of one clock",
-        evidence={"delay": float(found[0]), "drift": float(found[1])},
-    )
-
-
 def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
     """A delay, where the refitted model is decisively better for it."""
     fit = at.refitted(undo=_later(delay, 0.0))
@@ -213,8 +207,8 @@ def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
     if delay > 0:
         clause = (
             f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
+            "actuation_delay or thruster_lag), or commands that are logged too early"
         )
-        clause += "actuation_delay or thruster_lag), or commands that are logged too early"
     else:
         clause = (
             f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
@@ -260,8 +254,7 @@ def _later(delay: float, drift: float) -> Undo:
     """Commands as they would be logged that much later."""
 
     def undo(run: Run) -> Run:
-        share = (run.t - run.t[0]) / (run.t[-1] - run.t[0]) - 0.5
-        then = run.t - delay - drift * share
+        then = run.t - delay - drift * _along(run.t)
         held = np.clip(np.searchsorted(run.t, then + 1e-9, side="right") - 1, 0, len(run.t) - 1)
         others = {*run.channels} - {*POSE, *VELOCITY}
         return with_channels(run, {n: run.channels[n][held] for n in others})

@@ -29,11 +29,12 @@ from undertow.model.symbols import FORCE, POSE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edits, column_edit
+from .findings import Edits, Finding, column_edit
 from .kinematics import Kinematics, jacobian, most_active
 from .mistakes import (
     SPEEDS,
     UNITS_OF_MOTION,
+    Explanation,
     Mistake,
     Undo,
     exchanged,
@@ -148,7 +149,12 @@ class Dynamics:
 
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
-        return Gain(self.residual, normalised_mean_square(fit)[: len(self.residual)], self._moved)
+        return Gain(
+            self.vehicle.degrees_of_freedom,
+            self.residual,
+            normalised_mean_square(fit)[: len(self.residual)],
+            self._moved,
+        )
 
     @property
     def _moved(self) -> NDArray[np.bool_]:
@@ -161,6 +167,7 @@ class Dynamics:
 class Gain:
     """What a refitted model leaves of each equation of motion, before and after a change."""
 
+    names: tuple[str, ...]  # degrees of freedom
     # before, after: (n,) mean squares in units of the sensors' noise.
     before: Array
     after: Array
@@ -188,6 +195,19 @@ class Gain:
         needed = SETTINGS.enough if self.explained else SETTINGS.decisive
         wrong = (self.before > SETTINGS.unexplained) & self.moved
         return bool(np.any(self.factors[wrong] >= needed) and np.all(self.factors > 1.0 / SETTINGS.worse))
+
+    @property
+    def text(self) -> str:
+        """The equations that a change explains much better, in words."""
+        rows = zip(self.names, self.before, self.after, self.factors, strict=True)
+        parts = [f"{dof} {b:.3g} → {a:.3g}" for dof, b, a, factor in rows if factor > 2]
+        return f"the refitted model leaves {', '.join(parts)} times the noise (mean square)"
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """The same in numbers, for all of them."""
+        rows = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
+        return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), ("_undone", a))}
 
 
 def normalised_mean_square(fit: WeakFit) -> Array:
@@ -318,15 +338,6 @@ def _in_unit(clause: str, limits: dict[str, float], scale: float, offset: float)
     return Mistake("command_unit", f"commands {', '.join(limits)} are {clause}", undo, edits)
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """A mistake with what undoing it does to the fit of the model."""
-
-    mistake: Mistake  # the best explanation
-    gain: Gain
-    rivals: list[Mistake]  # others that do as well
-
-
 def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
     """The mistake whose undoing explains the motion decisively; None where none does."""
     worth_fitting = [m for _, m in _worth_fitting(at, known)]
@@ -358,7 +369,9 @@ def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanat
     equals = sorted(
         (pair for pair in found if pair[1].overall > most / SETTINGS.as_good), key=lambda p: p[0].count
     )
-    return Explanation(*equals[0], [m for m, _ in equals[1:]])
+    mistake, gain = equals[0]
+    text = f"{mistake.clause}: undone, {gain.text}"
+    return Explanation(mistake, text, gain.evidence, [m for m, _ in equals[1:]])
 
 
 def dynamic_mistakes(
@@ -429,21 +442,8 @@ def _felt(at: Dynamics, run: Run) -> np.ndarray:
 _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 
 
-@dataclass(frozen=True)
-class OtherMass:
-    """The mass that logs ask for."""
-
-    # stated, found, error: in the file, from the logs, and its standard error, kg.
-    stated: float
-    found: float
-    error: float
-    gain: Gain  # what refitting it does to the equations of motion
-    # Added masses that have left their stated values, in standard deviations, and come back with this mass.
-    moved: dict[str, float]
-
-
-def other_mass(at: Dynamics) -> OtherMass | None:
-    """The mass that the logs ask for; None where it is no other, or they cannot tell.
+def other_mass(at: Dynamics) -> Finding | None:
+    """A mass that is not the one that the logs ask for; None where it is, or they cannot tell.
 
     With added masses that are free and have no stated spread, nothing can be told: they take up any mass. Nor
     can it where an added mass that is held fixed explains as much with another value.
@@ -464,7 +464,25 @@ def other_mass(at: Dynamics) -> OtherMass | None:
     sure = abs(found - known.value) > (SETTINGS.sure_beside if moved else SETTINGS.sure) * error
     if not sure or not (moved or gain.decisive) or _added_mass_instead(at, fit):
         return None
-    return OtherMass(known.value, found, error, gain, moved)
+    return _mass_finding({"stated": known.value, "found": found, "error": error}, gain, moved)
+
+
+def _mass_finding(mass: dict[str, float], gain: Gain, moved: dict[str, float]) -> Finding:
+    """`moved` are added masses that leave their stated values, in standard deviations."""
+    which = "dry" if mass["found"] > mass["stated"] else "wrong"
+    reason = f"with it, {gain.text}"
+    if moved:
+        far = ", ".join(f"{n} {z:+.1f}" for n, z in moved.items())
+        reason = f"with m as stated the added masses leave their stated values ({far} standard deviations)"
+    return Finding(
+        id="dry_mass",
+        severity="warning" if moved else "mistake",
+        text=f"m = {mass['stated']:.4g} kg looks like the {which} mass: the logs ask for "
+        f"{mass['found']:.4g} ± {mass['error']:.2g} kg; {reason}",
+        evidence=mass,
+        vehicle=f'[effects.rigid_body] m = "{mass["found"]:.4g} kg" (the mass with the water inside)',
+        alternatives=["water that moves along but weighs nothing: undertow add entrained_water"],
+    )
 
 
 def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
@@ -490,24 +508,27 @@ def _standardised(fit: WeakFit) -> dict[str, float]:
 
 
 # --- squares ----------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class LostSign:
-    """An effect whose force is even in its own velocity."""
+def lost_signs(at: Dynamics) -> Iterator[Finding]:
+    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern.
 
-    effect: str
-    terms: list[str]  # such as "X: u^2"
-    vehicle: Vehicle  # the vehicle with |u| u in its place
-
-
-def lost_signs(vehicle: Vehicle) -> Iterator[LostSign]:
-    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern."""
+    They are reported where |u| u in its place explains the logs decisively.
+    """
+    vehicle = at.vehicle
     for effect in vehicle.effects:
-        if isinstance(effect, Wrench):
-            terms = _squares(effect, vehicle)
-            if terms:
-                mended = _with_signs(effect)
-                others = tuple(mended if e is effect else e for e in vehicle.effects)
-                yield LostSign(effect.id, terms, replace(vehicle, effects=others))
+        if not isinstance(effect, Wrench) or not (squares := _squares(effect, vehicle)):
+            continue
+        mended, terms = _with_signs(effect), ", ".join(squares)
+        others = tuple(mended if e is effect else e for e in vehicle.effects)
+        fit = at.refitted(vehicle=replace(vehicle, effects=others))
+        if fit is not None and (gain := at.gain(fit)).decisive:
+            yield Finding(
+                id="lost_sign",
+                severity="mistake",
+                text=f"effect {effect.id} has a square without its sign ({terms}), which pushes when moving "
+                f"astern: with |u| u for u^2, {gain.text}",
+                evidence=gain.evidence,
+                vehicle=f"effect {effect.id}: write sm.Abs(u) * u where it has u**2 ({terms})",
+            )
 
 
 def _squares(effect: Wrench, vehicle: Vehicle) -> list[str]:

@@ -23,10 +23,6 @@ from . import mistakes, sensors
 from .clocks import clock_findings, command_clock
 from .dynamics import (
     Dynamics,
-    Explanation,
-    Gain,
-    LostSign,
-    OtherMass,
     dynamic_mistakes,
     dynamics_of,
     lost_signs,
@@ -36,15 +32,23 @@ from .dynamics import (
 from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .impossible import impossible, suspicious
 from .kinematics import Kinematics
-from .mistakes import POSITIONS, UNITS_OF_MOTION, Mistake, Undo, other_time_unit, reading_mistakes
+from .mistakes import (
+    POSITIONS,
+    UNITS_OF_MOTION,
+    Explanation,
+    Mistake,
+    Undo,
+    other_time_unit,
+    reading_mistakes,
+)
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
 
 
-def kinematic_text(
-    kinematics: Kinematics, found: Explained, chosen: Mistake, runs: Sequence[Run]
-) -> tuple[str, dict[str, float]]:
-    """One line on a mistake that shows in the kinematics of runs, and its evidence."""
+def _explanation(
+    kinematics: Kinematics, found: Explained, chosen: Mistake, rivals: list[Mistake], runs: Sequence[Run]
+) -> Explanation:
+    """A mistake that shows in the kinematics of runs."""
     names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
@@ -54,7 +58,8 @@ def kinematic_text(
     text = f"{chosen.clause}: {sizes}undone, {mismatch}"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
-    return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
+    text += f" (mean square; noise {percent(float(np.max(before.floor[rows])))})"
+    return Explanation(chosen, text, evidence, rivals)
 
 
 def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
@@ -70,60 +75,6 @@ def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str
 
 def _rms(table: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
-
-
-def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:
-    """One line on a mistake that shows in the fit of the model, and its evidence."""
-    return f"{found.mistake.clause}: undone, {_gained(vehicle, found.gain)}", _evidence(vehicle, found.gain)
-
-
-def _gained(vehicle: Vehicle, gain: Gain) -> str:
-    parts = [
-        f"{dof} {b:.3g} → {a:.3g}"
-        for dof, b, a, f in zip(
-            vehicle.degrees_of_freedom, gain.before, gain.after, gain.factors, strict=True
-        )
-        if f > 2
-    ]
-    return f"the refitted model leaves {', '.join(parts)} times the noise (mean square)"
-
-
-def _evidence(vehicle: Vehicle, gain: Gain) -> dict[str, float]:
-    rows = zip(vehicle.degrees_of_freedom, gain.before.tolist(), gain.after.tolist(), strict=True)
-    return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), ("_undone", a))}
-
-
-def sign_finding(vehicle: Vehicle, lost: LostSign, gain: Gain) -> Finding:
-    """A square without its sign."""
-    terms = ", ".join(lost.terms)
-    return Finding(
-        id="lost_sign",
-        severity="mistake",
-        text=f"effect {lost.effect} has a square without its sign ({terms}), which pushes when moving "
-        f"astern: with |u| u for u^2, {_gained(vehicle, gain)}",
-        evidence=_evidence(vehicle, gain),
-        vehicle=f"effect {lost.effect}: write sm.Abs(u) * u where it has u**2 ({terms})",
-    )
-
-
-def mass_finding(vehicle: Vehicle, mass: OtherMass) -> Finding:
-    """A mass that is not that of the vehicle in the water."""
-    known = not mass.moved
-    which = "dry" if mass.found > mass.stated else "wrong"
-    if known:
-        reason = f"with it, {_gained(vehicle, mass.gain)}"
-    else:
-        moved = ", ".join(f"{n} {z:+.1f}" for n, z in mass.moved.items())
-        reason = f"with m as stated the added masses leave their stated values ({moved} standard deviations)"
-    return Finding(
-        id="dry_mass",
-        severity="mistake" if known else "warning",
-        text=f"m = {mass.stated:.4g} kg looks like the {which} mass: the logs ask for {mass.found:.4g} ± "
-        f"{mass.error:.2g} kg; {reason}",
-        evidence={"stated": mass.stated, "found": mass.found, "error": mass.error},
-        vehicle=f'[effects.rigid_body] m = "{mass.found:.4g} kg" (the mass with the water inside)',
-        alternatives=["water that moves along but weighs nothing: undertow add entrained_water"],
-    )
 
 
 _MOST_MISTAKES = 3
@@ -268,13 +219,12 @@ class _Examiner:
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
             text = f"{unit.clause}: only then have pose rates and velocities the same size"
-            self._undo(unit, text, {}, impossible=True)
+            self._undo(Explanation(unit, text, {}), impossible=True)
         unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
         if degrees := mistakes.in_degrees(self.runs, self.mapping, unasked):
-            text = f"{degrees.clause}, which is no vehicle's in radians"
-            self._undo(degrees, text, {}, apply=self._afresh, impossible=True)
-        for mistake, count in mistakes.wrapped_angles(self.runs):
-            self._undo(mistake, f"{mistake.clause}: no vehicle turns so fast", {"times": float(count)})
+            self._undo(degrees, apply=self._afresh, impossible=True)
+        for wrapped in mistakes.wrapped_angles(self.runs):
+            self._undo(wrapped)
         self.findings += mistakes.angles_across_jumps(self.runs)
 
     def undo_reading_mistakes(self) -> None:
@@ -292,14 +242,14 @@ class _Examiner:
             return False
         others = [f.description() for f in sensors.as_good_as(found, fits)]
         chosen, rivals = decided(self.vehicle, self.runs, found)
-        text, evidence = kinematic_text(kinematics, found, chosen, self.runs)
+        explanation = _explanation(kinematics, found, chosen, rivals, self.runs)
         if others:
-            self._doubt(chosen, text, evidence, others)
+            self._doubt(explanation, others)
             return False
         # Water may well move as fast as a vehicle does.
         gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)
-        text += f"; sensors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
-        self._undo(chosen, text, evidence, rivals, impossible=gross)
+        beyond = f"; sensors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
+        self._undo(replace(explanation, text=explanation.text + beyond), impossible=gross)
         return True
 
     def undo_what_cannot_be(self) -> None:
@@ -308,16 +258,13 @@ class _Examiner:
             found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
             if found is None:
                 return
-            text = f"{found.mistake.clause}: {found.why}"
-            self._undo(found.mistake, text, found.evidence, found.rivals, impossible=True)
+            self._undo(found, impossible=True)
 
     def doubt_forces(self) -> None:
         """Ask for the unit where a motion needs a few times the force commanded."""
         found = suspicious(self.vehicle, self.runs, self.mapping, self.kinematics)
         if found is not None:
-            others = [r.clause for r in found.rivals]
-            text = f"{found.mistake.clause}: {found.why}"
-            self._doubt(found.mistake, text, found.evidence, [*others, _WEAK_THRUSTERS])
+            self._doubt(found, [*(r.clause for r in found.rivals), _WEAK_THRUSTERS])
 
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
@@ -328,11 +275,10 @@ class _Examiner:
             found = dynamic_mistakes(self.vehicle, at, self.kinematics, self.runs, self.mapping)
             if found is None:
                 break
-            text, evidence = dynamic_text(self.vehicle, found)
             if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
-                self._doubt(found.mistake, text, evidence, [_WEAK_THRUSTERS])
+                self._doubt(found, [_WEAK_THRUSTERS])
                 break
-            self._undo(found.mistake, text, evidence, found.rivals)
+            self._undo(found)
         if not any(f.severity == "mistake" for f in self.findings):
             self.doubt_forces()
         if at is not None:
@@ -343,13 +289,9 @@ class _Examiner:
         if at.unexplained:
             clock = command_clock(at)
             self.findings += [] if clock is None else [clock]
-            for lost in lost_signs(self.vehicle):
-                fit = at.refitted(vehicle=lost.vehicle)
-                if fit is not None and (gain := at.gain(fit)).decisive:
-                    self.findings.append(sign_finding(self.vehicle, lost, gain))
-        mass = other_mass(at)
-        if mass is not None:
-            self.findings.append(mass_finding(self.vehicle, mass))
+            self.findings += lost_signs(at)
+        if (mass := other_mass(at)) is not None:
+            self.findings.append(mass)
 
     def look_at_the_rest(self) -> None:
         kinematics = self.kinematics
@@ -370,22 +312,19 @@ class _Examiner:
 
     def _undo(
         self,
-        mistake: Mistake,
-        text: str,
-        evidence: dict[str, float],
-        rivals: Sequence[Mistake] = (),
+        found: Explanation,
         apply: Callable[[Run, Undo], Run] = rederived,
         impossible: bool = False,
     ) -> None:
-        edits = mistake.edits(self.mapping)
+        mistake, edits = found.mistake, found.mistake.edits(self.mapping)
         finding = Finding(
             id=mistake.id,
             severity="mistake",
-            text=text,
-            evidence=evidence,
+            text=found.text,
+            evidence=found.evidence,
             mapping=as_toml(edits),
             vehicle=mistake.vehicle,
-            alternatives=[f"{r.clause}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
+            alternatives=[f"{r.clause}: {_on_one_line(r.edits(self.mapping))}" for r in found.rivals],
         )
         self.findings.append(finding)
         self.refused = self.refused or (finding if impossible else None)
@@ -397,15 +336,15 @@ class _Examiner:
         self.mapping = edited(self.mapping, edits)
         self.edits += edits
 
-    def _doubt(self, mistake: Mistake, text: str, evidence: dict[str, float], others: list[str]) -> None:
+    def _doubt(self, found: Explanation, others: list[str]) -> None:
         """Say what may be a mistake or a flaw of a sensor, and leave it."""
         self.findings.append(
             Finding(
-                id=mistake.id,
+                id=found.mistake.id,
                 severity="warning",
-                text=f"perhaps {text}",
-                evidence=evidence,
-                mapping=as_toml(mistake.edits(self.mapping)),
+                text=f"perhaps {found.text}",
+                evidence=found.evidence,
+                mapping=as_toml(found.mistake.edits(self.mapping)),
                 alternatives=others,
             )
         )

@@ -25,6 +25,7 @@ from .mistakes import (
     RATES,
     SPEEDS,
     UNITS_OF_MOTION,
+    Explanation,
     Mistake,
     PlausibilitySettings,
     likely_time_units,
@@ -34,6 +35,14 @@ from .mistakes import (
 from .sensors import clustered_least_squares
 
 _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
+
+
+def allocation(vehicle: Vehicle) -> Array:
+    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
+    rows = list(vehicle.dof_indices)
+    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
+    columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]
+    return np.array(columns).T.reshape(len(rows), -1)
 
 
 @dataclass(frozen=True)
@@ -135,16 +144,12 @@ class Responses:
 
     def _commanded(self, run: Run) -> Array:
         """Force of every command at every sample, (N, n, n_commands); NaN where a command is missing."""
-        rows = list(self.vehicle.dof_indices)
         u = run.matrix(self.vehicle.command_names)
         missing = np.isnan(u)
         actuation = self._chain.along(run.t, without_gaps(u), self._p).value
-        thrusters = self.vehicle.thrusters
-        gains = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in thrusters]
-        known = [np.eye(6)["XYZKMN".index(n[-1])][rows] for n in self.vehicle.force_channels]
-        table = np.column_stack([actuation, u[:, len(thrusters) :]])
+        table = np.column_stack([actuation, u[:, len(self.vehicle.thrusters) :]])
         table = np.where(missing, np.nan, table)
-        return np.einsum("Nc,cn->Nnc", table, np.array([*gains, *known]).reshape(-1, len(rows)))
+        return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))
 
 
 def _tested(
@@ -194,19 +199,9 @@ def _mass_matrix(functions: Functions, p: Array) -> Array:
     return np.array(evaluate(*zeros), dtype=float)
 
 
-@dataclass(frozen=True)
-class Impossible:
-    """A mistake without which a log cannot be."""
-
-    mistake: Mistake  # the likeliest
-    rivals: list[Mistake]  # others that would make it possible
-    why: str  # value and limit, in words
-    evidence: dict[str, float]  # the same in numbers, SI
-
-
 def suspicious(
     vehicle: Vehicle, runs: Sequence[Run], mapping: LogMapping, kinematics: Kinematics
-) -> Impossible | None:
+) -> Explanation | None:
     """A motion that needs a few times the force commanded, as it would in another unit; None where none does.
 
     Parameters are those of `impossible`. Lags and dead times make a motion need less, never more.
@@ -221,7 +216,7 @@ def impossible(
     mapping: LogMapping,
     kinematics: Kinematics,
     settings: PlausibilitySettings = PLAUSIBLE,
-) -> Impossible | None:
+) -> Explanation | None:
     """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
     check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, settings)
     return check.by_force() or check.by_size() or check.by_limits()
@@ -240,7 +235,7 @@ class _PlausibilityCheck:
     settings: PlausibilitySettings
 
     # --- force -----------------------------------------------------------------------------------
-    def by_force(self) -> Impossible | None:
+    def by_force(self) -> Explanation | None:
         """The force that the motion needs, against what the commands give."""
         try:
             responses = Responses(self.vehicle, self.settings)
@@ -254,7 +249,8 @@ class _PlausibilityCheck:
         found = self._explaining(responses, before, far)
         if not found:
             return None
-        return Impossible(found[0], found[1:], _force_text(worst, self.settings), _force_evidence(worst))
+        text = f"{found[0].clause}: {_force_text(worst, self.settings)}"
+        return Explanation(found[0], text, _force_evidence(worst), found[1:])
 
     def _sure(self, found: Sequence[Response]) -> _Known:
         s = self.settings
@@ -316,7 +312,7 @@ class _PlausibilityCheck:
                 yield times(names, factor)
 
     # --- size ------------------------------------------------------------------------------------
-    def by_size(self) -> Impossible | None:
+    def by_size(self) -> Explanation | None:
         """Speeds that a vehicle of this size does not reach."""
         known = self.vehicle.values.get("m")
         if known is None or known.estimate or not known.value > 0:
@@ -339,7 +335,9 @@ class _PlausibilityCheck:
         present = total[np.isfinite(total)]
         return float(np.quantile(present, 0.95)) if len(present) else 0.0
 
-    def _too_fast(self, names: tuple[str, ...], value: float, limit: float, mass: float) -> Impossible | None:
+    def _too_fast(
+        self, names: tuple[str, ...], value: float, limit: float, mass: float
+    ) -> Explanation | None:
         units = (m for m in self._readings() if self._fastest(self._without(m), names) <= limit)
         found = [m for m in units if self._allowed(m)]
         if not found:
@@ -347,10 +345,10 @@ class _PlausibilityCheck:
         unit = "m/s" if names == SPEEDS else "rad/s"
         own = ", ".join(n for n in names if n in self.vehicle.velocity_names)
         why = f"{own} reach {value:.3g} {unit}, and no vehicle of {mass:.4g} kg exceeds {limit:.3g} {unit}"
-        return Impossible(found[0], found[1:], why, {"value": value, "limit": limit})
+        return Explanation(found[0], f"{found[0].clause}: {why}", {"value": value, "limit": limit}, found[1:])
 
     # --- limits of the commands ------------------------------------------------------------------
-    def by_limits(self) -> Impossible | None:
+    def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
         limits = {t.name: t.limit for t in self.vehicle.thrusters if t.limit}
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
@@ -362,7 +360,7 @@ class _PlausibilityCheck:
         mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
         value, limit = far[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, and its limit in the vehicle file is {limit:.4g}"
-        return Impossible(mistake, known[1:], why, {"value": value, "limit": limit})
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
 
 
 def _within(gain: float, factor: float) -> bool:

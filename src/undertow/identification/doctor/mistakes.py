@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import product
 
@@ -51,6 +51,16 @@ class Mistake:
     # How many single things would have had to go wrong: of two explanations the simpler one is believed.
     count: int = 1
     vehicle: str = ""  # what to change in the vehicle file to the same end; empty where nothing there can
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A mistake that explains what is wrong with logs."""
+
+    mistake: Mistake
+    text: str  # the mistake and why it is believed, in one line
+    evidence: dict[str, float]
+    rivals: list[Mistake] = field(default_factory=list)  # others that explain it as well
 
 
 def with_channels(run: Run, channels: Mapping[str, Array]) -> Run:
@@ -490,23 +500,22 @@ _QUIET = 0.5
 _UPRIGHT, _OFTEN, _FASTEST = 1.05 * np.pi / 2, 0.01, np.pi
 
 
-def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
-    """Angles that jump by a whole turn, and how often."""
+def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
+    """Angles that jump by a whole turn."""
     for name in ANGLES:
         count = sum(_jumps(run, name) for run in runs)
         if count:
-            yield (
-                Mistake(
-                    "wrapped_angle",
-                    f"{name} jumps by a turn {count} times",
-                    _unwrapping(name),
-                    lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
-                ),
-                count,
+            mistake = Mistake(
+                "wrapped_angle",
+                f"{name} jumps by a turn {count} times",
+                _unwrapping(name),
+                lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
             )
+            text = f"{mistake.clause}: no vehicle turns so fast"
+            yield Explanation(mistake, text, {"times": float(count)})
 
 
-def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Mistake | None:
+def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Explanation | None:
     """Pitch that is too large, or a heading that turns too fast, to be in radians."""
     tilted = "theta" in names and any(_beyond_upright(run) > _OFTEN for run in runs)
     turning = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
@@ -522,7 +531,7 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
         if tilted
         else f"psi changes by {turning:.3g} in an ordinary second"
     )
-    return replace(found, clause=f"{found.clause}: {reason}")
+    return Explanation(found, f"{found.clause}: {reason}, which is no vehicle's in radians", {})
 
 
 def _changed(mistake: Mistake, run: Run) -> set[str]:

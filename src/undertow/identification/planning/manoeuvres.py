@@ -1,4 +1,4 @@
-"""What may be flown: axes, limits, noise of the log to come, shapes of commands and their families."""
+"""What may be commanded: axes, limits, noise of the log to come, shapes of commands and their families."""
 
 from __future__ import annotations
 
@@ -11,17 +11,31 @@ from scipy.optimize import lsq_linear
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import channel_noise
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-_LEVELS = 8
-_BITS = 24
+
+@dataclass(frozen=True)
+class ManoeuvreSettings:
+    """What manoeuvres are made of."""
+
+    levels: int = 8  # of steps
+    bits: int = 24  # of random binary steps
+    pulses: int = 3  # before coast-downs
+    # Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
+    fastest: float = 1.0
+    ends: float = 2.0  # length of the smooth beginning and end, s
+    share_of_ends: float = 0.1  # the most that each may take of the manoeuvre
+    pure: float = 1e-6  # share of a wrench that a pure motion may leave
+    trim_rounds: int = 8
+    trim_share: float = 0.95  # of the limit of an actuator that balancing the weight may take
+
+
+SETTINGS = ManoeuvreSettings()
 _HARMONICS = np.array([1, 2, 3, 5, 8, 13])
-_PULSES = 3
-# Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
-_FASTEST = 1.0
 
 
 @dataclass(frozen=True)
@@ -35,12 +49,12 @@ class Shape:
 
 def _steps(share: Array, length: float, q: Array) -> Array:
     """Steps between levels, each held for as long: a coast-down or a reversal where the levels say so."""
-    return np.asarray((2 * q - 1)[(share * _LEVELS).astype(int)])
+    return np.asarray((2 * q - 1)[(share * SETTINGS.levels).astype(int)])
 
 
 def _two_levels(share: Array, length: float, q: Array) -> Array:
     """Full one way or the other, changing at random instants (pseudo-random binary sequence)."""
-    return np.where(q[(share * _BITS).astype(int)] > 0.5, 1.0, -1.0)
+    return np.where(q[(share * SETTINGS.bits).astype(int)] > 0.5, 1.0, -1.0)
 
 
 def _doublet(share: Array, length: float, q: Array) -> Array:
@@ -64,7 +78,7 @@ def _multisine(share: Array, length: float, q: Array) -> Array:
 def _chirp(share: Array, length: float, q: Array) -> Array:
     """A sine that becomes quicker, from 1 to 3 periods per length up to at most 1 Hz."""
     slow = (1 + 2 * q[0]) / length
-    quick = max(slow * (_FASTEST / slow) ** q[1], slow)
+    quick = max(slow * (SETTINGS.fastest / slow) ** q[1], slow)
     growth = np.log(quick / slow) + 1e-9
     return np.asarray(np.sin(2 * np.pi * slow * length * np.expm1(growth * share) / growth))
 
@@ -78,8 +92,8 @@ def _reversal(share: Array, length: float, q: Array) -> Array:
 
 def _coast(share: Array, length: float, q: Array) -> Array:
     """Pulses of thrust, each followed by a stretch without, in which the vehicle coasts down."""
-    pulse = (share * _PULSES).astype(int)
-    on = (share * _PULSES) % 1.0 < 0.2 + 0.5 * q[-1]
+    pulse = (share * SETTINGS.pulses).astype(int)
+    on = (share * SETTINGS.pulses) % 1.0 < 0.2 + 0.5 * q[-1]
     return np.where(on, (2 * q - 1)[pulse], 0.0)
 
 
@@ -95,24 +109,16 @@ def _steady(share: Array, length: float, q: Array) -> Array:
     return np.where(share < 0.5, 1.0, 2 * q[0] - 1)
 
 
-STEPS = Shape("steps", _LEVELS, _steps)
-TWO_LEVELS = Shape("random binary steps", _BITS, _two_levels)
+STEPS = Shape("steps", SETTINGS.levels, _steps)
+TWO_LEVELS = Shape("random binary steps", SETTINGS.bits, _two_levels)
 DOUBLET = Shape("doublets (3-2-1-1)", 3, _doublet)
 MULTISINE = Shape("multisine", 2 * len(_HARMONICS), _multisine)
 CHIRP = Shape("chirp", 2, _chirp)
 REVERSAL = Shape("reversals", 3, _reversal)
-COAST = Shape("pulses and coast-downs", _PULSES + 1, _coast)
+COAST = Shape("pulses and coast-downs", SETTINGS.pulses + 1, _coast)
 SWEEP = Shape("slow sweeps", 2, _sweep)
 STEADY = Shape("steady", 1, _steady)
 SHAPES = (STEPS, TWO_LEVELS, DOUBLET, MULTISINE, CHIRP, REVERSAL, COAST, SWEEP)
-
-
-# A pure motion counts as possible when what is left of the wrench is this share of it.
-_PURE = 1e-6
-_TRIM_ROUNDS = 8
-# Share of the limit of an actuator that balancing the weight may take.
-_TRIM_SHARE = 0.95
-_VERTICAL = ("heave", "roll", "pitch")
 
 
 @dataclass(frozen=True)
@@ -121,15 +127,6 @@ class Axis:
 
     name: str  # a degree of freedom, or a command
     pattern: Array  # (k,) commands at full deflection
-
-
-def allocation(vehicle: Vehicle) -> Array:
-    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
-    rows = list(vehicle.dof_indices)
-    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
-    for channel in vehicle.force_channels:
-        columns.append(np.eye(6)["XYZKMN".index(channel[-1])][rows])
-    return np.array(columns).T.reshape(len(rows), -1)
 
 
 def motion_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
@@ -151,7 +148,7 @@ def _alone(table: Array, scale: Array, i: int) -> Array | None:
     scaled = table[rows] / scale[rows, None]
     target = (rows == i).astype(float)
     pattern = np.linalg.lstsq(scaled, target, rcond=1e-9)[0]
-    if np.linalg.norm(scaled @ pattern - target) > _PURE:
+    if np.linalg.norm(scaled @ pattern - target) > SETTINGS.pure:
         return None
     pattern[np.abs(pattern) < 1e-9 * np.max(np.abs(pattern))] = 0.0
     return np.asarray(pattern / np.max(np.abs(pattern)))
@@ -176,17 +173,17 @@ class Trim:
 def trim(functions: Functions, limits: Array, depth: float = 0.0) -> Trim:
     """Balance heave, roll and pitch at rest and level, without pushing any other way."""
     vehicle = functions.vehicle
-    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in _VERTICAL]
+    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in ("heave", "roll", "pitch")]
     commands = np.zeros(len(limits))
     if not rows or not len(limits):
         return Trim(commands, {})
     at_rest, table = _at_rest(functions, depth), allocation(vehicle)
     size = np.maximum(np.abs(table) @ limits, 1e-12)
     scaled = table * limits / size[:, None]
-    for _ in range(_TRIM_ROUNDS):
+    for _ in range(SETTINGS.trim_rounds):
         wanted = np.zeros(len(table))
         wanted[rows] = (table @ commands - at_rest(commands))[rows] / size[rows]
-        commands = lsq_linear(scaled, wanted, (-_TRIM_SHARE, _TRIM_SHARE)).x * limits
+        commands = lsq_linear(scaled, wanted, (-SETTINGS.trim_share, SETTINGS.trim_share)).x * limits
     commands[np.abs(commands) < 1e-6 * limits] = 0.0
     rest = at_rest(commands)
     free = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > 1e-3 * size[i]}
@@ -204,12 +201,6 @@ def _at_rest(functions: Functions, depth: float) -> Callable[[Array], Array]:
     state = ca.vertcat(ca.DM(motion), f.rest(u, p, 0.0))
     force = ca.Function("force", [u], [f.residual_function(state, np.zeros(f.nu.numel()), u, p, 0.0)])
     return lambda commands: np.array(force(commands)).ravel()
-
-
-_ENDS = 2.0
-_SHARE_OF_ENDS = 0.1
-_AHEAD = ("surge",)
-_TURN = ("yaw",)
 
 
 @dataclass(frozen=True)
@@ -250,7 +241,7 @@ class Family:
 
 def _ends(t: Array, duration: float) -> Array:
     """From 0 to 1 and back to 0 without a jump."""
-    length = min(_ENDS, _SHARE_OF_ENDS * duration)
+    length = min(SETTINGS.ends, SETTINGS.share_of_ends * duration)
     nearest = np.clip(np.minimum(t, t[-1] - t) / length, 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * nearest))
 
@@ -290,8 +281,8 @@ def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
 
 def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:
     """Circles and zigzags, for what can go ahead and turn."""
-    ahead = next((i for i, a in enumerate(axes) if a.name in _AHEAD), None)
-    turn = next((i for i, a in enumerate(axes) if a.name in _TURN), None)
+    ahead = next((i for i, a in enumerate(axes) if a.name == "surge"), None)
+    turn = next((i for i, a in enumerate(axes) if a.name == "yaw"), None)
     if ahead is None or turn is None:
         return
     pair = (axes[ahead], axes[turn])
@@ -303,9 +294,6 @@ def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-_EVERY = ""
 
 
 @dataclass(frozen=True)
@@ -342,7 +330,7 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
     The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
     for name, value in asked.items():
-        if name not in (_EVERY, *vehicle.command_names):
+        if name not in ("", *vehicle.command_names):
             have = ", ".join(vehicle.command_names)
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
         if not (value > 0 and np.isfinite(value)):
@@ -355,13 +343,13 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
 def _limit(
     name: str, asked: Mapping[str, float], stated: float | None, runs: Sequence[Run]
 ) -> tuple[float, str]:
-    wish = asked.get(name, asked.get(_EVERY))
-    if wish is not None and stated is not None and wish > stated:
+    given = asked.get(name, asked.get(""))
+    if given is not None and stated is not None and given > stated:
         raise UndertowError(
-            f"--limit {wish:g} for '{name}' is above its limit in the vehicle file, {stated:g}"
+            f"--limit {given:g} for '{name}' is above its limit in the vehicle file, {stated:g}"
         )
-    if wish is not None:
-        return wish, "asked for"
+    if given is not None:
+        return given, "asked for"
     if stated is not None:
         return stated, "vehicle file"
     largest = [float(np.nanmax(np.abs(r.channels[name]))) for r in runs if r.has(name)]

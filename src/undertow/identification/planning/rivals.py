@@ -14,6 +14,7 @@ from undertow.errors import UndertowError
 from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, settled
@@ -22,7 +23,7 @@ from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .manoeuvres import MULTISINE, Design, allocation
+from .manoeuvres import MULTISINE, Design
 from .problem import Knowledge, Manoeuvre, PlanningProblem, Plant, knowledge_of, stated
 
 
