@@ -19,7 +19,7 @@ from tests.quick import first_quick, quick_if
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Edit, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import halfway, wrapped_angles
+from undertow.identification.doctor.mistakes import angles_across_jumps, wrapped_angles
 from undertow.identification.doctor.sensors import inconsistent
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -162,8 +162,9 @@ def test_an_angle_that_jumps_is_unwrapped() -> None:
     t = np.arange(0.0, 30.0, 0.05)
     phi = 0.4 * t
     run = Run("roll", t, {"phi": np.angle(np.exp(1j * phi)), "theta": 0.1 * phi})
-    ((mistake, count),) = wrapped_angles([run])
-    assert count == 2
+    (found,) = wrapped_angles([run])
+    mistake = found.mistake
+    assert found.evidence == {"times": 2.0}
     assert mistake.edits(LogMapping()) == (Edit("columns", "phi", {"channel": "phi", "wrapped": True}),)
     np.testing.assert_allclose(mistake.undo(run).channels["phi"], phi)
 
@@ -173,7 +174,7 @@ def test_an_angle_that_was_averaged_across_its_jump() -> None:
     psi = np.angle(np.exp(0.4j * t))
     jumps = np.flatnonzero(np.abs(np.diff(psi)) > 6)
     psi[jumps] = 0.1
-    (found,) = halfway([Run("yaw", t, {"psi": psi})])
+    (found,) = angles_across_jumps([Run("yaw", t, {"psi": psi})])
     assert found.severity == "warning"
     assert f"psi takes a whole turn in two samples, {len(jumps)} times" in found.text
 

@@ -77,10 +77,10 @@ def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     tilted = {"phi": 3.0 * np.sin(t), "theta": 6.0 * np.cos(t), "psi": 20.0 * np.sin(0.1 * t)}
     found = in_degrees([Run("tilted", t, tilted)], LogMapping(), POSE)
     assert found is not None
-    assert "phi, theta" in found.told
-    assert "theta reaches 6 in the log" in found.told
+    assert "phi, theta" in found.text
+    assert "theta reaches 6 in the log" in found.text
     np.testing.assert_allclose(
-        found.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
+        found.mistake.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
     )
     # Level, and rolling on and on like a spent torpedo: radians both.
     level = {n: 0.05 * a for n, a in tilted.items()}

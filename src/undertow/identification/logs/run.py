@@ -183,7 +183,7 @@ class Run:
         starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
         return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
 
-    def noted(self, *notes: str) -> Run:
+    def with_notes(self, *notes: str) -> Run:
         """Return the run with lines added to its notes."""
         return replace(self, notes=(*self.notes, *notes))
 
@@ -193,6 +193,13 @@ def _shown(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
     there = data[np.isfinite(data)]
     span = tuple(float(x) for x in (there.min(), there.mean(), there.max())) if len(there) else (None,) * 3
     return name, UNITS.get(name, ""), len(there), *span
+
+
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle without jumps by turns; missing samples stay missing."""
+    result, there = angle.copy(), np.isfinite(angle)
+    result[there] = np.unwrap(angle[there])
+    return result
 
 
 def _frozen(data: object) -> NDArray[np.float64]:
