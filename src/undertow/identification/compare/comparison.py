@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 from scipy.special import chdtrc
 
@@ -20,7 +19,7 @@ from undertow.identification.estimation.windows import Prediction, cut, predicti
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags, Progress
+from undertow.typing import Array, Flags, Index, Progress
 from undertow.version import __version__
 
 from .forces import Forces, residual_forces
@@ -142,24 +141,12 @@ _CLEAR = 3.0
 
 @dataclass(frozen=True)
 class Regime:
-    """One part of the logs.
+    """One part of the logs."""
 
-    Attributes
-    ----------
-    group : str
-        What it is one part of: speed, reversal, turning, depth, thrust, commands, time.
-    name : str
-        Its name.
-    phrase : str
-        How a sentence names it: "when turning".
-    inside : (K, n) array of bool
-        Test functions that belong to it, for each degree of freedom.
-    """
-
-    group: str
+    group: str  # What it is one part of: speed, reversal, turning, depth, thrust, commands, time
     name: str
-    phrase: str
-    inside: Flags
+    phrase: str  # How a sentence names it: "when turning"
+    inside: Flags  # (K, n) test functions that belong to it, for each degree of freedom
 
 
 def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
@@ -275,27 +262,15 @@ CORRELATED = 2.1
 
 @dataclass(frozen=True)
 class Profile:
-    """Mean residual force over bins of one variable.
+    """Mean residual force over bins of one variable."""
 
-    Attributes
-    ----------
-    degree_of_freedom, variable, unit : str
-        What is plotted against what; `unit` is the variable's.
-    centre : (bins,) array
-        Mean of the variable in each bin.
-    force, error : (bins,) array
-        Mean residual force and its standard error, N or N m.
-    count : (bins,) array
-        Test functions in each bin.
-    """
-
-    degree_of_freedom: str
+    degree_of_freedom: str  # What is plotted against what; `unit` is the variable's
     variable: str
     unit: str
-    centre: Array
-    force: Array
+    centre: Array  # (bins,) mean of the variable in each bin
+    force: Array  # (bins,) mean residual force and its standard error, N or N m
     error: Array
-    count: NDArray[np.intp]
+    count: Index  # (bins,) test functions in each bin
 
 
 def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -> list[Profile]:
@@ -367,28 +342,14 @@ _COMPARISON_CLEAR = 4.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison with what its pictures are drawn from.
-
-    Attributes
-    ----------
-    result : ComparisonResult
-        Numbers and words.
-    vehicle : Vehicle
-        The model.
-    ahead, free_run : Prediction
-        Predictions over the horizon, and over whole stretches without gaps.
-    forces : Forces
-        Force that the model lacks, along the logs.
-    profiles : list of Profile
-        The same against every variable.
-    """
+    """A comparison with what its pictures are drawn from."""
 
     result: ComparisonResult
     vehicle: Vehicle
-    ahead: Prediction
+    ahead: Prediction  # Predictions over the horizon, and over whole stretches without gaps
     free_run: Prediction
-    forces: Forces
-    profiles: list[Profile]
+    forces: Forces  # Force that the model lacks, along the logs
+    profiles: list[Profile]  # The same against every variable
 
     def to_json(self) -> str:
         """The result as JSON."""
@@ -600,24 +561,14 @@ LAGS = 20
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Autocorrelation of a series and the test of Ljung and Box (1978) on it.
+    """Autocorrelation of a series and the test of Ljung and Box (1978) on it."""
 
-    Attributes
-    ----------
-    autocorrelation : (lags,) array
-        At lags 1, 2 ...
-    statistic : float
-        Q = n (n + 2) sum of autocorrelation^2 / (n - lag).
-    p_value : float
-        Chance of a Q at least as large if the series is white.
-    """
-
-    autocorrelation: Array
-    statistic: float
-    p_value: float
+    autocorrelation: Array  # (lags,) at lags 1, 2, ...
+    statistic: float  # Q = n (n + 2) sum of autocorrelation^2 / (n - lag)
+    p_value: float  # Chance of a Q at least as large if the series is white
 
 
-def whiteness(r: Array, segment: NDArray[np.intp], lags: int = LAGS) -> Whiteness:
+def whiteness(r: Array, segment: Index, lags: int = LAGS) -> Whiteness:
     """Test a series for whiteness; products never reach across a gap.
 
     Parameters
@@ -640,7 +591,7 @@ def whiteness(r: Array, segment: NDArray[np.intp], lags: int = LAGS) -> Whitenes
     return Whiteness(rho, q, float(chdtrc(lags, q)))
 
 
-def _product(r: Array, segment: NDArray[np.intp], lag: int) -> float:
+def _product(r: Array, segment: Index, lag: int) -> float:
     return float(np.sum((r[lag:] * r[:-lag])[segment[lag:] == segment[:-lag]]))
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
 from undertow.codegen.functions import Functions
@@ -19,45 +18,24 @@ from undertow.identification.estimation.pointwise import Pointwise, mapped
 from undertow.identification.estimation.residual import Lateness, WeakModel, whitened
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Force that the motion needs and the model lacks, averaged with K test functions.
+    """Force that the motion needs and the model lacks, averaged with K test functions."""
 
-    Attributes
-    ----------
-    run : (K,) array of int
-        Run that a test function belongs to.
-    segment : (K,) array of int
-        Stretch without gaps that it belongs to.
-    t : (K,) array
-        Its middle, s.
-    missing : (K, n) array
-        Force to be added to the model, body axes, N and N m.
-    noise : (K, n) array
-        Standard deviation of `missing` from the noise of the channels alone.
-    whitened : (K, n) array
-        `missing` in units of its noise, free of the correlation that the noise brings in.
-    pose, velocity : (K, n) array
-        Measured motion, averaged likewise.
-    commands : (K, n_commands) array
-        Commands, averaged likewise.
-    wrenches : dict of (K, n) arrays
-        Force of every effect along the measured motion, by effect id, N and N m.
-    """
-
-    run: NDArray[np.intp]
-    segment: NDArray[np.intp]
-    t: Array
-    missing: Array
-    noise: Array
+    run: Index  # (K,) run that a test function belongs to
+    segment: Index  # (K,) stretch without gaps that it belongs to
+    t: Array  # (K,) its middle, s
+    missing: Array  # (K, n) force to be added to the model, body axes, N and N m
+    noise: Array  # (K, n) standard deviation of `missing` from the noise of the channels alone
+    # (K, n) `missing` in units of its noise, free of the correlation that the noise brings in
     whitened: Array
-    pose: Array
+    pose: Array  # (K, n) measured motion, averaged likewise
     velocity: Array
-    commands: Array
-    wrenches: dict[str, Array]
+    commands: Array  # (K, n_commands) commands, averaged likewise
+    wrenches: dict[str, Array]  # Force of every effect along the measured motion, by effect id, N and N m
 
     def __len__(self) -> int:
         return len(self.t)

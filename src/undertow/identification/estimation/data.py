@@ -10,14 +10,13 @@ from itertools import count
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 from .test_functions import (
     Entries,
@@ -194,7 +193,7 @@ def white_noise(t: Array, y: Array) -> float:
     return next((f for f in known if f <= clearly * min(known)), 0.0)
 
 
-def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
+def _by_difference(y: Array, even: Flags, order: int) -> float:
     difference = np.diff(y, n=order)
     usable = np.convolve(even, np.ones(order), mode="valid") > order - 0.5
     kept = difference[usable & np.isfinite(difference)]
@@ -381,33 +380,15 @@ DOUBT = 30.0
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a run without gaps.
+    """A stretch of a run without gaps."""
 
-    Attributes
-    ----------
-    run : int
-        Place of the run among the runs.
-    first : int
-        Index of the first sample in the run.
-    t : (N,) array
-        Time, s.
-    measured : (N, 2n) array
-        Pose and velocity of the degrees of freedom; pose that the log lacks is zero.
-    u : (N, n_commands) array
-        Commands.
-    functions : TestFunctions
-        Test functions on the segment.
-    doubted : (N, 2n) array of bool or None
-        Samples that count as hardly known.
-    """
-
-    run: int
-    first: int
-    t: Array
-    measured: Array
-    u: Array
-    functions: TestFunctions
-    doubted: NDArray[np.bool_] | None = None
+    run: int  # Place of the run among the runs
+    first: int  # Index of the first sample in the run
+    t: Array  # (N,) time, s
+    measured: Array  # (N, 2n) pose and velocity of the degrees of freedom; pose that the log lacks is zero
+    u: Array  # (N, n_commands) commands
+    functions: TestFunctions  # Test functions on the segment
+    doubted: Flags | None = None  # (N, 2n) samples that count as hardly known
 
     @property
     def samples(self) -> slice:
@@ -422,30 +403,14 @@ class Segment:
 
 @dataclass(frozen=True)
 class WeakData:
-    """Runs prepared for a vehicle's degrees of freedom and commands.
-
-    Attributes
-    ----------
-    runs : tuple of Run
-        The logs.
-    segments : tuple of Segment
-        Their usable stretches.
-    sigma : (2n,) array
-        Noise of the channels, in their units.
-    rows : tuple of int
-        Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1).
-    names : tuple of str
-        Names of the 2n channels.
-    commands : tuple of str
-        Names of the command columns.
-    """
+    """Runs prepared for a vehicle's degrees of freedom and commands."""
 
     runs: tuple[Run, ...]
-    segments: tuple[Segment, ...]
-    sigma: Array
-    rows: tuple[int, ...]
-    names: tuple[str, ...]
-    commands: tuple[str, ...]
+    segments: tuple[Segment, ...]  # Their usable stretches
+    sigma: Array  # (2n,) noise of the channels, in their units
+    rows: tuple[int, ...]  # Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1)
+    names: tuple[str, ...]  # Names of the 2n channels
+    commands: tuple[str, ...]  # Names of the command columns
 
     @cached_property
     def derived(self) -> tuple[int, ...]:
@@ -460,7 +425,7 @@ class WeakData:
         return len(self.derived) == len(self.names) // 2
 
     @cached_property
-    def equation(self) -> NDArray[np.intp]:
+    def equation(self) -> Index:
         """Equation of every residual entry."""
         return np.concatenate([np.tile(self.rows, s.functions.count) for s in self.segments])
 
@@ -470,7 +435,7 @@ class WeakData:
         return np.concatenate([np.repeat(s.functions.centre, len(self.rows)) for s in self.segments])
 
     @cached_property
-    def run_of(self) -> NDArray[np.intp]:
+    def run_of(self) -> Index:
         """Run of every residual entry."""
         return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
 
@@ -481,7 +446,7 @@ class WeakData:
         return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
 
     @cached_property
-    def block(self) -> NDArray[np.intp]:
+    def block(self) -> Index:
         """Number of the time block that every residual entry belongs to; blocks never span two runs."""
         seconds = self.block_seconds
         start = np.array([r.t[0] for r in self.runs])[self.run_of]

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .residual import WeakModel
 from .step import at_bounds, inverse_of
@@ -23,15 +22,9 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Combination:
-    """A sum of parameters that the data determine.
+    """A sum of parameters that the data determine."""
 
-    Attributes
-    ----------
-    coefficients : dict of float
-        Factor of each parameter in it; one for the first.
-    """
-
-    coefficients: dict[str, float]
+    coefficients: dict[str, float]  # Factor of each parameter in it; one for the first
 
     def __str__(self) -> str:
         (first, _), *others = self.coefficients.items()
@@ -97,7 +90,7 @@ def base_parameters(gram: Array, free: Sequence[str], nothing: float = NOTHING) 
     return found
 
 
-def _directions(gram: Array, nothing: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _directions(gram: Array, nothing: float) -> tuple[Array, Array, Flags]:
     """Scale of the parameters, eigenvectors of the scaled information, and which of them are not seen."""
     size = np.sqrt(np.diag(gram))
     scale = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 1.0)

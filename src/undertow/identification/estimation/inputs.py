@@ -189,33 +189,18 @@ def _accumulated(function: ca.Function, count: int) -> ca.Function:
 
 @dataclass(frozen=True)
 class Driven:
-    """A driven signal with its derivative in the free parameters.
+    """A driven signal with its derivative in the free parameters."""
 
-    Attributes
-    ----------
-    value : (N, k) array
-        Value at each sample, or mean over the interval that follows it.
-    slope : (N, k, n_free) array
-        Its derivative.
-    start : (N, k, n_states) array
-        Its derivative in the states that it started from, which no log tells.
-    """
-
-    value: Array
-    slope: Array
-    start: Array
+    value: Array  # (N, k) value at each sample, or mean over the interval that follows it
+    slope: Array  # (N, k, n_free) its derivative
+    start: Array  # (N, k, n_states) its derivative in the states that it started from, which no log tells
 
 
 @dataclass(frozen=True)
 class Actuated(Driven):
-    """Actuation along a log.
+    """Actuation along a log."""
 
-    Attributes
-    ----------
-    before : Driven
-        What it was before it changed at each sample; the same where it follows the commands without jumps.
-    """
-
+    # What it was before it changed at each sample; the same where it follows the commands without jumps
     before: Driven
 
     @classmethod

@@ -33,33 +33,17 @@ _DAMPING = (1e-3, 1e-9, 1e9)
 
 @dataclass(frozen=True)
 class OutputErrorFit(Solution):
-    """A model fitted to logs by its simulation error.
+    """A model fitted to logs by its simulation error."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    windows : Windows
-        What was simulated.
-    starts : (b, 2n) array
-        Estimated true pose and velocity at the start of every window.
-    at : Reduced
-        Linearised problem at p.
-    dispersion : (2n,) array
-        Mean square of the simulation error over the noise that a channel was weighted with, at least 1.
-    iterations : int
-        Steps taken in all.
-    """
-
-    model: WeakModel
-    p: Array
-    windows: Windows
-    starts: Array
-    at: Reduced
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
+    windows: Windows  # What was simulated
+    starts: Array  # (b, 2n) estimated true pose and velocity at the start of every window
+    at: Reduced  # Linearised problem at p
+    # (2n,) mean square of the simulation error over the noise that a channel was weighted with, at
+    # least 1
     dispersion: Array
-    iterations: int
+    iterations: int  # Steps taken in all
 
     @property
     def gram(self) -> Array:
@@ -97,24 +81,12 @@ class OutputErrorFit(Solution):
 
 @dataclass(frozen=True)
 class State:
-    """Where a descent has come to.
+    """Where a descent has come to."""
 
-    Attributes
-    ----------
-    p : (n_parameters,) array
-        All parameters.
-    starts : (b, 2n) array
-        True pose and velocity at the start of every window.
-    at : Reduced
-        Linearised problem there.
-    damping : float
-        Of the next step.
-    """
-
-    p: Array
-    starts: Array
-    at: Reduced
-    damping: float
+    p: Array  # (n_parameters,) all parameters
+    starts: Array  # (b, 2n) true pose and velocity at the start of every window
+    at: Reduced  # Linearised problem there
+    damping: float  # Of the next step
 
 
 class Descent:
@@ -299,18 +271,10 @@ _GAUSSIAN_MAD = 1.4826
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss by what iterated reweighting needs of it.
+    """A loss by what iterated reweighting needs of it."""
 
-    Attributes
-    ----------
-    weight : callable
-        Weight of an error z in standard deviations: influence over error.
-    slope : callable
-        Derivative of the influence.
-    """
-
-    weight: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
+    weight: Callable[[Array], Array]  # Weight of an error z in standard deviations: influence over error
+    slope: Callable[[Array], Array]  # Derivative of the influence
 
     def correction(self, z: Array) -> tuple[float, float]:
         """What the covariance of weighted least squares lacks for errors such as z.

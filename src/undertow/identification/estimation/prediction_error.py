@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Progress
+from undertow.typing import Array, Flags, Index, Progress
 
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
@@ -38,26 +37,15 @@ class LinearWindows:
     """All windows linearised at parameters p and starts, k samples of 2n channels each.
 
     The state of a window is its start, pose and velocity, and a slow disturbance of the n accelerations: 3n.
-
-    Attributes
-    ----------
-    error : (b, k, 2n, 1 + n_free) array
-        Simulation error, and its derivatives in the free parameters.
-    by_start : (b, k, 2n, 3n) array
-        Its derivative in the state.
-    used : (b, k, 2n) array of bool
-        What is measured; a sample that two windows share counts once.
-    defect : (b, 3n, 1 + n_free) array
-        How far the end of a window is from the start of the next, and its derivatives in the parameters.
-    by_end : (b, 3n, 3n) array
-        Derivative of the end in the state.
     """
 
-    error: Array
-    by_start: Array
-    used: NDArray[np.bool_]
+    error: Array  # (b, k, 2n, 1 + n_free) simulation error, and its derivatives in the free parameters
+    by_start: Array  # (b, k, 2n, 3n) its derivative in the state
+    used: Flags  # (b, k, 2n) what is measured; a sample that two windows share counts once
+    # (b, 3n, 1 + n_free) how far the end of a window is from the start of the next, and its
+    # derivatives in the parameters
     defect: Array
-    by_end: Array
+    by_end: Array  # (b, 3n, 3n) derivative of the end in the state
 
 
 class Chained:
@@ -147,13 +135,13 @@ def _pushed(by_start: Array, since: Array) -> Array:
     return np.asarray((by_velocity + by_velocity[:, :1]) / 2 * since[:, :, None, None])
 
 
-def _last(windows: Windows) -> NDArray[np.bool_]:
+def _last(windows: Windows) -> Flags:
     following = windows.first + windows.count - 1
     goes_on = (windows.run[1:] == windows.run[:-1]) & (windows.first[1:] == following[:-1])
     return np.append(~(goes_on & (windows.segment[1:] == windows.segment[:-1])), True)
 
 
-def _counted_once(windows: Windows, last: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _counted_once(windows: Windows, last: Flags) -> Flags:
     """Measured samples of every window, its last one only where no window goes on from there."""
     steps = np.arange(windows.t.shape[1])
     own = steps < (windows.count - 1 + last)[:, None]
@@ -162,49 +150,32 @@ def _counted_once(windows: Windows, last: NDArray[np.bool_]) -> NDArray[np.bool_
 
 @dataclass(frozen=True)
 class Noise:
-    """What is random in the model.
+    """What is random in the model."""
 
-    Attributes
-    ----------
-    variance : (2n,) array
-        Of the noise of the channels, in the square of their units.
-    intensity : (3n,) array
-        Of what changes each state beside the model, its square per second: zero for a pose, the strength of
-        the white disturbance of an acceleration for a velocity, the wander of its slow part at last.
-    vague : (3n,) array
-        Standard deviation of the state at the start of a stretch before anything is measured.
-    """
-
-    variance: Array
+    variance: Array  # (2n,) of the noise of the channels, in the square of their units
+    # (3n,) of what changes each state beside the model, its square per second: zero for a pose, the
+    # strength of the white disturbance of an acceleration for a velocity, the wander of its slow part
+    # at last
     intensity: Array
+    # (3n,) standard deviation of the state at the start of a stretch before anything is measured
     vague: Array
 
 
 @dataclass(frozen=True)
 class Filtered:
-    """What a pass leaves.
+    """What a pass leaves."""
 
-    Attributes
-    ----------
-    table : (m, 1 + n_free) array
-        Whitened innovations with their derivatives.
-    window, channel : (m,) array
-        Where each of them is from.
-    log_determinant : float
-        Sum of the logarithms of the innovations' variances.
-    predicted, seen : list of (array, array)
-        State (3n, 1 + n_free) and its covariance, before and after each window's samples are seen.
-    """
-
-    table: Array
-    window: NDArray[np.intp]
-    channel: NDArray[np.intp]
-    log_determinant: float
+    table: Array  # (m, 1 + n_free) whitened innovations with their derivatives
+    window: Index  # (m,) where each of them is from
+    channel: Index
+    log_determinant: float  # Sum of the logarithms of the innovations' variances
+    # list of (array, array): State (3n, 1 + n_free) and its covariance, before and after each window's
+    # samples are seen
     predicted: list[tuple[Array, Array]]
     seen: list[tuple[Array, Array]]
 
 
-def filtered(linear: LinearWindows, last: NDArray[np.bool_], seconds: Array, noise: Noise) -> Filtered:
+def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -> Filtered:
     """One pass over all windows in order of time.
 
     Parameters
@@ -254,26 +225,17 @@ def _symmetric(matrix: Array) -> Array:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The motion given all that is measured, and the noise that explains it.
+    """The motion given all that is measured, and the noise that explains it."""
 
-    Attributes
-    ----------
-    motion : (b, 3n, 1 + n_free) array
-        Change of every state, and its derivative in the free parameters.
-    disturbance : (3n, 2) array
-        Sum of the squared disturbances over their length, and how many of them the data tell, by state.
-    errors : (2n, 2) array
-        Sum of the squared errors of the channels, and how many are left to tell their noise.
-    """
-
-    motion: Array
+    motion: Array  # (b, 3n, 1 + n_free) change of every state, and its derivative in the free parameters
+    # (3n, 2) sum of the squared disturbances over their length, and how many of them the data tell, by
+    # state
     disturbance: Array
+    # (2n, 2) sum of the squared errors of the channels, and how many are left to tell their noise
     errors: Array
 
 
-def smoothed(
-    linear: LinearWindows, last: NDArray[np.bool_], seconds: Array, noise: Noise, passed: Filtered
-) -> Smoothed:
+def smoothed(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, passed: Filtered) -> Smoothed:
     """The way back, from the last window to the first (Rauch, Tung and Striebel)."""
     count, size, columns = linear.defect.shape
     motion = np.zeros((count, size, columns))
@@ -331,36 +293,16 @@ _PLAIN = Constraints()
 
 @dataclass(frozen=True)
 class PredictionErrorFit(Solution):
-    """A model fitted to logs by its innovations.
+    """A model fitted to logs by its innovations."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    windows : Windows
-        What was simulated.
-    starts : (b, 2n) array
-        Estimated true pose and velocity at the start of every window.
-    passed : Filtered
-        Whitened innovations at p, with their derivatives.
-    quiet : Filtered
-        The same without a disturbance.
-    noise : Noise
-        Estimated noise of the channels, and strength of the disturbance.
-    iterations : int
-        Steps taken.
-    """
-
-    model: WeakModel
-    p: Array
-    windows: Windows
-    starts: Array
-    passed: Filtered
-    quiet: Filtered
-    noise: Noise
-    iterations: int
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
+    windows: Windows  # What was simulated
+    starts: Array  # (b, 2n) estimated true pose and velocity at the start of every window
+    passed: Filtered  # Whitened innovations at p, with their derivatives
+    quiet: Filtered  # The same without a disturbance
+    noise: Noise  # Estimated noise of the channels, and strength of the disturbance
+    iterations: int  # Steps taken
 
     @property
     def gram(self) -> Array:

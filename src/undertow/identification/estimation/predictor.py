@@ -8,7 +8,6 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
@@ -416,7 +415,7 @@ def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Arr
     return late
 
 
-def _places(t: Array, when: Array) -> tuple[NDArray[np.intp], Array]:
+def _places(t: Array, when: Array) -> tuple[Index, Array]:
     """Interval of each row of t that an instant lies in, and the share of it that is over."""
     last = t.shape[1] - 2
     pairs = zip(t, when, strict=True)

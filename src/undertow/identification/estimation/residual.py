@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 from .data import DOUBT, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuated, ActuatorStates, Driven, Memory, without_gaps
@@ -184,27 +183,14 @@ _MOST_DIRECTIONS = 240
 
 @dataclass(frozen=True)
 class Linearised:
-    """A residual and its derivatives.
+    """A residual and its derivatives."""
 
-    Attributes
-    ----------
-    r : (m,) array
-        Residual.
-    J : (m, n_free) array
-        Derivative in the free parameters.
-    start : (m, n_states) array
-        Derivative in the effects' own states at the start of the segment.
-    known : int, optional
-        Rows from here on need what was not measured yet when the segment ended, and count for nothing.
-    unknown : int
-        How many of the last columns of `start` stand for a row each of which nothing is known.
-    """
-
-    r: Array
-    J: Array
-    start: Array
+    r: Array  # (m,) residual
+    J: Array  # (m, n_free) derivative in the free parameters
+    start: Array  # (m, n_states) derivative in the effects' own states at the start of the segment
+    # Rows from here on need what was not measured yet when the segment ended, and count for nothing
     known: int | None = None
-    unknown: int = 0
+    unknown: int = 0  # How many of the last columns of `start` stand for a row each of which nothing is known
 
 
 class _At(NamedTuple):
@@ -454,7 +440,7 @@ def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
     return replace(segment, measured=measured, doubted=doubted) if doubted.any() else segment
 
 
-def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, NDArray[np.bool_]]:
+def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
     """A signal with its spikes replaced by what their neighbours say, and where they were.
 
     Parameters
@@ -480,7 +466,7 @@ def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, NDArray[np.bool_]
     return clean, spike
 
 
-def _neighbours(t: Array) -> tuple[NDArray[np.intp], Array]:
+def _neighbours(t: Array) -> tuple[Index, Array]:
     """The samples beside each one without itself, and the weights of the cubic through them there."""
     count, width = len(t), 2 * _SPIKES_REACH + 1
     first = np.clip(np.arange(count) - _SPIKES_REACH, 0, count - width)

@@ -8,11 +8,10 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.codegen.gauss_newton import Products, products_of
-from undertow.typing import Array
+from undertow.typing import Array, Flags, Integers
 
 from .pointwise import mapped
 from .predictor import Predictor, reported_late
@@ -24,31 +23,19 @@ _HOLD = 1e-12
 
 @dataclass(frozen=True)
 class Reduced:
-    """The linearised problem of all windows with their starts eliminated.
+    """The linearised problem of all windows with their starts eliminated."""
 
-    Attributes
-    ----------
-    r : (m,) array
-        What is left of the residual, m = n_free + 1: the square of its norm is the cost at the best starts.
-    J : (m, n_free) array
-        Its derivative in the free parameters.
-    cost : float
-        Sum of squares at the present starts; inf if a simulation diverged.
-    squares, counts : (2n,) array
-        Sum of squares by channel, and number of samples in it.
-    scores : (groups, n_free) array
-        J' r of groups of residuals that count as independent: windows, or parts of long ones.
-    start_step, start_slope : (b, k) and (b, k, n_free) array
-        Best change of every start, and its derivative in the parameters.
-    """
-
+    # (m,) what is left of the residual, m = n_free + 1: the square of its norm is the cost at the best
+    # starts
     r: Array
-    J: Array
-    cost: float
-    squares: Array
+    J: Array  # (m, n_free) its derivative in the free parameters
+    cost: float  # Sum of squares at the present starts; inf if a simulation diverged
+    squares: Array  # (2n,) sum of squares by channel, and number of samples in it
     counts: Array
+    # (groups, n_free) J' r of groups of residuals that count as independent: windows, or parts of long
+    # ones
     scores: Array
-    start_step: Array
+    start_step: Array  # (b, k) best change of every start, and its derivative in the parameters
     start_slope: Array
 
 
@@ -284,7 +271,7 @@ class Shooting:
         return np.where(self.used, (reported - self.windows.measured) * self.weight, np.nan)
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Flags:
         """Which samples of which channels count, shape (b, k, 2n)."""
         return np.isfinite(self.windows.measured) & (self.weight > 0)
 
@@ -368,7 +355,7 @@ class Shooting:
         """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
         return np.where(self.used[rows], self._weights(rows), 0.0)
 
-    def _groups(self, t: Array) -> NDArray[np.int64]:
+    def _groups(self, t: Array) -> Integers:
         """Part of its window that a sample belongs to, shape (b, k); parts count as independent."""
         parts = np.floor((t - t[:, :1]) / self._block)
         return np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0)).astype(np.int64)

@@ -292,18 +292,11 @@ _EQUALITY = re.compile(rf"\s*(\w+)\s*=\s*(?:({_NUMBER})(?:\s*\*\s*|\s+))?([A-Za-
 
 @dataclass(frozen=True)
 class Constraints:
-    """Demands on the parameters of a fit. That its mass matrix is positive is asked for in any case.
+    """Demands on the parameters of a fit. That its mass matrix is positive is asked for in any case."""
 
-    Attributes
-    ----------
-    equal : mapping
-        Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs.
-    dissipative : bool
-        Whether linear damping has to take energy from every motion, D + D' >= 0.
-    """
-
+    # Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs
     equal: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    dissipative: bool = False
+    dissipative: bool = False  # Whether linear damping has to take energy from every motion, D + D' >= 0
 
     def model(self, vehicle: Vehicle, free: Sequence[str]) -> WeakModel:
         """The model of a vehicle with its free parameters, without those that follow others.
@@ -443,18 +436,10 @@ def active(model: WeakModel, p: Array) -> list[str]:
 
 
 class Solution(ABC):
-    """Values of the free parameters of a model, found by least squares.
+    """Values of the free parameters of a model, found by least squares."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    """
-
-    model: WeakModel
-    p: Array
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
 
     @property
     @abstractmethod

@@ -25,21 +25,11 @@ from undertow.typing import Array, Index
 # --- the samples that a test function sees --------------------------------------------------------
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one width W for K test functions.
+    """Windows of one width W for K test functions."""
 
-    Attributes
-    ----------
-    first : (K,) array of int
-        First sample of each window; none begins before the one in front of it.
-    samples : int
-        Number of samples; a window may reach beyond the last one, with weights of zero.
-    weights : (kinds, K, W) array
-        Weights of every kind.
-    """
-
-    first: Index
-    samples: int
-    weights: Array
+    first: Index  # (K,) first sample of each window; none begins before the one in front of it
+    samples: int  # Number of samples; a window may reach beyond the last one, with weights of zero
+    weights: Array  # (kinds, K, W) weights of every kind
 
     @classmethod
     def of(cls, kinds: Sequence[csr_array]) -> Windows:
@@ -73,25 +63,15 @@ SAMPLES_PER_KNOT = 5
 
 @dataclass(frozen=True)
 class TestFunctions:
-    """Quadrature weights of K test functions phi over the N samples of a segment.
+    """Quadrature weights of K test functions phi over the N samples of a segment."""
 
-    Attributes
-    ----------
-    value : sparse (K, N)
-        Weights for the integral of phi times a smooth signal.
-    rate : sparse (K, N)
-        Weights for the integral of d(phi)/dt times a smooth signal.
-    held : sparse (K, N)
-        Integrals of phi over [t_i, t_i+1), for the mean of a signal over this interval; with `rate` they give
-        exactly zero for such a signal and its integral, whatever its jumps and the spacing of samples.
-    centre : (K,) array
-        Middle of each support, s.
-    """
-
-    value: csr_array
-    rate: csr_array
+    value: csr_array  # Weights for the integral of phi times a smooth signal
+    rate: csr_array  # Weights for the integral of d(phi)/dt times a smooth signal
+    # Integrals of phi over [t_i, t_i+1), for the mean of a signal over this interval; with `rate` they
+    # give exactly zero for such a signal and its integral, whatever its jumps and the spacing of
+    # samples
     held: csr_array
-    centre: Array
+    centre: Array  # (K,) middle of each support, s
 
     __test__ = False  # not a pytest class
 
@@ -282,22 +262,12 @@ def _trapezoid(t: Array) -> Array:
 
 @dataclass(frozen=True)
 class Entries:
-    """Entries of a matrix at N samples.
+    """Entries of a matrix at N samples."""
 
-    Attributes
-    ----------
-    row, column : (E,) array
-        Place of every entry; the same place may occur more than once, its entries add up.
-    data : (N, E) array
-        Values at the samples.
-    width : int
-        Columns of the whole matrix.
-    """
-
-    row: Index
+    row: Index  # (E,) place of every entry; the same place may occur more than once, its entries add up
     column: Index
-    data: Array
-    width: int
+    data: Array  # (N, E) values at the samples
+    width: int  # Columns of the whole matrix
 
     @classmethod
     def of(cls, data: Array, pattern: ca.Sparsity, first: int) -> Entries:

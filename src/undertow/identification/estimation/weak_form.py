@@ -93,33 +93,17 @@ _PLAIN = Constraints()
 
 @dataclass(frozen=True)
 class WeakFit(Solution):
-    """A model fitted to logs in the weak form.
+    """A model fitted to logs in the weak form."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    data : WeakData
-        What it was fitted to.
-    whitening : list of Whitening
-        Noise model that was used.
-    at : Linearised
-        Whitened residual and derivative at p.
-    disturbance : (2n,) array
-        Intensity of what the model leaves beyond the noise, for each equation, (m/s^2)^2 s and the like.
-    iterations : int
-        Gauss-Newton steps taken.
-    """
-
-    model: WeakModel
-    p: Array
-    data: WeakData
-    whitening: list[Whitening]
-    at: Linearised
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
+    data: WeakData  # What it was fitted to
+    whitening: list[Whitening]  # Noise model that was used
+    at: Linearised  # Whitened residual and derivative at p
+    # (2n,) intensity of what the model leaves beyond the noise, for each equation, (m/s^2)^2 s and the
+    # like
     disturbance: Array
-    iterations: int
+    iterations: int  # Gauss-Newton steps taken
 
     @cached_property
     def gram(self) -> Array:

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 from .data import around, channel_noise, local_polynomial
 
@@ -26,67 +26,42 @@ _LACKING = 0.1
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of several runs, side by side; those with fewer samples than others are padded.
-
-    Attributes
-    ----------
-    runs : tuple of Run
-        The logs.
-    horizon : float or None
-        Length of a window in s, of the longest where runs differ; None: as long as there is no gap.
-    names : tuple of str
-        Names of the 2n channels, pose then velocity of the degrees of freedom.
-    commands : tuple of str
-        Names of the command columns.
-    sigma : (2n,) array
-        Noise of the channels, in their units.
-    run : (b,) array of int
-        Run of every window.
-    first : (b,) array of int
-        Sample of the run at which a window starts.
-    segment : (b,) array of int
-        Sample of the run at which the stretch without gaps starts that a window lies in.
-    count : (b,) array of int
-        Samples of every window.
-    t : (b, k) array
-        Time, s; the padding repeats the last.
-    measured : (b, k, 2n) array
-        Pose and velocity as reported; NaN in the padding and for pose that the log lacks.
-    start : (b, 2n) array
-        Reported pose and velocity at the start, smoothed locally; zero for pose that the log lacks.
-    stretches : tuple of Stretch
-        Parts of the runs without gaps that the windows were cut from.
-    """
+    """Windows of several runs, side by side; those with fewer samples than others are padded."""
 
     runs: tuple[Run, ...]
+    # Length of a window in s, of the longest where runs differ; None: as long as there is no gap
     horizon: float | None
-    names: tuple[str, ...]
-    commands: tuple[str, ...]
-    sigma: Array
-    run: NDArray[np.intp]
-    first: NDArray[np.intp]
-    segment: NDArray[np.intp]
-    count: NDArray[np.intp]
-    t: Array
+    names: tuple[str, ...]  # Names of the 2n channels, pose then velocity of the degrees of freedom
+    commands: tuple[str, ...]  # Names of the command columns
+    sigma: Array  # (2n,) noise of the channels, in their units
+    run: Index  # (b,) run of every window
+    first: Index  # (b,) sample of the run at which a window starts
+    # (b,) sample of the run at which the stretch without gaps starts that a window lies in
+    segment: Index
+    count: Index  # (b,) samples of every window
+    t: Array  # (b, k) time, s; the padding repeats the last
+    # (b, k, 2n) pose and velocity as reported; NaN in the padding and for pose that the log lacks
     measured: Array
+    # (b, 2n) reported pose and velocity at the start, smoothed locally; zero for pose that the log
+    # lacks
     start: Array
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[Stretch, ...]  # Parts of the runs without gaps that the windows were cut from
 
     @property
-    def samples(self) -> NDArray[np.intp]:
+    def samples(self) -> Index:
         """Index in its run of every sample, shape (b, k); the padding repeats the last."""
         steps = np.minimum(np.arange(self.t.shape[1]), self.count[:, None] - 1)
         return self.first[:, None] + steps
 
     @property
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> Flags:
         """Which samples are no padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
     def __len__(self) -> int:
         return len(self.run)
 
-    def take(self, rows: NDArray[np.intp], most: int) -> Windows:
+    def take(self, rows: Index, most: int) -> Windows:
         """Some of the windows, each with its first `most` samples."""
         chosen = {name: getattr(self, name)[rows] for name in ("run", "first", "segment", "start")}
         kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
@@ -120,8 +95,8 @@ class Stretch:
     first: int
     t: Array
     measured: Array
-    starts: NDArray[np.intp]
-    stops: NDArray[np.intp]
+    starts: Index
+    stops: Index
 
     def smoothed(self, names: tuple[str, ...], sigma: Array, when: Array) -> Array:
         """Reported pose and velocity at some instants, smoothed locally, shape (k, 2n)."""
@@ -230,7 +205,7 @@ def _column(run: Run, name: str, piece: slice) -> Array:
     return np.unwrap(values) if name in _ANGLES else values
 
 
-def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[Index, Index]:
     """First sample, and one after the last sample, of every window; a window ends where the next starts."""
     if len(t) < _FEWEST:
         return _columns([])
@@ -249,7 +224,7 @@ def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[n
     return _columns(found)
 
 
-def _columns(pairs: list[tuple[int, int]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _columns(pairs: list[tuple[int, int]]) -> tuple[Index, Index]:
     table = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 
@@ -399,25 +374,14 @@ _TOGETHER = 1e-6
 
 @dataclass(frozen=True)
 class Drive:
-    """Commands of windows, side by side.
+    """Commands of windows, side by side."""
 
-    Attributes
-    ----------
-    u : (b, k, n_commands) array
-        Commands at work from each sample on.
-    t : (b, m) array
-        Instants from which on a command is held, s: the samples, and what arrives between them; the padding
-        repeats the last.
-    held : (b, m, n_commands) array
-        Commands at work from each instant on.
-    samples : (b, k) array of int, optional
-        Which instants are the samples; None: all are.
-    """
-
-    u: Array
+    u: Array  # (b, k, n_commands) commands at work from each sample on
+    # (b, m) instants from which on a command is held, s: the samples, and what arrives between them;
+    # the padding repeats the last
     t: Array
-    held: Array
-    samples: Index | None = None
+    held: Array  # (b, m, n_commands) commands at work from each instant on
+    samples: Index | None = None  # (b, k) which instants are the samples; None: all are
 
     @classmethod
     def at_once(cls, t: Array, u: Array) -> Drive:
@@ -501,17 +465,11 @@ def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model predicts over windows, beside what was measured.
+    """What a model predicts over windows, beside what was measured."""
 
-    Attributes
-    ----------
-    windows : Windows
-        The windows, with the measurement.
-    predicted : (b, k, 2n) array
-        Reported pose and velocity by the model; NaN in the padding and from where a simulation diverged.
-    """
-
-    windows: Windows
+    windows: Windows  # The windows, with the measurement
+    # (b, k, 2n) reported pose and velocity by the model; NaN in the padding and from where a
+    # simulation diverged
     predicted: Array
 
     @property
@@ -561,7 +519,7 @@ class Prediction:
         return {n: 100.0 * (1.0 - self.rms[n] / s) for n, s in size.items() if s > 0}
 
     @cached_property
-    def _there(self) -> NDArray[np.intp]:
+    def _there(self) -> Index:
         return np.flatnonzero(np.isfinite(self.windows.measured).any(axis=(0, 1)))
 
     def _by_channel(self, values: Array | float) -> dict[str, float]:
