@@ -150,17 +150,7 @@ class Regime:
 
 
 def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
-    """All regimes that the degrees of freedom and the commands of a vehicle let one tell apart.
-
-    Parameters
-    ----------
-    forces : Forces
-        Averages over test functions.
-    vehicle : Vehicle
-        Whose degrees of freedom are meant.
-    sigma : (2n,) array
-        Noise of pose and velocity.
-    """
+    """All regimes that the vehicle's degrees of freedom and commands distinguish; noise `sigma` (2n,)."""
     size = len(vehicle.dof_indices)
     parts = [_speeds, _reversal, _turning, _depths, _thrust, _commands, _thirds]
     found = [r for part in parts for r in part(forces, vehicle, sigma)]
@@ -274,17 +264,7 @@ class Profile:
 
 
 def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -> list[Profile]:
-    """Residual force of every degree of freedom against every variable that varies.
-
-    Parameters
-    ----------
-    forces : Forces
-        Averages over test functions.
-    vehicle : Vehicle
-        Whose degrees of freedom are meant.
-    measured_pose : tuple of str
-        Pose channels that the logs have.
-    """
+    """Residual force of every degree of freedom against every variable that varies."""
     known = list(_variables(forces, vehicle, measured_pose))
     return [
         _profile(dof, name, unit, forces.missing[:, i], value)
@@ -569,17 +549,7 @@ class Whiteness:
 
 
 def whiteness(r: Array, segment: Index, lags: int = LAGS) -> Whiteness:
-    """Test a series for whiteness; products never reach across a gap.
-
-    Parameters
-    ----------
-    r : (K,) array
-        Series.
-    segment : (K,) array of int
-        Stretch without gaps that each entry belongs to.
-    lags : int
-        Lags that are looked at, at most a quarter of the series.
-    """
+    """Test a series (K,) for whiteness over at most a quarter of it; products never reach across a gap."""
     count = len(r)
     lags = min(lags, count // 4)
     centred = r - r.mean()

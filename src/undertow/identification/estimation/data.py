@@ -44,25 +44,10 @@ def residual_covariance(
 ) -> Array:
     """Covariance of the weak residual from noise on the measured channels.
 
-    Parameters
-    ----------
-    functions : TestFunctions
-        K test functions over N samples.
-    slopes : Entries
-        Derivative of the 5n pointwise rows in the 2n measured poses and velocities, at the samples.
-    sigma : (2n,) or (N, 2n) array
-        Standard deviations of the measured channels, the same at all samples or not.
-    rows : sequence of int
-        Equations that are used, among the 2n (forces first, then kinematics).
-    derived : sequence of int
-        Channels that are the time derivative of a pose: their noise is that of the pose, differentiated.
-    t : (N,) array, optional
-        Time of the samples, s; needed with `derived`.
-
-    Returns
-    -------
-    (b, K len(rows)) array
-        Its lower half in LAPACK's banded storage, ordered by test function, then by equation.
+    Its lower half in LAPACK's banded storage, (b, K len(rows)), ordered by test function, then by equation.
+    `slopes` is the derivative of the 5n pointwise rows in the 2n measured channels, `sigma` their standard
+    deviations, (2n,) or (N, 2n), and `rows` the equations in use (forces first, then kinematics). The noise
+    of the `derived` channels is that of the pose, differentiated over `t`.
     """
     n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
     # The noise of a rate is that of its pose.
@@ -208,15 +193,10 @@ def _by_difference(y: Array, even: Flags, order: int) -> float:
 class Whitening:
     """Turns residuals into ones of unit variance, by a banded Cholesky factor.
 
-    Parameters
-    ----------
-    covariance : (b, m) array
-        Covariance of the residual from the noise of the channels, rows ordered by test function,
-        then by equation; its lower half in LAPACK's banded storage.
-    overlap : (b, m) array
-        Integrals of products of test functions of the same equation: the covariance of a white disturbance.
-    intensity : (m,) array
-        Intensity of the disturbance in each row's equation: what the model leaves beyond the noise.
+    Rows are ordered by test function, then by equation. `covariance` (b, m) is that from the noise of the
+    channels, and `overlap` (b, m) the products of test functions of one equation, the covariance of a white
+    disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: what
+    the model leaves beyond the noise.
     """
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
@@ -300,19 +280,8 @@ def around(at: Index, width: int, count: int) -> Index:
 def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> tuple[Array, Array, Array]:
     """Least squares fit of a polynomial to the 2 width + 1 samples around some samples of a signal.
 
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s; N at least 2 width + 1.
-    y : (N, c) array
-        Signals, without gaps.
-    at : (k,) array of int
-        Samples to evaluate at.
-
-    Returns
-    -------
-    value, rate, misfit : (k, c) arrays
-        The polynomials there, in the units of y, their derivatives, per s, and their sums of squared errors.
+    `t` (N,) in s, `y` (N, c) without gaps, `at` (k,). Returns values, rates per s and sums of squared errors
+    there, each (k, c).
     """
     near = around(at, width, len(t))
     span = t[near[:, -1]] - t[near[:, 0]]
@@ -327,19 +296,7 @@ def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> 
 
 
 def smooth_rate(t: Array, y: Array) -> Array:
-    """Derivative of noisy signals, per s, from cubics over as many samples as they fit within the noise.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s.
-    y : (N, c) array
-        Signals, without gaps.
-
-    Returns
-    -------
-    (N, c) array
-    """
+    """Derivative (N, c), per s, of noisy signals by cubics over as many samples as fit within the noise."""
     if len(t) <= 2 * _WIDTHS[0]:
         return np.gradient(y, t, axis=0)
     rate, every = np.empty_like(y), np.arange(len(t))

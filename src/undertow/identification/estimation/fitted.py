@@ -37,21 +37,10 @@ def _term(name: str, factor: float) -> str:
 
 
 def undetermined(gram: Array, free: Sequence[str], nothing: float = NOTHING) -> list[list[str]]:
-    """Parameters that data do not determine, in groups that hang together.
+    """Parameters that data with information J'J (without priors) do not determine, in groups.
 
-    Parameters
-    ----------
-    gram : (k, k) array
-        Information J'J of the data, without priors.
-    free : sequence of str
-        Names of the parameters.
-    nothing : float
-        Share of the largest eigenvalue of the scaled information below which a direction is not seen.
-
-    Returns
-    -------
-    list of list of str
-        A group of one does not show at all; of a larger one only combinations show.
+    A group of one does not show at all; of a larger one only combinations show. `nothing` is the share of the
+    largest eigenvalue of the scaled information below which a direction is not seen.
     """
     _, vectors, unseen = _directions(gram, nothing)
     null = vectors[:, unseen]
@@ -72,11 +61,6 @@ def base_parameters(gram: Array, free: Sequence[str], nothing: float = NOTHING) 
 
     They span what the information of each group of `undetermined` sees, in reduced row echelon form: each
     begins with a parameter that is in no other.
-
-    Parameters
-    ----------
-    gram, free, nothing
-        As for `undetermined`.
     """
     size, vectors, unseen = _directions(gram, nothing)
     found = []
@@ -231,15 +215,7 @@ def t_value(value: float, error: float) -> float:
 
 
 def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
-    """What speaks against a fitted value, by parameter: not identifiable, at a bound, far from its prior.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The fit.
-    stated : Vehicle
-        The vehicle with the values and priors that were stated before.
-    """
+    """What speaks against fitted values: not identifiable, at a bound, far from the stated prior."""
     found: dict[str, list[str]] = {n: [] for n in fit.model.free}
     for part in (_unsure(fit), _tied(fit), _bound(fit), _moved(fit, stated)):
         for name, text in part.items():
@@ -282,11 +258,6 @@ class Triangle:
 
     Rows are added in blocks and not kept: what is held are (k + 1)^2 numbers for k parameters. The solution
     is that of all rows together, with the precision of a QR decomposition (not that of normal equations).
-
-    Parameters
-    ----------
-    parameters : int
-        How many there are.
     """
 
     def __init__(self, parameters: int) -> None:

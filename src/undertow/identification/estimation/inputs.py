@@ -90,19 +90,10 @@ class Inputs(NamedTuple):
 class Carried:
     """States under given rates over the intervals between samples, and the mean of an output along each.
 
-    The states alone follow one after the other. At known states, the derivatives of all intervals are worked
-    out side by side; what is then left of carrying derivatives along is one banded triangular solution.
-
-    Parameters
-    ----------
-    z : (n,) expression
-        The states.
-    inputs : Inputs
-        What drives them.
-    free : (m,) expression
-        Parameters that derivatives are taken in.
-    rate, output : callable
-        Rate of the states, and the output, from the states and the share of the interval that has passed.
+    `rate` and `output` are functions of the states and of the share of the interval that has passed; `free`
+    are the parameters that derivatives are taken in. The states alone follow one after the other. At known
+    states, the derivatives of all intervals are worked out side by side; what is then left of propagating
+    derivatives is one banded triangular solution.
     """
 
     def __init__(self, z: ca.SX, inputs: Inputs, free: ca.SX, rate: At, output: At) -> None:
@@ -212,17 +203,8 @@ class Actuated(Driven):
 class ActuatorStates:
     """Actuation along the logged commands: mean output over each sampling interval.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the free parameters.
-
-    Raises
-    ------
-    UndertowError
-        If a step of the chain feels the motion: the chain follows the commands, before any motion is known.
+    An actuation effect that depends on the motion is refused: actuation follows the commands, before any
+    motion is known. `free` holds the places in p of the free parameters.
     """
 
     def __init__(self, functions: Functions, free: tuple[int, ...]) -> None:
@@ -344,15 +326,7 @@ class ActuatorStates:
 
 
 class Memory:
-    """States of wrenches along the measured motion, at the samples of a segment.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    true_motion : CasADi expression
-        Pose and velocity in terms of `measured`.
-    """
+    """States of wrenches along the measured motion; `true_motion` is the motion in terms of `measured`."""
 
     def __init__(
         self, functions: Functions, free: tuple[int, ...], measured: ca.SX, true_motion: ca.SX

@@ -92,18 +92,7 @@ class State:
 class Descent:
     """Levenberg-Marquardt on the parameters, with the best starts for every step.
 
-    Parameters
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    windows : Windows
-        What is simulated.
-    compiled : bool, optional
-        As for `Simulator`.
-    progress : callable
-        Told what share is done, and what is being done.
-    enough : float
-        Fall of the sum of squares below which nothing is left to gain.
+    It ends when the sum of squares falls by less than `enough`.
     """
 
     def __init__(
@@ -182,13 +171,7 @@ class Descent:
         )
 
     def settled(self, p: Array, starts: Array) -> State:
-        """Where steps from these parameters and starts lead, with the weights as they are.
-
-        Raises
-        ------
-        UndertowError
-            If the simulation diverges with these parameters.
-        """
+        """Where steps from these parameters and starts lead, with the weights as they are."""
         state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
         if not np.isfinite(state.at.cost):
             raise UndertowError(
@@ -279,11 +262,8 @@ class Loss:
     def correction(self, z: Array) -> tuple[float, float]:
         """What the covariance of weighted least squares lacks for errors such as z.
 
-        Returns
-        -------
-        float, float
-            Factor on the variance where errors are independent, mean(w) mean(psi^2) / mean(psi')^2, and on
-            scores in a sandwich, mean(w) / mean(psi').
+        A factor on the variance where errors are independent, mean(w) mean(psi^2) / mean(psi')^2, and one on
+        scores in a sandwich, mean(w) / mean(psi').
         """
         weight, slope = self.weight(z), max(float(np.mean(self.slope(z))), 0.1)
         mean = float(np.mean(weight))

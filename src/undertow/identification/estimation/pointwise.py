@@ -30,16 +30,9 @@ def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> l
 
 
 def nonzeros(function: ca.Function, arguments: list[Array], count: int) -> list[Array]:
-    """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
+    """Structural nonzeros of the outputs of a function of one sample at `count` samples, each (count, nnz).
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Function of one sample.
-    arguments : list of arrays
-        (count, k) for what differs from sample to sample, (k,) for what is the same for all.
-    count : int
-        Number of samples.
+    Arguments are (count, k) for what differs from sample to sample, (k,) for what is the same for all.
     """
     run = blockwise(function)
     return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
@@ -99,22 +92,13 @@ class Pointwise:
     """Terms of the weak form at a sample, for one vehicle.
 
     The measured pose and velocity are first turned back into the true ones (inverse of the measurement
-    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration
-    by the
-    commands; n rows each. The equations of motion are divided by the mass matrix: their noise then
-    hardly depends on the
-    parameters, and least squares is not drawn to small inertia, as it is where the noise is multiplied
-    by what is
-    estimated.
+    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration by
+    the commands; n rows each. The equations of motion are divided by the mass matrix: their noise then hardly
+    depends on the parameters, and least squares is not drawn to small inertia, as it is where the noise is
+    multiplied by what is estimated.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the parameters that derivatives are taken in.
-    chain_moves : bool
-        Whether what reaches the thrusters depends on any of these, or on states.
+    `free` holds the places in p of the parameters that derivatives are taken in; `chain_moves` says whether
+    what reaches the thrusters depends on any of these, or on states.
     """
 
     def __init__(self, functions: Functions, free: tuple[int, ...], *, chain_moves: bool = True) -> None:
@@ -308,17 +292,10 @@ class Cut:
 
 
 class Limits:
-    """Which parameters a model can have together.
+    """Which parameters a model can have together: matrices that have to be positive.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    places : sequence of int
-        Places in p of the free parameters.
-    dissipative : bool
-        Whether linear damping has to take energy from every motion, D + D' >= 0. It is not asked for by
-        itself: at speed, the coefficients of a hull hold lift and the Munk moment too, which need not.
+    Dissipative linear damping, D + D' >= 0, is only asked for by the user: at speed, the coefficients of a
+    hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
     def __init__(self, functions: Functions, places: Sequence[int], *, dissipative: bool = False) -> None:

@@ -49,19 +49,7 @@ class LinearWindows:
 
 
 class Chained:
-    """Windows that follow each other, simulated by one model.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    windows : Windows
-        Windows that share their last sample with the next, stretch by stretch.
-    free : sequence of str
-        Names of the parameters to differentiate by.
-    compiled : bool, optional
-        As for `Simulator`.
-    """
+    """Windows that share their last sample with the next, stretch by stretch, simulated by one model."""
 
     def __init__(
         self, functions: Functions, windows: Windows, free: tuple[str, ...], compiled: bool | None
@@ -176,18 +164,9 @@ class Filtered:
 
 
 def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -> Filtered:
-    """One pass over all windows in order of time.
+    """One pass of a Kalman filter over all windows in order of time.
 
-    Parameters
-    ----------
-    linear : LinearWindows
-        The windows.
-    last : (b,) array of bool
-        Windows with which a stretch ends.
-    seconds : (b,) array
-        Their length, s.
-    noise : Noise
-        Of the channels and of the motion.
+    `last` (b,) marks windows with which a stretch ends; `seconds` (b,) is the length of each.
     """
     columns, size = linear.defect.shape[2], linear.defect.shape[1]
     rows, windows, channels, predicted, seen = [], [], [], [], []

@@ -29,18 +29,10 @@ _FINEST = 1e-6
 
 
 class Inherited:
-    """Own states of a model at the start of windows.
+    """Own states of a model at the start of windows: memory of wrenches, and actuators.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    points : Pointwise
-        Its true motion in terms of the measured one.
-    lateness : Lateness
-        How late its sensors are.
-    simulate : callable
-        Reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b, 2n).
+    `simulate` reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b,
+    2n).
     """
 
     def __init__(
@@ -55,18 +47,8 @@ class Inherited:
     ) -> Array:
         """Memory and actuator states at the start of every window, shape (b, size).
 
-        Parameters
-        ----------
-        windows : Windows
-            The windows.
-        motion : (b, 2n) array
-            True pose and velocity at the starts.
-        held : sequence of (N, n_commands) arrays
-            Commands of every run, without gaps.
-        delay : float
-            How late they arrive, s.
-        p : (n_parameters,) array
-            Parameters.
+        `motion` (b, 2n) is the true one at the starts; commands `held`, (N, n_commands) for each run, arrive
+        `delay` s late.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
@@ -191,22 +173,11 @@ _LOST = 1e300
 
 
 def best_start(report: Callable[[Array], Array], measured: Array, start: Array, width: Array) -> Array:
-    """Starts that explain best what follows, drawn to the given ones by a prior.
+    """Starts (b, m) that explain best what follows, by Gauss-Newton with a prior around the given ones.
 
-    Parameters
-    ----------
-    report : callable
-        What follows, in units of the noise, shape (b r, k, c), of b r starts: r trials for each log in turn.
-    measured : (b, k, c) array
-        What was measured, in units of the noise; NaN where nothing was.
-    start : (b, m) array
-        Where the search begins, and the centre of the prior.
-    width : (m,) array
-        Standard deviation of the prior.
-
-    Returns
-    -------
-    (b, m) array
+    `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
+    (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
+    deviation of the prior.
     """
     used = np.isfinite(measured)[:, None]
     known = np.where(used, measured[:, None], 0.0)
@@ -250,15 +221,7 @@ _KEPT = 24
 
 
 class Predictor:
-    """Predicts windows with one model; keeps its compiled code from one call to the next.
-
-    Parameters
-    ----------
-    model : Vehicle or Functions
-        The model.
-    compiled : bool, optional
-        As for `Simulator`.
-    """
+    """Predicts windows with one model; keeps its compiled code from one call to the next."""
 
     def __init__(self, model: Vehicle | Functions, *, compiled: bool | None = None) -> None:
         self.functions = model if isinstance(model, Functions) else Functions(model)
@@ -282,14 +245,7 @@ class Predictor:
     def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
         """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
 
-        Parameters
-        ----------
-        windows : Windows
-            What is simulated.
-        p : (n_parameters,) array
-            Parameters.
-        motion : (b, 2n) array, optional
-            True pose and velocity at the starts; as measured where not given.
+        `motion` (b, 2n) is the true one at the starts; as measured where not given.
         """
         start, drive = self.start_and_drive(windows, p, motion)
         reported = self.simulated(start, windows.t, drive, p, windows.start)
@@ -334,20 +290,10 @@ class Predictor:
         return np.asarray(motion[:, :, 0])
 
     def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
-        """Simulate, and say what the sensors report, shape (b, k, 2n).
+        """Simulate from states (b, nx), and say what the sensors report, shape (b, k, 2n).
 
-        Parameters
-        ----------
-        start : (b, nx) array
-            States at the starts.
-        t : (b, k) array
-            Times of the samples, s.
-        drive : Drive
-            Commands as they arrive.
-        p : (n_parameters,) array
-            Parameters.
-        before : (b, 2n) array, optional
-            What sensors that are late report at the starts; without it the vehicle was as at the start.
+        `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at the
+        start.
         """
         states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
         prompt = self.reported(states, t, drive.u, p)
@@ -379,25 +325,11 @@ class Predictor:
 
 # --- what sensors report late ---------------------------------------------------------------------
 def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Array:
-    """What is reported at each sample where every channel comes late by a time of its own.
+    """What is reported at each sample where every channel comes late by a time of its own, (b, k, c, ...).
 
-    A window knows nothing of what was before it but what was reported at its start: from there a late channel
-    goes in a straight line to the first value of the simulation, where its own time reaches the window.
-
-    Parameters
-    ----------
-    values : (b, k, c, ...) array
-        What would be reported at once, or derivatives of that.
-    t : (b, k) array
-        Time, s; not decreasing.
-    seconds : (c,) array
-        Delay of each channel, s.
-    before : (b, c, ...) array
-        What is reported at the start.
-
-    Returns
-    -------
-    (b, k, c, ...) array
+    A window knows nothing of what was before it but what was reported at its start, `before` (b, c, ...):
+    from there a late channel goes in a straight line to the first value of the simulation, where its own time
+    reaches the window.
     """
     late = values.copy()
     rest = (1,) * (values.ndim - 3)

@@ -30,15 +30,7 @@ _STEP = 1e-3
 
 
 class Lateness:
-    """How old every measured channel is, and what follows for a segment.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the free parameters.
-    """
+    """How old every measured channel is, and what follows for a segment."""
 
     def __init__(self, functions: Functions, free: tuple[int, ...] = ()) -> None:
         self._functions, self._free = functions, free
@@ -125,21 +117,9 @@ def _at_delays(t: Array, signals: Array, seconds: Array) -> Array:
 
 
 def interpolated(t: Array, y: Array, when: Array) -> Array:
-    """A sampled signal between its samples, by the polynomial through the eight samples around.
+    """Sampled signals (N, k) at other instants, by the polynomial through the eight samples around.
 
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s; intervals may differ.
-    y : (N, k) array
-        Signals.
-    when : (M,) array
-        Where to evaluate, s; after the last sample its value is held.
-
-    Returns
-    -------
-    (M, k) array
-        In the unit of y.
+    After the last sample its value is held.
     """
     if len(t) < 2:
         return np.repeat(y, len(when), axis=0)
@@ -202,17 +182,7 @@ class _At(NamedTuple):
 
 
 class WeakModel:
-    """Weak residuals of one vehicle for a choice of free parameters.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : sequence of str
-        Names of the parameters that may change.
-    dissipative : bool
-        Whether a fit keeps linear damping from feeding energy into any motion.
-    """
+    """Weak residuals of one vehicle for a choice of free parameters."""
 
     def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
         self.functions, self._dissipative = functions, dissipative
@@ -240,13 +210,7 @@ class WeakModel:
         return list(known.parts)
 
     def require_defined(self, data: WeakData, p: Array) -> None:
-        """Refuse a model that has no value somewhere along the logs: all that is told of it would have none.
-
-        Raises
-        ------
-        UndertowError
-            If the residual or its derivative is not finite; run and time are named.
-        """
+        """Refuse a model whose residual is not finite somewhere along the logs."""
         for part, s in zip(self.linearise(data, p), data.segments, strict=True):
             if not (np.isfinite(part.r).all() and np.isfinite(part.J).all()):
                 name, run = self.functions.vehicle.name, data.runs[s.run].name
@@ -369,18 +333,10 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
-    """All segments together, in units of their noise, free of what the unknown first states of effects
-    contribute.
+    """All segments together, in units of their noise, without what unknown first states contribute.
 
-    Parameters
-    ----------
-    parts : list of Linearised
-        Residual of every segment.
-    whitening : list of Whitening
-        Noise of every segment.
-    beside : (m,) array, optional
-        Whitened residual of a model that this one is judged against. What the unknown first states take
-        from this one is taken over from there, so that having them wins nothing.
+    `beside` (m,) is the whitened residual of a model that this one is judged against. What the unknown first
+    states take from this one is taken over from there, so that having them wins nothing.
     """
     lengths = np.cumsum([len(part.r) for part in parts])[:-1]
     others = [None] * len(parts) if beside is None else np.split(beside, lengths)
@@ -441,15 +397,7 @@ def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
 
 
 def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
-    """A signal with its spikes replaced by what their neighbours say, and where they were.
-
-    Parameters
-    ----------
-    t, y : (N,) array
-        Time in s, and signal.
-    sigma : float
-        Standard deviation of its noise, in the unit of y.
-    """
+    """A signal with noise `sigma`, its spikes replaced by what their neighbours say; and where they were."""
     index, weight = _neighbours(t)
     spread = np.sqrt(1.0 + np.sum(weight**2, axis=1))
     clean, spike = y.copy(), np.zeros(len(y), dtype=bool)

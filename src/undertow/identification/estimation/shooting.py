@@ -42,14 +42,7 @@ class Reduced:
 def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
     """The problem that remains once every window has its best start.
 
-    Parameters
-    ----------
-    parts : list of Products
-        Sums of all windows, batch by batch; derivatives in the n free parameters come first.
-    counts : (2n,) array
-        Samples that count, by channel.
-    n : int
-        Number of free parameters.
+    `parts` are sums over windows, batch by batch, with derivatives in the n free parameters first.
     """
     windows, size = sum(len(p.squares) for p in parts), len(counts)
     with np.errstate(over="ignore"):
@@ -139,27 +132,11 @@ _SHARE_OF_SAMPLE = 0.25
 
 
 class Shooting:
-    """Windows of logs simulated by one model.
+    """Windows of logs simulated by one model, with derivatives in the parameters `free`.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    windows : Windows
-        What is simulated.
-    free : sequence of str
-        Names of the parameters to differentiate by.
-    weight : (2n,) array
-        Weight of the channels, one over their noise; zero for a channel that is not used.
-    block : float
-        Length of the parts of a window that count as independent of each other, s.
-    compiled : bool, optional
-        As for `Simulator`.
-
-    Attributes
-    ----------
-    trust : (b, k, 2n) array or None
-        Weight of each sample in the sum of squares, beside that of its channel; None: all alike.
+    `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `block` is the length
+    in s of the parts of a window that count as independent of each other. `trust` (b, k, 2n) weighs each
+    sample in the sum of squares, beside its channel; None: all alike.
     """
 
     def __init__(
@@ -306,15 +283,7 @@ class Shooting:
         return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts))
 
     def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
-        """Derivatives in those free parameters that act before a window starts, by finite differences.
-
-        Parameters
-        ----------
-        p : (n_parameters,) array
-            Where to differentiate.
-        of : callable
-            What to differentiate, from all parameters.
-        """
+        """Derivatives by finite differences in those free parameters that act before a window starts."""
         return {k: self._difference(p, of, self.places[k]) for k in self._indirect}
 
     def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:

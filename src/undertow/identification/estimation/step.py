@@ -36,13 +36,7 @@ _IMPOSSIBLE = 1e-9
 
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
-    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too.
-
-    Raises
-    ------
-    UndertowError
-        If parameters that are to be equal cannot be by their bounds.
-    """
+    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too."""
     table = np.array([_joint_bounds(model, name) for name in model.free]).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 
@@ -69,13 +63,7 @@ def _bounds(model: WeakModel, name: str) -> tuple[float, float]:
 
 
 def check_known_leaders(model: WeakModel) -> None:
-    """Refuse a parameter that is tied to a known one and is not physical by that.
-
-    Raises
-    ------
-    UndertowError
-        Naming it, its value and its bounds.
-    """
+    """Refuse a parameter that is tied to a known one and is not physical by that."""
     vehicle = model.functions.vehicle
     for name, (other, factor) in model.functions.equal.items():
         value, (low, high) = factor * vehicle.value_of(other).value, _bounds(model, name)
@@ -268,15 +256,9 @@ NOTHING_SAID = 1e12
 
 
 def estimated(vehicle: Vehicle, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
-    """The vehicle with fitted values and their standard errors.
+    """The vehicle with fitted values and their standard errors, SI and SNAME signs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model before the fit.
-    values, errors : mapping
-        Value and standard error of every free parameter, SI and SNAME signs. What the data say nothing of
-        keeps the error that was stated for it, if any.
+    What the data say nothing of keeps the error that was stated for it, if any.
     """
     found = {}
     for name, value in values.items():
@@ -299,14 +281,7 @@ class Constraints:
     dissipative: bool = False  # Whether linear damping has to take energy from every motion, D + D' >= 0
 
     def model(self, vehicle: Vehicle, free: Sequence[str]) -> WeakModel:
-        """The model of a vehicle with its free parameters, without those that follow others.
-
-        Raises
-        ------
-        UndertowError
-            If an equality names what is no parameter of the equations, leads in a circle, or leaves no
-            physical model.
-        """
+        """The model of a vehicle with its free parameters, without those that follow others."""
         equal = _resolved(self.equal, vehicle)
         kept = [n for n in free if n not in equal]
         model = WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
@@ -358,20 +333,7 @@ def _must_be_there(name: str, vehicle: Vehicle) -> None:
 
 
 def read_equalities(texts: Sequence[str], vehicle: Vehicle) -> dict[str, tuple[str, float]]:
-    """Equalities as a user writes them, such as ``Y_vdot = Z_wdot`` or ``N_r = 0.5 M_q``.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        One equality each, in the sign convention of the vehicle's file.
-    vehicle : Vehicle
-        Whose parameters they are.
-
-    Raises
-    ------
-    UndertowError
-        If a text is no equality, or names what the vehicle does not have.
-    """
+    """Equalities such as ``Y_vdot = Z_wdot`` or ``N_r = 0.5 M_q``, in the signs of the vehicle's file."""
     found: dict[str, tuple[str, float]] = {}
     for text in texts:
         name, other, factor = _read(text)
@@ -479,14 +441,10 @@ class Solution(ABC):
 
 
 def clustered(information: Array, scores: Array) -> Array:
-    """Covariance of an estimate: never less than noise alone gives, and robust to what hangs together.
+    """Covariance of an estimate: never less than noise alone gives, and robust to correlated residuals.
 
-    Parameters
-    ----------
-    information : (k, k) array
-        J' J of the weighted residual, with what priors add.
-    scores : (groups, k) array
-        J' r of groups of residuals that count as independent of each other.
+    `information` is J' J with what priors add; `scores` (groups, k) holds J' r of groups of residuals that
+    count as independent of each other.
     """
     inverse = inverse_of(information)
     robust = np.diag(inverse @ (scores.T @ scores) @ inverse)
@@ -496,25 +454,13 @@ def clustered(information: Array, scores: Array) -> Array:
 
 # --- more equations than parameters ---------------------------------------------------------------
 def require_equations(model: WeakModel, data: WeakData, method: str) -> None:
-    """Refuse logs that are too short for the parameters of a model, by their weak equations of motion.
-
-    Raises
-    ------
-    UndertowError
-        If there are no more equations than parameters without a prior.
-    """
+    """Refuse logs with no more weak equations of motion than parameters without a prior."""
     count = int(np.count_nonzero(data.equation < len(data.names) // 2))
     require_rows(model, count, data.runs, method)
 
 
 def require_rows(model: WeakModel, count: int, runs: Sequence[Run], method: str) -> None:
-    """Refuse as many equations as there are parameters without a prior, or fewer.
-
-    Raises
-    ------
-    UndertowError
-        Naming the runs, what they give, and what is sought.
-    """
+    """Refuse as many equations as there are parameters without a prior, or fewer."""
     sought = int(np.count_nonzero(prior_of(model)[1] == 0.0))
     if sought and count <= sought:
         lengths = ", ".join(f"'{run.name}' {len(run.t)} samples" for run in runs)

@@ -102,15 +102,7 @@ def knot_spacing(t: Array) -> float:
 
 
 def test_functions(t: Array, spacing: float) -> TestFunctions | None:
-    """B-splines whose whole support lies within the segment; None if it is too short for a single one.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Sample times, s.
-    spacing : float
-        Distance of the knots, s; the support of a function is four times that.
-    """
+    """B-splines, `spacing` s between knots, whose support lies in the segment; None if it is too short."""
     count = int((t[-1] - t[0]) / spacing + 1e-9) - DEGREE
     if count < 1:
         return None
@@ -131,19 +123,12 @@ test_functions.__test__ = False  # type: ignore[attr-defined]
 
 
 def boxes(t: Array, spacing: float) -> TestFunctions | None:
-    """Boxes, one from every sample on: with them the weak form is the integral form.
+    """Boxes of about `spacing` s, one from every sample on: with them the weak form is the integral form.
 
     A box has no derivative but a peak at either end, so that its residual is the change of velocity less the
-    integral of the acceleration, of position less that of velocity. All of a segment is used, since boxes
-    overlap, and generalised least squares knows how they hang together. Signals are integrated by the cubic
-    through the four samples around each interval.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Sample times, s.
-    spacing : float
-        Length of a box, s, brought to whole samples.
+    integral of the acceleration, of position less that of velocity. Boxes overlap; generalised least squares
+    knows how they are correlated. Signals are integrated by the cubic through the four samples around each
+    interval.
     """
     width = max(round(spacing / float(np.median(np.diff(t)))), 1)
     count = len(t) - width
@@ -233,19 +218,9 @@ def _held(rate: csr_array, t: Array) -> csr_array:
 
 
 def kink_delay(t: Array) -> Array:
-    """How much later than at its sample a signal with a kink has to be read for its quadrature to be right.
+    """How much later, s, than at its sample a signal with a kink has to be read for its quadrature to hold.
 
     Over even steps that is a twelfth of a step: of the jump of the slope, trapezoids miss h^2/12.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Sample times, s.
-
-    Returns
-    -------
-    (N,) array
-        Seconds.
     """
     step = np.diff(t)
     before, after = np.append(step[:1], step), np.append(step, step[-1:])
@@ -434,22 +409,9 @@ def _runs(chosen: Index, kind: Index) -> Index:
 def tested(
     windows: Windows, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
 ) -> Array:
-    """Sums over each window of weight times signal, gathered in the places that the signals belong to.
+    """Sums over each of K windows of weight times signal, (K, size), gathered in the places of the signals.
 
-    Parameters
-    ----------
-    windows : Windows
-        K windows over N samples.
-    parts : sequence of Entries
-        Signals.
-    kind, target : sequences of arrays of int
-        For every signal of every part which weights it meets, and its place; -1 for none.
-    size : int
-        Number of places.
-
-    Returns
-    -------
-    (K, size) array
+    `kind` and `target` say for every signal of every part which weights it meets, and its place; -1 for none.
     """
     table = np.zeros((len(windows.first), size))
     for part, weights, places in zip(parts, kind, target, strict=True):
@@ -458,19 +420,9 @@ def tested(
 
 
 def products(first: Index, felt: Array) -> Array:
-    """Products of all pairs of rows whose windows overlap, in LAPACK's banded storage.
+    """Products of all pairs of rows (K, rows, W, channels) whose windows overlap, in LAPACK's lower bands.
 
-    Parameters
-    ----------
-    first : (K,) array of int
-        First sample of every window, in ascending order.
-    felt : (K, rows, W, channels) array
-        Rows of every window.
-
-    Returns
-    -------
-    (b, K rows) array
-        Lower half, ordered by window, then by row.
+    Ordered by window, then by row; `first` holds the first sample of every window, in ascending order.
     """
     count, rows, width, _ = felt.shape
     reach = int(np.max(np.searchsorted(first, first + width) - np.arange(count)))

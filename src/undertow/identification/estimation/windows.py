@@ -68,13 +68,7 @@ class Windows:
         return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
 
     def start_after(self, seconds: Array) -> Array:
-        """`start`, but each channel as it is reported some time after the start, shape (b, 2n).
-
-        Parameters
-        ----------
-        seconds : (2n,) array
-            How long after the start, s; where a stretch is over by then, its last value.
-        """
+        """`start` (b, 2n), but each channel as reported some seconds (2n,) later, within its stretch."""
         found = self.start.copy()
         places = {(s.run, s.first): s for s in self.stretches}
         for pair in np.unique(np.column_stack([self.run, self.segment]), axis=0):
@@ -146,13 +140,7 @@ def cut(
 
 
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
-    """Cut every run into windows of so many of its own sampling intervals.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, or a run has no stretch without gaps that is as long.
-    """
+    """Cut every run into windows of so many of its own sampling intervals."""
     lengths = [intervals * float(np.median(np.diff(run.t))) for run in runs]
     found = [_stretches(i, run, vehicle, lengths[i], 0.0) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
@@ -271,28 +259,10 @@ _LONE = 3.0
 
 
 def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index) -> Array:
-    """Pose and velocity at some samples of a stretch without gaps.
+    """Pose and velocity (k, 2n) at some samples of a stretch without gaps; zero for a channel not measured.
 
-    Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what
-    differs from the integral of the measured angular rates: that is kinematics and holds for every model.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s.
-    measured : (N, 2n) array
-        Channels; NaN throughout for one that is not measured.
-    names : sequence of str
-        Names of the channels.
-    sigma : (2n,) array
-        Noise of the channels, in their units.
-    at : (k,) array of int
-        Samples to evaluate at.
-
-    Returns
-    -------
-    (k, 2n) array
-        In the units of the channels; zero for a channel that is not measured.
+    Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what differs
+    from the integral of the measured angular rates: that is kinematics and holds for every model.
     """
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
@@ -322,28 +292,10 @@ def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
 def local_value(
     t: Array, y: Array, at: Index, sigma: float, widths: Sequence[int] = _WIDTHS, degree: int = 2
 ) -> Array:
-    """Value of a noisy signal at some of its samples.
+    """Value of a noisy signal (N,) at some of its samples (k,).
 
     A polynomial is fitted to the samples around each instant, to as many of them as it fits within the noise.
     So a kink or a jump narrows the fit instead of biasing it, down to the sample itself.
-
-    Parameters
-    ----------
-    t, y : (N,) array
-        Time in s and signal, without gaps.
-    at : (k,) array of int
-        Samples to evaluate at.
-    sigma : float
-        Standard deviation of the white noise, in the unit of y.
-    widths : sequence of int
-        Half-widths in samples of the fits that are tried, from narrow to wide.
-    degree : int
-        Of the polynomial.
-
-    Returns
-    -------
-    (k,) array
-        In the unit of y.
     """
     value = _without_outlier(y, at, sigma)
     for width in widths:
@@ -414,17 +366,7 @@ class Drive:
 
 
 def arriving(windows: Windows, held: Sequence[Array], delay: float) -> Drive:
-    """Commands of windows that arrive late.
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows.
-    held : sequence of (N, n_commands) arrays
-        Commands of every run, without gaps; before a run its first ones.
-    delay : float
-        How late, s.
-    """
+    """Commands of windows that arrive `delay` s late; before a run, its first ones."""
     if delay == 0.0:
         return Drive.at_once(windows.t, _along(windows, held, windows.samples))
     instants, places, arrived = zip(*(_instants(run.t, delay) for run in windows.runs), strict=True)
