@@ -130,13 +130,28 @@ def finite(value: float | None) -> float | None:
     return float(value) if value is not None and isfinite(value) else None
 
 
-# Share of the largest command below which a command counts as none.
-_NO_COMMAND = 0.01
-# Test functions after the first command that count as starting up: four make one width of a function.
-_STARTING = 8
-_FAST_TURN = 0.7
-# A velocity counts as reversed when it passes this many standard deviations of its noise on both sides.
-_CLEAR = 3.0
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """Numbers of the comparison of a model with logs."""
+
+    horizon: float = 5.0  # s
+    no_command: float = 0.01  # share of the largest command below which a command counts as none
+    # Test functions after the first command that count as starting up: four make one width of a function.
+    starting: int = 8
+    fast_turn: float = 0.7  # quantile of the turning rate from which a turn is fast
+    # A velocity counts as reversed when it passes this many standard deviations of its noise on both sides.
+    reversed: float = 3.0
+    bins: int = 12  # of a profile
+    fewest_in_bin: int = 12  # test functions
+    fewest_in_cell: int = 20  # test functions
+    # Standard deviations by which the mean square of a cell must exceed that of noise to be called a failure.
+    failure: float = 4.0
+    # Sum of the correlations between test functions under white process noise.
+    correlated: float = 2.1
+    lags: int = 20  # of the autocorrelation of the residual
+
+
+SETTINGS = ComparisonSettings()
 
 
 @dataclass(frozen=True)
@@ -181,7 +196,7 @@ def _bands(group: str, names: tuple[str, ...], phrases: tuple[str, ...], value: 
 
 
 def _reversal(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
-    clear = _CLEAR * sigma[len(vehicle.dof_indices) :]
+    clear = SETTINGS.reversed * sigma[len(vehicle.dof_indices) :]
     low, high = forces.velocity.copy(), forces.velocity.copy()
     for step in (1, 2):
         for ahead, behind in (
@@ -199,9 +214,9 @@ def _turning(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
     if "r" not in vehicle.velocity_names:
         return
     rate = np.abs(forces.velocity[:, vehicle.velocity_names.index("r")])
-    fast = rate > max(np.quantile(rate, _FAST_TURN), _CLEAR * sigma[-1])
+    fast = rate > max(np.quantile(rate, SETTINGS.fast_turn), SETTINGS.reversed * sigma[-1])
     yield "turning", "turning", "when turning", fast
-    yield "turning", "straight", "when going straight", rate <= np.quantile(rate, 1 - _FAST_TURN)
+    yield "turning", "straight", "when going straight", rate <= np.quantile(rate, 1 - SETTINGS.fast_turn)
 
 
 def _depths(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
@@ -209,14 +224,14 @@ def _depths(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
         return
     place = vehicle.pose_names.index("z")
     depth = forces.pose[:, place]
-    if np.ptp(depth) > 2 * _CLEAR * sigma[place]:
+    if np.ptp(depth) > 2 * SETTINGS.reversed * sigma[place]:
         phrases = ("near its least depth", "at middle depth", "near its greatest depth")
         yield from _bands("depth", ("shallow", "middle", "deep"), phrases, depth)
 
 
 def _thrust(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
     drive = forces.drive
-    least = _NO_COMMAND * np.max(np.abs(drive), axis=0, initial=0.0)
+    least = SETTINGS.no_command * np.max(np.abs(drive), axis=0, initial=0.0)
     for name, side in (("positive", drive > least), ("negative", drive < -least)):
         if side.any():
             yield "thrust", f"thrust {name}", f"under {name} thrust", side
@@ -226,9 +241,9 @@ def _commands(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
     if forces.commands.size == 0:
         return
     largest = np.max(np.abs(forces.commands), axis=0)
-    idle = np.all(np.abs(forces.commands) <= _NO_COMMAND * largest, axis=1)
+    idle = np.all(np.abs(forces.commands) <= SETTINGS.no_command * largest, axis=1)
     woken = np.zeros(len(idle), dtype=bool)
-    for step in range(1, _STARTING + 1):
+    for step in range(1, SETTINGS.starting + 1):
         woken[step:] |= idle[:-step] & (forces.segment[step:] == forces.segment[:-step])
     yield "commands", "start-up", "when starting up", woken & ~idle
     yield "commands", "coasting", "when coasting", idle
@@ -242,12 +257,6 @@ def _thirds(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
         third[inside] = np.clip(3 * (forces.t[inside] - first) / max(last - first, 1e-12), 0, 2)
     for i, name in enumerate(("first", "middle", "last")):
         yield "time", f"{name} third", f"in the {name} third of the runs", third == i
-
-
-BINS = 12
-_FEWEST = 12
-# Sum of the correlations between test functions under a white disturbance.
-CORRELATED = 2.1
 
 
 @dataclass(frozen=True)
@@ -270,7 +279,7 @@ def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -
         _profile(dof, name, unit, forces.missing[:, i], value)
         for i, dof in enumerate(vehicle.degrees_of_freedom)
         for name, unit, value in known
-        if len(value) >= _FEWEST and np.ptp(value) > 0
+        if len(value) >= SETTINGS.fewest_in_bin and np.ptp(value) > 0
     ]
 
 
@@ -297,7 +306,7 @@ def _principal(angle: Array) -> Array:
 
 
 def _profile(dof: str, name: str, unit: str, force: Array, value: Array) -> Profile:
-    bins = min(BINS, len(value) // _FEWEST)
+    bins = min(SETTINGS.bins, len(value) // SETTINGS.fewest_in_bin)
     limits = np.unique(np.quantile(value, np.linspace(0, 1, bins + 1)[1:-1]))
     band = np.searchsorted(limits, value, side="right")
     groups = [np.flatnonzero(band == i) for i in range(len(limits) + 1)]
@@ -308,16 +317,9 @@ def _profile(dof: str, name: str, unit: str, force: Array, value: Array) -> Prof
         unit,
         np.array([value[g].mean() for g in groups]),
         np.array([force[g].mean() for g in groups]),
-        np.array([force[g].std(ddof=1) * np.sqrt(CORRELATED / len(g)) for g in groups]),
+        np.array([force[g].std(ddof=1) * np.sqrt(SETTINGS.correlated / len(g)) for g in groups]),
         np.array([len(g) for g in groups], dtype=np.intp),
     )
-
-
-HORIZON = 5.0
-# Test functions that a field of the error map needs.
-_COMPARISON_FEWEST = 20
-# Standard deviations by which the mean square of a field must exceed that of noise to be called a failure.
-_COMPARISON_CLEAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -340,7 +342,7 @@ def compare(
     vehicle: Vehicle,
     runs: Sequence[Run],
     *,
-    horizon: float = HORIZON,
+    horizon: float = SETTINGS.horizon,
     compiled: bool | None = None,
     progress: Progress = lambda done, words: None,
     trust_log: bool = False,
@@ -488,7 +490,7 @@ def _cell(forces: Forces, vehicle: Vehicle, i: int, regime: Regime) -> Cell:
         phrase=regime.phrase,
         samples=int(inside.sum()),
     )
-    if cell.samples < _COMPARISON_FEWEST:
+    if cell.samples < SETTINGS.fewest_in_cell:
         return cell
     missing, noise = _rms(forces.missing[inside, i]), _rms(forces.noise[inside, i])
     numbers = {
@@ -515,7 +517,7 @@ def headline(worst: Cell | None) -> str:
     told = "under 1" if percent < 1 else f"{percent:.0f}"
     share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {told} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
-    if worst.normalised**2 < 1.0 + _COMPARISON_CLEAR * np.sqrt(2 * CORRELATED / worst.samples):
+    if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
         return f"nothing stands out from the noise; the most is {place}: {share}"
     return f"fails most {place}: {share}"
 
@@ -536,7 +538,6 @@ def _budget(forces: Forces, vehicle: Vehicle) -> list[BudgetShare]:
 
 
 # --- whether what is left is noise ----------------------------------------------------------------
-LAGS = 20
 
 
 @dataclass(frozen=True)
@@ -548,7 +549,7 @@ class Whiteness:
     p_value: float  # Chance of a Q at least as large if the series is white
 
 
-def whiteness(r: Array, segment: Index, lags: int = LAGS) -> Whiteness:
+def whiteness(r: Array, segment: Index, lags: int = SETTINGS.lags) -> Whiteness:
     """Test a series (K,) for whiteness over at most a quarter of it; products never reach across a gap."""
     count = len(r)
     lags = min(lags, count // 4)

@@ -16,8 +16,8 @@ from undertow.identification.estimation.step import (
     bounds_of,
     inverse_of,
     prior_of,
-    reach_of,
-    within_reach,
+    step_limits,
+    within_limits,
 )
 from undertow.identification.estimation.weak_form import (
     WeakFit,
@@ -25,7 +25,7 @@ from undertow.identification.estimation.weak_form import (
     fit_weak,
     mean_square,
     opened,
-    promise,
+    predicted_cost,
     settled,
 )
 from undertow.model.vehicle import Vehicle
@@ -404,7 +404,7 @@ class Scouted:
         noise = (bench.train_whitening, bench.base.disturbance)
         begin = bench.base.values | dict(start)
         self.start = opened(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
-        self.cost, after = promise(self.start)
+        self.cost, after = predicted_cost(self.start)
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
@@ -492,14 +492,14 @@ def _promising(
     Parameters keep within their bounds: a negative mass may promise what no mass can do.
     """
     model = candidate.model()
-    bounds, prior, reach = bounds_of(model), prior_of(model), reach_of(model)
+    bounds, prior, reach = bounds_of(model), prior_of(model), step_limits(model)
     costs = []
     for start in starts:
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
         beside = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
         now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
-        step = bounded_step(beside, now, within_reach(bounds, now, reach), prior)
+        step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
         costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
     return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
 

@@ -30,8 +30,57 @@ from .test_functions import (
     test_functions,
 )
 
-# What rows feel is laid out for as many windows at a time as fit in this.
-_BYTES = 32_000_000
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Numbers by which noise is estimated and told from motion."""
+
+    # Orders of the differences that white noise is taken from, and samples for each order that a log needs.
+    orders: tuple[int, ...] = (3, 4, 5, 6, 7, 8)
+    samples_for_order: int = 4
+    fewest: int = 10  # differences that a standard deviation is taken from
+    gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
+    # Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
+    outlying: float = 3.5
+    variance_within: float = 0.9939
+    # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
+    clearly: float = 4.0
+    # No channel counts as better known than this share of its change in 1 s: quadrature over samples is not
+    # exact.
+    least: float = 2e-3
+    # Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the
+    # covariance of the residual stays well conditioned.
+    doubt: float = 30.0
+
+
+@dataclass(frozen=True)
+class RateSettings:
+    """Numbers of the local cubics that a rate is taken from."""
+
+    widths: tuple[int, ...] = (3, 5, 8, 13, 20, 32)  # half-widths in samples, from narrow to wide
+    degree: int = 3
+    places: int = 300  # samples at which the widths are tried
+    # Square of what a fit leaves, relative to what noise leaves, from which it bends the signal.
+    bent: float = 1.2
+
+
+@dataclass(frozen=True)
+class BlockSettings:
+    """Numbers by which logs are divided: knots of test functions, and blocks that count as independent."""
+
+    # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
+    wider_for_derived: float = 2.0
+    # Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there
+    # a cubic B-spline has its first zero in frequency.
+    knots_per_resolution: float = 2 * np.pi
+    blocks: int = 24
+    longest: float = 5.0  # s
+    shortest: float = 1.0  # s
+    # Bytes that the noise of as many windows as are worked out at a time may take.
+    bytes: int = 32_000_000
+
+
+NOISE, RATES, BLOCKS = NoiseSettings(), RateSettings(), BlockSettings()
 
 
 def residual_covariance(
@@ -75,7 +124,7 @@ def _in_pieces(
     count, width = windows.weights.shape[1:]
     each = 8 * len(rows) * (width + 2) * max(len(levels), 1)
     reach = int(np.max(np.searchsorted(windows.first, windows.first + width + 2) - np.arange(count)))
-    piece = max(_BYTES // each - reach, reach)
+    piece = max(BLOCKS.bytes // each - reach, reach)
     found = []
     for begin in range(0, count, piece):
         bands = products(*felt(windows.part(slice(begin, begin + piece + reach))))
@@ -153,14 +202,6 @@ def unbanded(bands: Array) -> csr_array:
     return csr_array(lower + tril(lower, -1).T)
 
 
-_ORDERS = range(3, 9)
-_GAUSSIAN_MAD = 1.4826
-# Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
-_OUTLYING, _SHARE_WITHIN = 3.5, 0.9939
-# Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
-_CLEARLY = 4.0
-
-
 def white_noise(t: Array, y: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
 
@@ -168,13 +209,13 @@ def white_noise(t: Array, y: Array) -> float:
     smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly
     less: then the lower one takes a fast signal for noise.
     """
-    if len(t) <= 4 * _ORDERS[0]:
+    if len(t) <= NOISE.samples_for_order * NOISE.orders[0]:
         return 0.0  # too few samples to tell noise from motion
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
-    found = [_by_difference(y, even, k) for k in _ORDERS if len(y) > 4 * k]
+    found = [_by_difference(y, even, k) for k in NOISE.orders if len(y) > NOISE.samples_for_order * k]
     known = [f for f in found if np.isfinite(f)]
-    clearly = 1.0 + _CLEARLY / np.sqrt(len(y))
+    clearly = 1.0 + NOISE.clearly / np.sqrt(len(y))
     return next((f for f in known if f <= clearly * min(known)), 0.0)
 
 
@@ -182,12 +223,12 @@ def _by_difference(y: Array, even: Flags, order: int) -> float:
     difference = np.diff(y, n=order)
     usable = np.convolve(even, np.ones(order), mode="valid") > order - 0.5
     kept = difference[usable & np.isfinite(difference)]
-    if len(kept) < 10:
+    if len(kept) < NOISE.fewest:
         return np.inf
-    rough = _GAUSSIAN_MAD * float(np.median(np.abs(kept)))
+    rough = NOISE.gaussian_mad * float(np.median(np.abs(kept)))
     # Of what is not a kink or a jump the mean square is known twice as well as the median.
-    within = kept[np.abs(kept) <= _OUTLYING * rough]
-    return float(np.sqrt(np.mean(within**2) / _SHARE_WITHIN / comb(2 * order, order)))
+    within = kept[np.abs(kept) <= NOISE.outlying * rough]
+    return float(np.sqrt(np.mean(within**2) / NOISE.variance_within / comb(2 * order, order)))
 
 
 class Whitening:
@@ -262,15 +303,6 @@ def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
     return banded(csr_array(kron(gram, eye_array(equations))))
 
 
-# Half-widths in samples of the fits that a rate is taken from, from narrow to wide.
-_WIDTHS = (3, 5, 8, 13, 20, 32)
-_DEGREE = 3
-# Samples at which the widths are tried.
-_LOOKS = 300
-# Square of what a fit leaves, relative to what noise leaves, from which it bends the signal.
-_BENT = 1.2
-
-
 def around(at: Index, width: int, count: int) -> Index:
     """Indices of the 2 width + 1 samples around each instant, moved inwards at the ends of the signal."""
     first = np.clip(at - width, 0, count - 2 * width - 1)
@@ -297,42 +329,28 @@ def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> 
 
 def smooth_rate(t: Array, y: Array) -> Array:
     """Derivative (N, c), per s, of noisy signals by cubics over as many samples as fit within the noise."""
-    if len(t) <= 2 * _WIDTHS[0]:
+    if len(t) <= 2 * RATES.widths[0]:
         return np.gradient(y, t, axis=0)
     rate, every = np.empty_like(y), np.arange(len(t))
     width = _widest(t, y)
     for chosen in np.unique(width).tolist():
         columns = np.flatnonzero(width == chosen)
-        rate[:, columns] = local_polynomial(t, y[:, columns], every, chosen, _DEGREE)[1]
+        rate[:, columns] = local_polynomial(t, y[:, columns], every, chosen, RATES.degree)[1]
     return rate
 
 
 def _widest(t: Array, y: Array) -> Index:
     """Half-width of the widest fits that leave no more than noise at most instants, by signal."""
     noise = np.array([white_noise(t, column) for column in y.T])
-    some = np.unique(np.linspace(0, len(t) - 1, _LOOKS).astype(np.intp))
-    found = np.full(y.shape[1], _WIDTHS[0])
-    for width in (w for w in _WIDTHS if 2 * w < len(t)):
-        misfit = local_polynomial(t, y, some, width, _DEGREE)[2]
-        found[np.median(misfit, axis=0) <= _BENT * noise**2 * (2 * width - _DEGREE)] = width
+    some = np.unique(np.linspace(0, len(t) - 1, RATES.places).astype(np.intp))
+    found = np.full(y.shape[1], RATES.widths[0])
+    for width in (w for w in RATES.widths if 2 * w < len(t)):
+        misfit = local_polynomial(t, y, some, width, RATES.degree)[2]
+        found[np.median(misfit, axis=0) <= RATES.bent * noise**2 * (2 * width - RATES.degree)] = width
     return found
 
 
 Family = Callable[[Array, float], TestFunctions | None]
-# Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
-_WIDER_FOR_DERIVED = 2.0
-# Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there a
-# cubic B-spline has its first zero in frequency.
-_KNOTS_PER_RESOLUTION = 2 * np.pi
-_BLOCKS = 24
-_LONGEST_BLOCK = 5.0
-_SHORTEST_BLOCK = 1.0
-# Quadrature over samples is not exact, so no channel counts as better known than this share of its change
-# in 1 s.
-_FINEST = 2e-3
-# Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the covariance
-# of the residual stays well conditioned.
-DOUBT = 30.0
 
 
 @dataclass(frozen=True)
@@ -400,7 +418,7 @@ class WeakData:
     def block_seconds(self) -> float:
         """Length of blocks: long against the memory of vehicles, short enough that there are many."""
         total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
-        return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
+        return float(np.clip(total / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
 
     @cached_property
     def block(self) -> Index:
@@ -458,7 +476,7 @@ def _too_short(runs: Sequence[Run], family: Family) -> str:
     lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
     enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
     needed = next(enough) if spacing else 2
-    blurred = any(_spacing(r) > knot_spacing(r.t) * _WIDER_FOR_DERIVED for r in runs if len(r.t) > 1)
+    blurred = any(_spacing(r) > knot_spacing(r.t) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1)
     form = "integral form" if family is boxes else "weak form"
     why = (
         "; the velocities were taken from a pose that tells nothing of faster motion: "
@@ -503,7 +521,9 @@ def _segments(
 def _spacing(run: Run) -> float:
     """Distance of the knots, s."""
     plain = knot_spacing(run.t)
-    return max(_WIDER_FOR_DERIVED * plain, _KNOTS_PER_RESOLUTION * run.resolution) if run.derived else plain
+    if not run.derived:
+        return plain
+    return max(BLOCKS.wider_for_derived * plain, BLOCKS.knots_per_resolution * run.resolution)
 
 
 def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:
@@ -520,7 +540,7 @@ def _channel_noise(present: Sequence[Run], name: str) -> float:
 def _floored(noise: Array, runs: Sequence[Run], names: Sequence[str]) -> Array:
     """Noise, but at least what the quadrature over samples resolves."""
     change = [[_change_in_a_second(r, n) for r in runs if r.has(n)] for n in names]
-    return np.maximum(noise, [_FINEST * float(np.median(c or [0.0])) for c in change])
+    return np.maximum(noise, [NOISE.least * float(np.median(c or [0.0])) for c in change])
 
 
 def _change_in_a_second(run: Run, name: str) -> float:

@@ -14,20 +14,11 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
+from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
 from .shooting import Shooting
-from .step import (
-    Constraints,
-    Solution,
-    bounds_of,
-    clustered,
-    inverse_of,
-    limited_step,
-    prior_cost,
-    prior_of,
-    require_rows,
-)
+from .step import Constraints, SearchSpace, clustered, inverse_of, prior_of, require_rows, squared
 from .weak_form import free_parameters
 from .windows import Windows, cut_by_samples
 
@@ -250,28 +241,39 @@ def _left(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: A
     return np.column_stack([np.sum(error**2 * used, axis=0), np.sum((1.0 - taken) * used, axis=0)])
 
 
-# Sampling intervals in a window: the disturbance acts between windows.
-_INTERVALS = 2
-_MOST_SAMPLES = 60_000
-_MAX_ITERATIONS = 60
-# Promised fall of the sum of squares, and change of minus twice the log likelihood, with which a search ends.
-_ENOUGH, _SETTLED = 0.02, 0.2
-# How vague the motion at the start of a stretch is, in sizes of the motion that is measured.
-_VAGUE = 30.0
-# No channel counts as better known than this share of its rms: covariances would lose their digits.
-_FINEST = 1e-4
-# Disturbance over the interval between samples that the noise of a velocity hides entirely, as a share of it.
-_LEAST = 1e-6
-# A disturbance that is too strong falls slowly from step to step: it goes further, but not by leaps.
-_FURTHER, _LEAP = 2.0, (0.05, 20.0)
-# Time over which a slow and a white disturbance do the same before anything is known of them, s.
-_SLOW = 3.0
-_BLOCK = 5.0
+@dataclass(frozen=True)
+class PredictionErrorSettings:
+    """Numbers of the fit by prediction error."""
+
+    intervals: int = 2  # sampling intervals in a window: process noise acts between windows
+    most_samples: int = 60_000
+    most_steps: int = 60
+    # Predicted fall of the sum of squares, and change of minus twice the log likelihood, with which a search
+    # ends.
+    least_fall: float = 0.02
+    converged: float = 0.2
+    shares: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in turn until the cost falls
+    # How vague the motion at the start of a stretch is, in sizes of the motion that is measured.
+    vague: float = 30.0
+    # No channel counts as better known than this share of its rms: covariances would lose their digits.
+    least_noise: float = 1e-4
+    # Process noise over the interval between samples that the noise of a velocity hides entirely, as a share
+    # of it.
+    least_process_noise: float = 1e-6
+    # Process noise that is too strong falls slowly from step to step: it goes further, but not by leaps.
+    overshoot: float = 2.0
+    leap: tuple[float, float] = (0.05, 20.0)
+    # Time over which slow and white process noise do the same before anything is known of them, s.
+    slow: float = 3.0
+    block: float = 5.0  # length of stretches of innovations that count as independent, s
+
+
+SETTINGS = PredictionErrorSettings()
 _PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
-class PredictionErrorFit(Solution):
+class PredictionErrorFit(Fitted):
     """A model fitted to logs by its innovations."""
 
     model: WeakModel  # Model and names of the free parameters
@@ -302,7 +304,7 @@ class PredictionErrorFit(Solution):
         """
         table = self.passed.table
         t = self.windows.t[self.passed.window, 0]
-        within = np.floor((t - t.min(initial=0.0)) / _BLOCK).astype(np.intp)
+        within = np.floor((t - t.min(initial=0.0)) / SETTINGS.block).astype(np.intp)
         pairs = np.column_stack([self.windows.run[self.passed.window], within])
         block = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
         scores = np.zeros((int(block.max(initial=0)) + 1, table.shape[1] - 1))
@@ -369,7 +371,7 @@ def fit_prediction_error(
     progress(0.0, "weak-form fit")
     model = constraints.model(vehicle, names)
     p = started(model, weak_start(model, runs) if start is None else start)
-    windows = cut_by_samples(runs, vehicle, _INTERVALS)
+    windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
     if chained.late:
         raise UndertowError(
@@ -390,10 +392,10 @@ def _fit_told(chained: Chained) -> int:
 
 def _refuse_long(runs: Sequence[Run]) -> None:
     samples = sum(len(run.t) for run in runs)
-    if samples > _MOST_SAMPLES:
+    if samples > SETTINGS.most_samples:
         raise UndertowError(
-            f"the logs have {samples} samples, prediction error takes at most {_MOST_SAMPLES}: take a part "
-            "of them with --from and --to, or use --method output-error"
+            f"the logs have {samples} samples, prediction error takes at most {SETTINGS.most_samples}: "
+            "take a part of them with --from and --to, or use --method output-error"
         )
 
 
@@ -419,25 +421,25 @@ class _Search:
 
     def __init__(self, model: WeakModel, chained: Chained, progress: Progress) -> None:
         self.model, self._chained, self._progress = model, chained, progress
-        self._bounds, self._prior = bounds_of(model), prior_of(model)
+        self._space = SearchSpace(model)
         windows = chained.windows
         self._seconds = windows.t[:, -1] - windows.t[:, 0]
         self._noise = self._first_noise()
-        self._least = _LEAST * self._noise.intensity
+        self._least = SETTINGS.least_process_noise * self._noise.intensity
 
     def _first_noise(self) -> Noise:
         windows = self._chained.windows
         weight, size = channel_weights(windows), len(windows.names)
         rms = np.sqrt(np.mean(windows.start**2, axis=0))
-        self._finest = (_FINEST * rms) ** 2
+        self._finest = (SETTINGS.least_noise * rms) ** 2
         known = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 1.0) ** 2
         variance = np.maximum(known, self._finest)
         seconds = float(np.median(self._seconds))
         # What no sensor measures is known as well as differences of the pose tell it.
         lacking, pose = weight[size // 2 :] == 0, variance[: size // 2]
         velocity = np.where(lacking, pose / seconds**2, variance[size // 2 :]) / seconds
-        intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / _SLOW**2])
-        return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * _VAGUE))
+        intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / SETTINGS.slow**2])
+        return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * SETTINGS.vague))
 
     def _vague(self, noise: Noise) -> Noise:
         """The noise, with a slow disturbance that wandered for as long as a stretch before that starts."""
@@ -454,14 +456,14 @@ class _Search:
                 "the simulation diverges with the starting values of the parameters: give values nearer to "
                 "the truth"
             )
-        for iteration in range(1, _MAX_ITERATIONS + 1):
-            self._progress(iteration / _MAX_ITERATIONS, "prediction error")
+        for iteration in range(1, SETTINGS.most_steps + 1):
+            self._progress(iteration / SETTINGS.most_steps, "prediction error")
             before = self._cost(state)
             back = smoothed(state.linear, self._chained.last, self._seconds, self._noise, state.passed)
-            state, promised = self._stepped(state, back)
+            state, predicted = self._stepped(state, back)
             self._match(back)
             state = replace(state, passed=self._pass(state.linear, self._noise))
-            if promised < _ENOUGH and abs(self._cost(state) - before) < _SETTLED:
+            if predicted < SETTINGS.least_fall and abs(self._cost(state) - before) < SETTINGS.converged:
                 break
         quiet = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
         passes = state.passed, self._pass(state.linear, quiet)
@@ -477,25 +479,24 @@ class _Search:
         return filtered(linear, self._chained.last, self._seconds, noise)
 
     def _stepped(self, state: _State, back: Smoothed) -> tuple[_State, float]:
-        """The state after one step, and the fall of the sum of squares that it promised."""
+        """The state after one step, and the predicted fall of the sum of squares."""
         r, J = state.passed.table[:, 0], state.passed.table[:, 1:]
-        at = Linearised(r, J, np.zeros((len(r), 0)))
-        step = limited_step(self.model, at, state.p, self._bounds, self._prior)
-        places = list(self.model.places)
-        promised = float(np.sum(r**2) - np.sum((r + J @ step) ** 2))
-        for share in (1.0, 0.5, 0.2, 0.05):
-            p = state.p.copy()
-            p[places] = np.clip(p[places] + share * step, *self._bounds)
-            motion = back.motion[..., 0] + back.motion[..., 1:] @ (share * step)
-            tried = self._at(p, state.starts + motion[:, : state.starts.shape[1]])
-            if self._cost(tried) <= self._cost(state) + _ENOUGH:
-                return tried, promised
-        return state, 0.0
+        step = self._space.step(Linearised(r, J, np.zeros((len(r), 0))), state.p)
+        predicted = squared(r) - squared(r + J @ step)
+        limit = self._cost(state) + SETTINGS.least_fall
+        tried = (self._after(share * step, state, back) for share in SETTINGS.shares)
+        found = next((after for after in tried if self._cost(after) <= limit), None)
+        return (state, 0.0) if found is None else (found, predicted)
+
+    def _after(self, step: Array, state: _State, back: Smoothed) -> _State:
+        """The state after a step of the parameters and the smoothed change of the starts with it."""
+        motion = back.motion[..., 0] + back.motion[..., 1:] @ step
+        return self._at(self._space.moved(state.p, step), state.starts + motion[:, : state.starts.shape[1]])
 
     def _cost(self, state: _State) -> float:
         """What the parameters are to make small while the noise is as it is."""
-        stated = prior_cost(self._prior, state.p[list(self.model.places)])
-        cost = float(np.sum(state.passed.table[:, 0] ** 2)) + state.passed.log_determinant + stated
+        squares = squared(state.passed.table[:, 0]) + state.passed.log_determinant
+        cost = self._space.cost(state.p, squares)
         return cost if np.isfinite(cost) else np.inf
 
     def _match(self, back: Smoothed) -> None:
@@ -506,7 +507,7 @@ class _Search:
         """
         known = self._noise.intensity
         ratio = _per(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
-        intensity = known * np.clip(ratio, *_LEAP) ** _FURTHER
+        intensity = known * np.clip(ratio, *SETTINGS.leap) ** SETTINGS.overshoot
         intensity = np.where(self._noise.intensity > 0, np.maximum(intensity, self._least), 0.0)
         variance = np.maximum(_per(back.errors, 1.0, self._noise.variance), self._finest)
         self._noise = self._vague(replace(self._noise, variance=variance, intensity=intensity))

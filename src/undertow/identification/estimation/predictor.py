@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -21,11 +22,25 @@ from .residual import Lateness
 from .windows import Drive, Prediction, Windows, arriving, cut, prediction_error
 
 Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
-# Seconds of the first window that its beginning is estimated from.
-_LOOK = 10.0
-# Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
-_MOTION = 3.0
-_FINEST = 1e-6
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """Numbers of the estimate of a model's own states at the start of a stretch."""
+
+    seconds: float = 10.0  # of the first window that they are estimated from
+    # Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
+    motion: float = 3.0
+    least_noise: float = 1e-6  # of a channel, relative to its rms
+    rounds: int = 12
+    secant: float = 1e-6
+    shares: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.0)  # of a step that are tried together
+    least_fall: float = 1e-6  # of the sum of squares, below which the search ends
+    # Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
+    kept: int = 24
+
+
+SETTINGS = StartSettings()
 
 
 class Inherited:
@@ -136,14 +151,14 @@ class Inherited:
             return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
 
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
-        width = np.concatenate([_MOTION * noise, scale])
+        width = np.concatenate([SETTINGS.motion * noise, scale])
         return best_start(report, measured, start, width)[:, -self.size :]
 
 
 def _opening(windows: Windows, first: Index) -> Windows:
     """The first seconds of the first window of every stretch."""
     step = float(np.median(np.diff(windows.runs[0].t)))
-    return windows.take(first, max(int(_LOOK / step), 3))
+    return windows.take(first, max(int(SETTINGS.seconds / step), 3))
 
 
 def _stretches(windows: Windows) -> list[Index]:
@@ -160,15 +175,10 @@ def _noise(windows: Windows) -> Array:
         np.sum(np.where(there, windows.measured, 0.0) ** 2, axis=(0, 1))
         / np.maximum(there.sum(axis=(0, 1)), 1)
     )
-    return np.maximum(np.maximum(windows.sigma, _FINEST * size), _FINEST)
+    return np.maximum(np.maximum(windows.sigma, SETTINGS.least_noise * size), SETTINGS.least_noise)
 
 
 # --- the state at the beginning, by how the log goes on -------------------------------------------
-_ROUNDS = 12
-_SECANT = 1e-6
-_SHARES = np.array([1.0, 0.3, 0.1, 0.03, 0.0])
-# Fall of the sum of squares below which the search ends.
-_ENOUGH = 1e-6
 _LOST = 1e300
 
 
@@ -189,16 +199,16 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
     moved = np.zeros_like(start)
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)
-        trials = moved[:, None] + _SHARES[:, None] * step[:, None]
+        trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
         with np.errstate(over="ignore"):
             cost = np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
         cost = np.nan_to_num(cost, nan=_LOST, posinf=_LOST)
         best = np.argmin(cost, axis=1)
         moved = trials[np.arange(len(best)), best]
         gained = cost[:, -1] - cost[np.arange(len(best)), best]
-        if not np.any(gained > _ENOUGH):
+        if not np.any(gained > SETTINGS.least_fall):
             break
     return start + moved * width
 
@@ -206,18 +216,14 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
 def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
     """Step in units of the prior, shape (b, m); zero where a simulation diverged."""
     m = moved.shape[1]
-    r = residual(moved[:, None] + np.vstack([np.zeros(m), _SECANT * np.eye(m)]))
-    slope = (r[:, :1] - r[:, 1:]) / _SECANT
+    r = residual(moved[:, None] + np.vstack([np.zeros(m), SETTINGS.secant * np.eye(m)]))
+    slope = (r[:, :1] - r[:, 1:]) / SETTINGS.secant
     gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
     right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
     good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
     step = np.zeros_like(moved)
     step[good] = np.linalg.solve(gram[good], right[good][:, :, None])[:, :, 0]
     return step
-
-
-# Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
-_KEPT = 24
 
 
 class Predictor:
@@ -275,7 +281,7 @@ class Predictor:
         if found is None:
             measured = self.measured_motion(windows, u, p)
             found = measured, self._inherited.at_starts(windows, measured, held, delay, p)
-            if len(recent) >= _KEPT:
+            if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
             recent[key] = found
         return found

@@ -14,19 +14,35 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
-from .data import DOUBT, Segment, WeakData, Whitening, overlap, residual_covariance
+from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuated, ActuatorStates, Driven, Memory, without_gaps
 from .pointwise import Limits, Pointwise, nonzeros
 from .test_functions import Entries, kink_delay, meeting, tested
 
-# Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
-# noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1 up
-# to 0.15 of the sampling rate, with three it does not.
-_REACH = 4
-# Sum of squared weights from which uneven samples amplify noise instead of interpolating.
-_LOUDEST = 2.0
-# Steps of finite differences, relative to a sampling interval.
-_STEP = 1e-3
+
+@dataclass(frozen=True)
+class ResidualSettings:
+    """Numbers of sensor delays, dead times and spikes in the weak residual."""
+
+    # Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
+    # noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1
+    # up to 0.15 of the sampling rate, with three it does not.
+    interpolation: int = 4
+    # Sum of squared weights from which uneven samples amplify noise instead of interpolating.
+    most_amplified: float = 2.0
+    delay_step: float = 1e-3  # of finite differences, relative to a sampling interval
+    # Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
+    most_directions: int = 240
+    # Neighbours on each side that a sample is held against, by the cubic through them.
+    neighbours: int = 2
+    # Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
+    spike: float = 5.0
+    # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
+    bend: float = 0.25
+    spike_rounds: int = 30
+
+
+SETTINGS = ResidualSettings()
 
 
 class Lateness:
@@ -69,7 +85,7 @@ class Lateness:
         moved = _moved(s, seconds)
         at = of(moved)
         J = at.J.copy()
-        step = _STEP * float(np.median(np.diff(s.t)))
+        step = SETTINGS.delay_step * float(np.median(np.diff(s.t)))
         for k, slope in self._slopes(p):
             # Of the signal alone: differentiated noise would promise a precision that is not there.
             change = step * slope * _at_delays(s.t, s.rate, seconds)
@@ -134,14 +150,15 @@ def stencil(t: Array, when: Array) -> tuple[Index, Array]:
     """
     when = np.minimum(when, t[-1])
     left = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 2)
-    index = np.clip(left[:, None] + np.arange(1 - _REACH, 1 + _REACH), 0, len(t) - 1)
+    most = SETTINGS.interpolation
+    index = np.clip(left[:, None] + np.arange(1 - most, 1 + most), 0, len(t) - 1)
     weight = np.zeros(index.shape)
     waiting = np.ones(len(when), dtype=bool)
-    for reach in range(_REACH, 0, -1):
+    for reach in range(most, 0, -1):
         rows = np.flatnonzero(waiting & (left + 1 >= reach) & (left + reach < len(t)))
-        columns = slice(_REACH - reach, _REACH + reach)
+        columns = slice(most - reach, most + reach)
         found = lagrange(t[index[rows, columns]], when[rows])
-        good = (np.sum(found**2, axis=1) <= _LOUDEST) | (reach == 1)
+        good = (np.sum(found**2, axis=1) <= SETTINGS.most_amplified) | (reach == 1)
         weight[rows[good], columns] = found[good]
         waiting[rows[good]] = False
     return index, weight
@@ -155,10 +172,6 @@ def lagrange(nodes: Array, when: Array) -> Array:
             if k != j:
                 weight[:, j] *= (when - nodes[:, k]) / (nodes[:, j] - nodes[:, k])
     return weight
-
-
-# Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
-_MOST_DIRECTIONS = 240
 
 
 @dataclass(frozen=True)
@@ -301,7 +314,7 @@ class WeakModel:
         function = self._points.noise
         (slope,) = nonzeros(function, inputs, len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
-        sigma = data.sigma if s.doubted is None else np.where(s.doubted, DOUBT, 1.0) * data.sigma
+        sigma = data.sigma if s.doubted is None else np.where(s.doubted, NOISE.doubt, 1.0) * data.sigma
         noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
@@ -325,7 +338,7 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
     if not 0 < 2 * lost < s.functions.count:
         return part
     forces = [k for k, row in enumerate(rows) if row < n]
-    lost = min(lost, _MOST_DIRECTIONS // max(len(forces), 1))
+    lost = min(lost, SETTINGS.most_directions // max(len(forces), 1))
     places = (np.arange(lost)[:, None] * len(rows) + forces).ravel()
     directions = np.zeros((len(part.r), len(places)))
     directions[places, np.arange(len(places))] = 1.0
@@ -369,15 +382,6 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
     return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ moved)))
 
 
-# Neighbours on each side that a sample is held against, by the cubic through them.
-_SPIKES_REACH = 2
-# Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
-_FAR = 5.0
-# Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
-_BEND = 0.25
-_ROUNDS = 30
-
-
 def without_spikes(data: WeakData) -> WeakData:
     """The same data with spikes replaced by the cubic through their neighbours, and doubted.
 
@@ -387,7 +391,7 @@ def without_spikes(data: WeakData) -> WeakData:
 
 
 def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
-    if len(segment.t) <= 4 * _SPIKES_REACH:
+    if len(segment.t) <= 4 * SETTINGS.neighbours:
         return segment
     measured, doubted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
     for k in range(measured.shape[1]):
@@ -401,12 +405,12 @@ def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
     index, weight = _neighbours(t)
     spread = np.sqrt(1.0 + np.sum(weight**2, axis=1))
     clean, spike = y.copy(), np.zeros(len(y), dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.spike_rounds):
         guess = np.sum(weight * clean[index], axis=1)
-        bend = _BEND * np.median(np.abs(np.diff(clean[index], axis=1)), axis=1)
+        bend = SETTINGS.bend * np.median(np.abs(np.diff(clean[index], axis=1)), axis=1)
         far = np.where(spike, 0.0, np.abs(clean - guess) / (spread * sigma + bend))
         # A spike makes its neighbours look odd as well: the worst of each neighbourhood goes first.
-        worst = (far > _FAR) & (far >= np.max(far[index], axis=1))
+        worst = (far > SETTINGS.spike) & (far >= np.max(far[index], axis=1))
         clean[spike | worst] = guess[spike | worst]
         if not worst.any():
             break
@@ -416,8 +420,8 @@ def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
 
 def _neighbours(t: Array) -> tuple[Index, Array]:
     """The samples beside each one without itself, and the weights of the cubic through them there."""
-    count, width = len(t), 2 * _SPIKES_REACH + 1
-    first = np.clip(np.arange(count) - _SPIKES_REACH, 0, count - width)
+    count, width = len(t), 2 * SETTINGS.neighbours + 1
+    first = np.clip(np.arange(count) - SETTINGS.neighbours, 0, count - width)
     whole = first[:, None] + np.arange(width)
     index = whole[whole != np.arange(count)[:, None]].reshape(count, width - 1)
     return index, lagrange(t[index], t)

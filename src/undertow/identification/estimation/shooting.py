@@ -17,8 +17,27 @@ from .pointwise import mapped
 from .predictor import Predictor, reported_late
 from .windows import Drive, Windows
 
-# Keeps a start bounded in directions that its window does not show, relative to those that it shows.
-_HOLD = 1e-12
+
+@dataclass(frozen=True)
+class ShootingSettings:
+    """Numbers of the fit of the starts of windows."""
+
+    # Keeps a start bounded in directions that its window does not show, relative to those that it shows.
+    regularisation: float = 1e-12
+    # First part of a window, s, to which its start is fitted before twice as much is taken; steps for each.
+    first_part: float = 1.0
+    steps: int = 3
+    # Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
+    wrong_start: float = 2.0
+    # Share of the mean square of a window that a step has to gain for another to follow.
+    worth_a_step: float = 0.01
+    batch: int = 5_000_000  # numbers in the sensitivities of one batch of windows: 40 MB
+    # Steps of finite differences: relative to a parameter, and for dead times to a sampling interval.
+    difference: float = 1e-3
+    delay_difference: float = 0.25
+
+
+SETTINGS = ShootingSettings()
 
 
 @dataclass(frozen=True)
@@ -79,7 +98,7 @@ def _starts(table: Array, n: int) -> Array:
     gram, right = table[:, n:-1, n:-1], _outer(table, n)
     scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     scale = np.where(scale > 0, scale, 1.0)[:, :, None]
-    scaled = gram / (scale * np.swapaxes(scale, 1, 2)) + _HOLD * np.eye(gram.shape[1])
+    scaled = gram / (scale * np.swapaxes(scale, 1, 2)) + SETTINGS.regularisation * np.eye(gram.shape[1])
     return np.asarray(np.linalg.solve(scaled, right / scale) / scale)
 
 
@@ -115,20 +134,6 @@ def _diverged(windows: int, n: int, size: int) -> Reduced:
     nothing = np.zeros((1, n))
     steps = np.zeros((windows, size)), np.zeros((windows, size, n))
     return Reduced(np.zeros(1), nothing, float("inf"), np.zeros(size), np.zeros(size), nothing, *steps)
-
-
-# First part of a window, s, to which its start is fitted before twice as much is taken; and steps for each.
-_OPENING = 1.0
-_START_STEPS = 3
-# Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
-_STUCK = 2.0
-# Share of the mean square of a window that a step has to gain for another to follow.
-_WORTH_A_STEP = 0.01
-# Numbers in the sensitivities of one batch of windows: 40 MB.
-_BATCH = 5_000_000
-# Steps of finite differences: relative to a parameter, and for dead times relative to a sampling interval.
-_STEP = 1e-3
-_SHARE_OF_SAMPLE = 0.25
 
 
 class Shooting:
@@ -170,7 +175,7 @@ class Shooting:
         if any(run.derived for run in self.windows.runs):
             return self._opened(p, first)[0]
         starts, squares = self._stepped(p, first)
-        if not np.max(squares) > _STUCK * np.median(squares):
+        if not np.max(squares) > SETTINGS.wrong_start * np.median(squares):
             return starts
         opened, after = self._opened(p, first)
         return np.where((after < squares)[:, None], opened, starts)
@@ -179,7 +184,7 @@ class Shooting:
         """Starts fitted to more and more of every window, and the mean square of each with them."""
         trust = self.trust
         elapsed = self.windows.t - self.windows.t[:, :1]
-        part = _OPENING
+        part = SETTINGS.first_part
         while part < np.max(elapsed):
             within = np.where(elapsed <= part, 1.0, 0.0)[:, :, None]
             self.trust = within if trust is None else trust * within
@@ -193,14 +198,14 @@ class Shooting:
         A window takes the steps that do it good.
         """
         squares = self.mean_squares(p, starts)
-        for _ in range(_START_STEPS):
+        for _ in range(SETTINGS.steps):
             at = self.linearise(p, starts)
             if not np.isfinite(at.cost):
                 break
             tried = starts + at.start_step
             found = self.mean_squares(p, tried)
             better = found < squares
-            gained = np.any(found < (1.0 - _WORTH_A_STEP) * squares)
+            gained = np.any(found < (1.0 - SETTINGS.worth_a_step) * squares)
             starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
             if not gained:
                 break
@@ -255,7 +260,7 @@ class Shooting:
     def _batches(self) -> Iterator[slice]:
         columns = len(self.free) + self._size
         one = self.windows.t.shape[1] * len(self.functions.state_names) * columns
-        size = max(1, _BATCH // one)
+        size = max(1, SETTINGS.batch // one)
         return (slice(i, i + size) for i in range(0, len(self.windows), size))
 
     # --- derivatives --------------------------------------------------------------------------
@@ -288,7 +293,9 @@ class Shooting:
 
     def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
-        step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
+        step = SETTINGS.difference * max(abs(p[place]), 1e-3)
+        if place in self._delays:
+            step = SETTINGS.delay_difference * sample
         high, low = p[place] + step, p[place] - step
         if place in self._delays:  # nothing comes before its time
             low = max(low, 0.0)

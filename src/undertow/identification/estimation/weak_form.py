@@ -14,26 +14,42 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .data import Segment, WeakData, Whitening, prepare
+from .fitted import Fitted
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, whitened
 from .step import (
     Constraints,
-    Solution,
-    bounds_of,
+    SearchSpace,
     clustered,
-    limited_step,
-    physical,
-    prior_cost,
     prior_of,
-    reach_of,
     require_equations,
-    within_reach,
+    squared,
 )
 from .windows import Windows, cut
 
-_MATCHING_STEPS = 4
-# Largest mean square of an equation that still counts as noise of the channels.
-_NOISE_EXPLAINS = 1.6
+
+@dataclass(frozen=True)
+class WeakFormSettings:
+    """Numbers of the fit in the weak form."""
+
+    most_steps: int = 15
+    # Predicted reduction of chi-square below which a step cannot change any judgement.
+    least_reduction: float = 0.01
+    shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.02)  # of a step, tried in turn until the cost falls
+    # Steps of the intensity of the disturbance, which makes the mean square of the whitened residual one.
+    matching_steps: int = 4
+    # Largest mean square of an equation that still counts as noise of the channels.
+    noise_explains: float = 1.6
+    # The same, up to which a fit without any disturbance may bring it down to that.
+    worth_without_disturbance: float = 30.0
+    noise_rounds: int = 6
+    noise_converged: float = 0.2  # change of the logarithm of an intensity with which the rounds end
+    # Relative change of a parameter from which the covariance by the sensors' noise is worked out anew.
+    noise_moved: float = 0.05
+
+
+SETTINGS = WeakFormSettings()
+_PLAIN = Constraints()
 
 
 def mean_square(r: Array, data: WeakData) -> Array:
@@ -70,29 +86,18 @@ def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
     if fits_noise(whitened(parts, quiet), data):
         return np.zeros(len(data.names))
     level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
-    for _ in range(_MATCHING_STEPS):
+    for _ in range(SETTINGS.matching_steps):
         square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
         level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
     return np.asarray(level)
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:
-    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
-
-
-_MAX_ITERATIONS = 15
-# A step that promises less than this in chi-square cannot change any judgement.
-_ENOUGH = 0.01
-_NOISE_ROUNDS = 6
-_NOISE_SETTLED = 0.2
-_MOVED = 0.05
-# The same, up to which a fit without any disturbance may bring it down to that.
-_WORTH_A_LOOK = 30.0
-_PLAIN = Constraints()
+    return bool(np.nanmax(mean_square(at.r, data)) < SETTINGS.noise_explains)
 
 
 @dataclass(frozen=True)
-class WeakFit(Solution):
+class WeakFit(Fitted):
     """A model fitted to logs in the weak form."""
 
     model: WeakModel  # Model and names of the free parameters
@@ -158,7 +163,7 @@ def fit_weak(
     start: Mapping[str, float] | None = None,
     whitening: list[Whitening] | None = None,
     disturbance: Array | None = None,
-    max_iterations: int = _MAX_ITERATIONS,
+    max_iterations: int = SETTINGS.most_steps,
     enough: float = 0.0,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
@@ -200,7 +205,7 @@ def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constra
     return constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
 
 
-def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
+def settled(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> WeakFit:
     """Match the noise model to what a fit leaves, and fit again, until neither changes."""
     quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
@@ -210,8 +215,8 @@ def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
         disturbance = matched_disturbance(fit, quiet)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
         whitening = disturbed(quiet, disturbance, fit.data)
-        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, _MAX_ITERATIONS)
-        if changed < _NOISE_SETTLED or not np.any(disturbance):
+        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
+        if changed < SETTINGS.noise_converged or not np.any(disturbance):
             break
     return _without_disturbance(fit)
 
@@ -225,16 +230,16 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
         return fit
     quiet = fit.model.whitening(fit.data, fit.p)
     left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
-    if np.nanmax(left) > _WORTH_A_LOOK:
+    if np.nanmax(left) > SETTINGS.worth_without_disturbance:
         return fit
     none = np.zeros_like(fit.disturbance)
-    other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
+    other = _solved(fit.model, fit.p, fit.data, quiet, none, SETTINGS.most_steps)
     return other if fits_noise(other.at, fit.data) else fit
 
 
 def _moved(p: Array, since: Array) -> bool:
     """Whether a parameter has changed so much that the noise of the sensors enters otherwise."""
-    return bool(np.any(np.abs(p - since) > _MOVED * np.abs(since)))
+    return bool(np.any(np.abs(p - since) > SETTINGS.noise_moved * np.abs(since)))
 
 
 def opened(
@@ -254,13 +259,12 @@ def opened(
     return _solved(model, p, data, whitening, disturbance, steps)
 
 
-def promise(fit: WeakFit) -> tuple[float, dict[str, float]]:
-    """Sum of squares that one more Gauss-Newton step promises, and the parameters after it."""
-    model, places = fit.model, list(fit.model.places)
-    bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
-    step = limited_step(model, fit.at, fit.p, bounds, prior_of(model))
-    after = np.clip(fit.p[places] + step, *bounds)
-    return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True))
+def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
+    """Sum of squares that is predicted after one more Gauss-Newton step, and the parameters after it."""
+    space = SearchSpace(fit.model, limited=True)
+    step = space.step(fit.at, fit.p)
+    after = space.moved(fit.p, step)[space.places]
+    return squared(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
 
 
 def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
@@ -276,60 +280,39 @@ def _solved(
     max_iterations: int,
     enough: float = 0.0,
 ) -> WeakFit:
-    bounds = bounds_of(model)
-    prior, reach = prior_of(model), reach_of(model)
-    places = list(model.places)
-    p = p.copy()
-    p[places] = np.clip(p[places], *bounds)
-    p = physical(model, p, bounds)
+    """Gauss-Newton steps from p under a fixed noise model."""
+    space = SearchSpace(model, limited=True)
+    p = space.nearest(p)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for _ in range(max_iterations):
-        step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
-        now, then = (prior_cost(prior, p[places] + s) for s in (0.0, step))
-        promised = _squares(at.r) + now - _squares(at.r + at.J @ step) - then
-        if promised < max(_ENOUGH, enough * _squares(at.r)):
+        step, cost = space.step(at, p), space.cost(p, squared(at.r))
+        predicted = space.predicted_cost(p, step, at.r + at.J @ step)
+        if cost - predicted < max(SETTINGS.least_reduction, enough * squared(at.r)):
             break
-        before = p
-        p, at = _line_search(model, p, step, at, data, whitening, bounds, prior)
         iteration += 1
-        if p is before:  # no share of the step helps, and the next one would be the same
+        tried = (space.moved(p, share * step) for share in SETTINGS.shares)
+        ends = ((q, whitened(model.linearise(data, q), whitening)) for q in tried)
+        limit = cost * (1 + 1e-12)
+        found = next((end for end in ends if space.cost(end[0], squared(end[1].r)) <= limit), None)
+        if found is None:  # no share of the step helps, and the next one would be the same
             break
+        p, at = found
     return WeakFit(model, p, data, whitening, at, disturbance, iteration)
 
 
-def _squares(r: Array) -> float:
-    return float(np.sum(r**2))
+@dataclass(frozen=True)
+class InstrumentalSettings:
+    """Numbers of the search with instrumental variables."""
+
+    most_steps: int = 25
+    shortest_step: float = 1e-3  # in standard deviations; a search ends with it
+    # Outer nodes of a three-point Gauss-Hermite rule, in standard deviations, and their weight.
+    node: float = float(np.sqrt(3.0))
+    weight: float = 1.0 / 6.0
 
 
-def _line_search(
-    model: WeakModel,
-    p: Array,
-    step: Array,
-    at: Linearised,
-    data: WeakData,
-    whitening: list[Whitening],
-    bounds: tuple[Array, Array],
-    prior: tuple[Array, Array],
-) -> tuple[Array, Linearised]:
-    """Halve the step until the weighted error falls, what stated priors add to it included."""
-    places = list(model.places)
-    before = _squares(at.r) + prior_cost(prior, p[places])
-    for share in (1.0, 0.5, 0.25, 0.1, 0.02):
-        tried = p.copy()
-        tried[places] = np.clip(p[places] + share * step, *bounds)
-        after = whitened(model.linearise(data, tried), whitening)
-        if _squares(after.r) + prior_cost(prior, tried[places]) <= before * (1 + 1e-12):
-            return tried, after
-    return p, at
-
-
-_INSTRUMENTAL_MAX_ITERATIONS = 25
-# Length of a step, in standard deviations, with which a search ends.
-_INSTRUMENTAL_ENOUGH = 1e-3
-# Nodes of a three-point Gauss-Hermite rule, in standard deviations, and the weight of the outer ones.
-_NODE, _WEIGHT = np.sqrt(3.0), 1.0 / 6.0
-_INSTRUMENTAL_PLAIN = Constraints()
+INSTRUMENTAL = InstrumentalSettings()
 
 
 def fit_instrumental(
@@ -339,7 +322,7 @@ def fit_instrumental(
     horizon: float | None = None,
     *,
     compiled: bool | None = None,
-    constraints: Constraints = _INSTRUMENTAL_PLAIN,
+    constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle by the weak form with simulated regressors as instruments.
 
@@ -379,18 +362,15 @@ class _Instruments:
         self._predictor = Predictor(model.functions, compiled=compiled)
 
     def fit(self) -> WeakFit:
-        model, plain = self._model, self._plain
-        p, places = plain.p.copy(), list(model.places)
-        bounds, prior = bounds_of(model), prior_of(model)
-        taken = 0
-        while taken < _INSTRUMENTAL_MAX_ITERATIONS:
+        space, p, taken = SearchSpace(self._model), self._plain.p, 0
+        while taken < INSTRUMENTAL.most_steps:
             taken += 1
             at = self._at(p)
-            step = limited_step(model, at, p, bounds, prior)
-            p[places] = np.clip(p[places] + step, *bounds)
-            if np.linalg.norm(at.J @ step) < _INSTRUMENTAL_ENOUGH:
+            step = space.step(at, p)
+            p = space.moved(p, step)
+            if np.linalg.norm(at.J @ step) < INSTRUMENTAL.shortest_step:
                 break
-        return replace(plain, p=p, at=self._at(p), iterations=taken)
+        return replace(self._plain, p=p, at=self._at(p), iterations=taken)
 
     def _at(self, p: Array) -> Linearised:
         """Whitened residual of the measured motion less its excess, and the instruments."""
@@ -427,10 +407,10 @@ class _Instruments:
         """Mean of the residual over the noise of the channels, less the residual without noise."""
         found = [np.zeros(len(r)) for r in smooth]
         for channel in np.flatnonzero(self._plain.data.sigma > 0):
-            for sign in (_NODE, -_NODE):
+            for sign in (INSTRUMENTAL.node, -INSTRUMENTAL.node):
                 moved = self._model.linearise(_shifted(simulated, int(channel), sign), p)
                 for total, part, r in zip(found, moved, smooth, strict=True):
-                    total += _WEIGHT * (part.r - r)
+                    total += INSTRUMENTAL.weight * (part.r - r)
         return found
 
 

@@ -19,9 +19,28 @@ from undertow.typing import Array, Flags, Index
 from .data import around, channel_noise, local_polynomial
 
 _ANGLES = ("phi", "psi")
-_FEWEST = 3  # samples of a window
-# The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
-_LACKING = 0.1
+
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """Numbers by which logs are cut into windows, and the motion at their start is smoothed."""
+
+    fewest: int = 3  # samples of a window
+    # The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
+    lacking: float = 0.1
+    # Half-widths in samples of the fits that are tried, from narrow to wide; for what is left of an angle
+    # once its rate is integrated, a line over a long time.
+    widths: tuple[int, ...] = (2, 3, 5)
+    widths_of_angles: tuple[int, ...] = (2, 3, 5, 10, 20, 40)
+    # A fit that misses its samples by more than noise does in one of a hundred cases is not used.
+    refused: float = 0.01
+    # A sample further off than this many ranges of its neighbours is an outlier.
+    outlier: float = 3.0
+    # Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
+    together: float = 1e-6
+
+
+SETTINGS = WindowSettings()
 
 
 @dataclass(frozen=True)
@@ -163,7 +182,7 @@ def _windows_of(
 
 def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
-    wanted = f"{_FEWEST} samples" if horizon is None else f"{horizon:g} s"
+    wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
         f"no stretch without gaps is long enough to predict over {wanted}: the longest in "
         f"{', '.join(repr(r.name) for r in runs)} lasts {longest:g} s; give a longer log or a shorter horizon"
@@ -195,15 +214,15 @@ def _column(run: Run, name: str, piece: slice) -> Array:
 
 def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[Index, Index]:
     """First sample, and one after the last sample, of every window; a window ends where the next starts."""
-    if len(t) < _FEWEST:
+    if len(t) < SETTINGS.fewest:
         return _columns([])
     if horizon is None:
         return _columns([(0, len(t))])
     slack = 1e-3 * float(np.median(np.diff(t)))
     found, first = [], 0
-    while t[first] + (1.0 - _LACKING) * horizon <= t[-1]:
+    while t[first] + (1.0 - SETTINGS.lacking) * horizon <= t[-1]:
         stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)
-        if stop + 1 - first >= _FEWEST:
+        if stop + 1 - first >= SETTINGS.fewest:
             found.append((first, stop + 1))
         following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - slack))
         first = min(max(following, first + 1), len(t) - 1)
@@ -248,14 +267,6 @@ def _side_by_side(
 
 
 # --- the measured motion at one instant -----------------------------------------------------------
-# Half-widths in samples of the fits that are tried, from narrow to wide.
-_WIDTHS = (2, 3, 5)
-# What is left of an angle once its rate is integrated is a line over a long time.
-_WIDE = (2, 3, 5, 10, 20, 40)
-# A fit that misses its samples by more than noise does in one of a hundred cases is not used.
-_REFUSED = 0.01
-# A sample further off than this many ranges of its neighbours is an outlier.
-_LONE = 3.0
 
 
 def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index) -> Array:
@@ -269,7 +280,7 @@ def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, 
     turned = _angles_turned(t, dict(zip(names, measured.T, strict=True)))
     for i in np.flatnonzero(there).tolist():
         known = turned.get(names[i], np.zeros(len(t)))
-        widths, degree = (_WIDTHS, 2) if names[i] not in turned else (_WIDE, 1)
+        widths, degree = (SETTINGS.widths, 2) if names[i] not in turned else (SETTINGS.widths_of_angles, 1)
         rest = local_value(t, measured[:, i] - known, at, float(sigma[i]), widths, degree)
         value[:, i] = rest + known[at]
     return value
@@ -290,7 +301,7 @@ def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
 
 
 def local_value(
-    t: Array, y: Array, at: Index, sigma: float, widths: Sequence[int] = _WIDTHS, degree: int = 2
+    t: Array, y: Array, at: Index, sigma: float, widths: Sequence[int] = SETTINGS.widths, degree: int = 2
 ) -> Array:
     """Value of a noisy signal (N,) at some of its samples (k,).
 
@@ -302,26 +313,24 @@ def local_value(
         if len(t) < 2 * width + 1:
             break
         fitted, _, misfit = local_polynomial(t, y[:, None], at, width, degree)
-        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, _REFUSED)
+        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, SETTINGS.refused)
         value = np.where(good, fitted[:, 0], value)
     return value
 
 
 def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
     """The samples themselves; one that stands far off all of its neighbours is replaced by their median."""
-    if len(y) < 2 * _WIDTHS[0] + 1:
+    if len(y) < 2 * SETTINGS.widths[0] + 1:
         return np.asarray(y[at])
-    near = around(at, _WIDTHS[0], len(y))
+    near = around(at, SETTINGS.widths[0], len(y))
     neighbours = np.where(near == at[:, None], np.nan, y[near])
     low, high = np.nanmin(neighbours, axis=1), np.nanmax(neighbours, axis=1)
-    margin = _LONE * (high - low + 2 * sigma)
+    margin = SETTINGS.outlier * (high - low + 2 * sigma)
     lone = (y[at] < low - margin) | (y[at] > high + margin)
     return np.where(lone, np.nanmedian(neighbours, axis=1), y[at])
 
 
 S = TypeVar("S", bound=np.generic)
-# Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
-_TOGETHER = 1e-6
 
 
 @dataclass(frozen=True)
@@ -396,7 +405,7 @@ def _along(windows: Windows, of_runs: Sequence[NDArray[S]], rows: Index) -> NDAr
 
 def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
     """Samples and arrivals in order of time, s; which of them are the samples; and what arrived by then."""
-    slack = _TOGETHER * float(np.median(np.diff(t)))
+    slack = SETTINGS.together * float(np.median(np.diff(t)))
     late = t + delay
     near = t[np.clip(np.searchsorted(t, late - slack), 0, len(t) - 1)]
     between = late[(late < t[-1]) & (np.abs(near - late) > slack)]
