@@ -95,7 +95,7 @@ def test_a_plain_effect_is_looked_at_again_beside_one_with_many_parameters(
     tether, trim = chain("tether", 8, 1.06, 1.0), chain("trim", plain_size, 1.1, settled_error)
     known = {"tether": tether, "trim": trim}
     monkeypatch.setattr(search, "fitted", lambda vehicle, found, bench: known[found[0].id])
-    monkeypatch.setattr(search, "settled", lambda fit: fit)
+    monkeypatch.setattr(search, "with_reestimated_noise", lambda fit: fit)
     data = SimpleNamespace(block=np.arange(400) // 10)
     bench = SimpleNamespace(test=data, judge=lambda fit: score(fit.after, 7))
     current = SimpleNamespace(findings=[tether.findings[0], trim.findings[0]])

@@ -15,7 +15,7 @@ from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
 from undertow.identification.estimation.pointwise import Pointwise, mapped
-from undertow.identification.estimation.residual import Lateness, WeakModel, whitened
+from undertow.identification.estimation.residual import SensorDelay, WeakModel, whitened
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
@@ -80,7 +80,7 @@ class _Evaluation:
         self._weak = WeakModel(functions, ())
         self._points = Pointwise(functions, ())
         self._chain = ActuatorStates(functions, ())
-        self._lateness = Lateness(functions)
+        self._sensor_delay = SensorDelay(functions)
         self._memory = Memory(functions, (), self._points.measured, self._points.true_motion)
 
     def forces(self) -> Forces:
@@ -94,7 +94,7 @@ class _Evaluation:
         ]
         pieces = []
         for i, reported in enumerate(self.data.segments):
-            s = self._lateness.in_time(reported, self.p)
+            s = self._sensor_delay.in_time(reported, self.p)
             mass, along = self._along(s, actuation[s.run][s.samples])
             # The weak residual is the acceleration of the model minus the measured one.
             acceleration = -self._table(parts[i].r) / _weight(s)[:, None]

@@ -20,8 +20,8 @@ from undertow.typing import Array, Flags, Index
 
 from .test_functions import (
     Entries,
+    Supports,
     TestFunctions,
-    Windows,
     boxes,
     knot_spacing,
     meeting,
@@ -101,11 +101,11 @@ def residual_covariance(
     n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
     # The noise of a rate is that of its pose.
     direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
-    bands = _in_pieces(functions.windows, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
+    bands = _in_pieces(functions.supports, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
     if derived and t is not None:
         levels = {c: sigma[..., c - n] for c in derived}
         rates = _in_pieces(
-            functions.windows,
+            functions.supports,
             rows,
             levels,
             lambda w: (w.first - 1, _differenced(_felt(w, entries, rows, levels), w, t)),
@@ -115,10 +115,10 @@ def residual_covariance(
 
 
 def _in_pieces(
-    windows: Windows,
+    windows: Supports,
     rows: Sequence[int],
     levels: Mapping[int, Array],
-    felt: Callable[[Windows], tuple[Index, Array]],
+    felt: Callable[[Supports], tuple[Index, Array]],
 ) -> Array:
     """Products of the rows of all windows, a few windows and those that they overlap at a time."""
     count, width = windows.weights.shape[1:]
@@ -140,7 +140,7 @@ def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
 
 
 def _felt(
-    windows: Windows,
+    windows: Supports,
     entries: list[tuple[int, int, int, Array]],
     rows: Sequence[int],
     levels: Mapping[int, Array],
@@ -159,7 +159,7 @@ def _felt(
     return np.ascontiguousarray(table.transpose(2, 0, 3, 1))
 
 
-def _differenced(felt: Array, windows: Windows, t: Array) -> Array:
+def _differenced(felt: Array, windows: Supports, t: Array) -> Array:
     """What is felt of a pose whose central differences are felt like this; windows begin a sample earlier."""
     count = len(t)
     after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)

@@ -133,9 +133,9 @@ class Descent:
 
     def fit(self, p: Array) -> OutputErrorFit:
         """Descend, weigh every channel by what the model leaves in it, until that settles."""
-        starts = self._shooting.settled_starts(p)
+        starts = self._shooting.fitted_starts(p)
         dispersion = np.ones(len(self.windows.names))
-        state = self.settled(p, starts)
+        state = self.minimise(p, starts)
         for round_ in range(1, SETTINGS.rounds):
             self._progress(round_ / SETTINGS.rounds, "output error")
             found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
@@ -143,19 +143,19 @@ class Descent:
                 break
             dispersion = found
             self._shooting.weight = self._weight / np.sqrt(dispersion)
-            state = self.settled(state.p, state.starts)
+            state = self.minimise(state.p, state.starts)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
         )
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Descend with weights for each sample by its error, until the parameters settle."""
-        starts = self._shooting.settled_starts(p)
+        starts = self._shooting.fitted_starts(p)
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         for round_ in range(SETTINGS.robust_rounds):
             self._progress(round_ / SETTINGS.robust_rounds, "output error, outliers down-weighted")
             scale = self._weighed(state, loss)
-            before, state = state.p, self.settled(state.p, state.starts)
+            before, state = state.p, self.minimise(state.p, state.starts)
             if self._moved(state, before) < SETTINGS.converged:
                 break
         return self._robust(state, scale, loss)
@@ -190,7 +190,7 @@ class Descent:
             self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
         )
 
-    def settled(self, p: Array, starts: Array) -> State:
+    def minimise(self, p: Array, starts: Array) -> State:
         """Where steps from these parameters and starts lead, with the weights as they are."""
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         if not np.isfinite(state.at.cost):

@@ -30,9 +30,16 @@ def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> l
 
 
 def nonzeros(function: ca.Function, arguments: list[Array], count: int) -> list[Array]:
-    """Structural nonzeros of the outputs of a function of one sample at `count` samples, each (count, nnz).
+    """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
 
-    Arguments are (count, k) for what differs from sample to sample, (k,) for what is the same for all.
+    Parameters
+    ----------
+    function : casadi.Function
+        Function of one sample.
+    arguments : list of arrays
+        (count, k) for what differs from sample to sample, (k,) for what is the same for all.
+    count : int
+        Number of samples.
     """
     run = blockwise(function)
     return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
@@ -328,7 +335,7 @@ class Limits:
 
     def impossible(self, p: Array) -> list[str]:
         """Names of all matrices that are not positive at p, those that no free parameter changes too."""
-        return [matrix.told(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
+        return [matrix.described(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
 
     def moved(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""
@@ -338,7 +345,7 @@ class Limits:
 
     def active(self, p: Array) -> list[str]:
         """Names of the limits that hold the parameters back, with the motions that they concern."""
-        return [matrix.told(p) for matrix in self._matrices if matrix.least(p) < SETTINGS.at_limit]
+        return [matrix.described(p) for matrix in self._matrices if matrix.least(p) < SETTINGS.at_limit]
 
 
 class _Matrix:
@@ -380,7 +387,7 @@ class _Matrix:
                 motion = vector * self._scale
                 yield Cut(np.einsum("i,kij,j->k", motion, slope, motion), -float(excess))
 
-    def told(self, p: Array) -> str:
+    def described(self, p: Array) -> str:
         direction = self._directions(p)[1][:, 0]
         part = np.abs(direction) > 0.1 * np.max(np.abs(direction))
         return f"{self.name} ({', '.join(m for m, there in zip(self._motions, part, strict=True) if there)})"

@@ -54,13 +54,13 @@ class Chained:
         self.used = _counted_once(windows, self.last)
 
     @property
-    def late(self) -> bool:
+    def has_sensor_delay(self) -> bool:
         """Whether a sensor reports late, so that windows hang together by more than the motion."""
-        return self._predictor.lateness.present
+        return self._predictor.sensor_delay.present
 
-    def first_starts(self, p: Array) -> Array:
+    def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
-        return self._shooting.first_starts(p)
+        return self._shooting.measured_starts(p)
 
     def linearise(self, p: Array, starts: Array) -> LinearWindows:
         """Simulate every window with sensitivities."""
@@ -217,22 +217,25 @@ def smoothed(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, p
             ahead, cover = passed.predicted[j + 1]
             inverse = inverse_of(cover)
             change, shrink = motion[j + 1] - ahead, later - cover
-            disturbance += _told(noise.intensity * seconds[j], seconds[j], inverse, change, shrink)
+            disturbance += _disturbance_sums(noise.intensity, seconds[j], inverse, change, shrink)
             gain = spread @ linear.by_end[j].T @ inverse
             mean, spread = mean + gain @ change, _symmetric(spread + gain @ shrink @ gain.T)
         motion[j], later = mean, spread
-        errors += _left(linear, j, mean, spread, noise.variance)
+        errors += _error_sums(linear, j, mean, spread, noise.variance)
     return Smoothed(motion, disturbance, errors)
 
 
-def _told(intensity: Array, seconds: float, inverse: Array, change: Array, shrink: Array) -> Array:
+def _disturbance_sums(
+    intensity: Array, seconds: float, inverse: Array, change: Array, shrink: Array
+) -> Array:
     """Squared disturbance of one window over its length, and the share of it that the data tell, by state."""
-    size = intensity * (inverse @ change[:, 0])
-    share = -intensity * np.diag(inverse @ shrink @ inverse)
+    variance = intensity * seconds
+    size = variance * (inverse @ change[:, 0])
+    share = -variance * np.diag(inverse @ shrink @ inverse)
     return np.column_stack([size**2 / max(seconds, 1e-12), share])
 
 
-def _left(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: Array) -> Array:
+def _error_sums(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: Array) -> Array:
     """Squared errors of one window's samples after smoothing, and how many of them are free, by channel."""
     H = linear.by_start[j]
     error = linear.error[j][..., 0] + H @ mean[:, 0]
@@ -281,7 +284,7 @@ class PredictionErrorFit(Fitted):
     windows: Windows  # What was simulated
     starts: Array  # (b, 2n) estimated true pose and velocity at the start of every window
     passed: Filtered  # Whitened innovations at p, with their derivatives
-    quiet: Filtered  # The same without a disturbance
+    without_process_noise: Filtered  # The same without a disturbance
     noise: Noise  # Estimated noise of the channels, and strength of the disturbance
     iterations: int  # Steps taken
 
@@ -293,7 +296,7 @@ class PredictionErrorFit(Fitted):
     @property
     def noise_gram(self) -> Array:
         """J' J in units of the noise of the sensors alone, without a disturbance."""
-        return _gram(self.quiet)
+        return _gram(self.without_process_noise)
 
     @cached_property
     def covariance(self) -> Array:
@@ -373,16 +376,16 @@ def fit_prediction_error(
     p = started(model, weak_start(model, runs) if start is None else start)
     windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
-    if chained.late:
+    if chained.has_sensor_delay:
         raise UndertowError(
             f"vehicle '{vehicle.name}' has a sensor that reports late, which prediction error does not "
             "follow: use --method output-error, or shift the channel in the log"
         )
-    require_rows(model, _fit_told(chained), runs, "prediction-error")
+    require_rows(model, _informative_samples(chained), runs, "prediction-error")
     return _Search(model, chained, progress).fit(p)
 
 
-def _fit_told(chained: Chained) -> int:
+def _informative_samples(chained: Chained) -> int:
     """Samples of the velocities, or of the pose where that tells more, beyond those that a start takes."""
     by_channel = np.sum(chained.used, axis=(0, 1))
     beyond = np.maximum(by_channel - np.count_nonzero(chained.last), 0)
@@ -450,7 +453,7 @@ class _Search:
 
     def fit(self, p: Array) -> PredictionErrorFit:
         """Alternate steps and noise until neither changes."""
-        state = self._at(p, self._chained.first_starts(p))
+        state = self._at(p, self._chained.measured_starts(p))
         if not np.isfinite(state.passed.table).all():
             raise UndertowError(
                 "the simulation diverges with the starting values of the parameters: give values nearer to "
@@ -465,8 +468,8 @@ class _Search:
             state = replace(state, passed=self._pass(state.linear, self._noise))
             if predicted < SETTINGS.least_fall and abs(self._cost(state) - before) < SETTINGS.converged:
                 break
-        quiet = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
-        passes = state.passed, self._pass(state.linear, quiet)
+        sensor_noise = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
+        passes = state.passed, self._pass(state.linear, sensor_noise)
         return PredictionErrorFit(
             self.model, state.p, self._chained.windows, state.starts, *passes, self._noise, iteration
         )
@@ -506,14 +509,14 @@ class _Search:
         greatest, and is reached much faster than by expectation and maximisation.
         """
         known = self._noise.intensity
-        ratio = _per(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
+        ratio = _per_term(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
         intensity = known * np.clip(ratio, *SETTINGS.leap) ** SETTINGS.overshoot
         intensity = np.where(self._noise.intensity > 0, np.maximum(intensity, self._least), 0.0)
-        variance = np.maximum(_per(back.errors, 1.0, self._noise.variance), self._finest)
+        variance = np.maximum(_per_term(back.errors, 1.0, self._noise.variance), self._finest)
         self._noise = self._vague(replace(self._noise, variance=variance, intensity=intensity))
 
 
-def _per(told: Array, least: float, known: Array) -> Array:
+def _per_term(sums: Array, least: float, known: Array) -> Array:
     """Sums of squares per term that the data tell; what is known where they tell less than `least`."""
-    there = told[:, 1] > least
-    return np.where(there, told[:, 0] / np.where(there, told[:, 1], 1.0), known)
+    there = sums[:, 1] > least
+    return np.where(there, sums[:, 0] / np.where(there, sums[:, 1], 1.0), known)

@@ -16,9 +16,9 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
-from .inputs import Carried, Inputs, shifted_mean, without_gaps
+from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
 from .pointwise import Pointwise, mapped
-from .residual import Lateness
+from .residual import SensorDelay
 from .windows import Drive, Prediction, Windows, arriving, cut, prediction_error
 
 Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
@@ -43,7 +43,7 @@ class StartSettings:
 SETTINGS = StartSettings()
 
 
-class Inherited:
+class OwnStates:
     """Own states of a model at the start of windows: memory of wrenches, and actuators.
 
     `simulate` reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b,
@@ -51,10 +51,10 @@ class Inherited:
     """
 
     def __init__(
-        self, functions: Functions, points: Pointwise, lateness: Lateness, simulate: Simulate
+        self, functions: Functions, points: Pointwise, sensor_delay: SensorDelay, simulate: Simulate
     ) -> None:
         self._functions, self._points, self._simulate = functions, points, simulate
-        self._lateness = lateness
+        self._sensor_delay = sensor_delay
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
@@ -70,7 +70,7 @@ class Inherited:
             return own
         stretches = _stretches(windows)
         first = np.array([rows[0] for rows in stretches])
-        look = _opening(windows, first)
+        look = _first_windows(windows, first)
         drive = arriving(look, held, delay)
         drives = [
             shifted_mean(run.t, u, delay) if delay else u for run, u in zip(windows.runs, held, strict=True)
@@ -79,7 +79,9 @@ class Inherited:
         scale = self._scale(
             [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
         )
-        begin = self._begun(look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p)
+        begin = self._best_starts(
+            look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p
+        )
         for rows, state in zip(stretches, begin, strict=True):
             along = self._along(windows, rows, drives, state, p)
             own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
@@ -110,17 +112,17 @@ class Inherited:
         reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
         measured = self._measured(windows, run, reach, p)[: count + 1]
         columns = [measured[:-1], measured[1:], u[:-1]]
-        return self._carried.states(start, columns, p, t[:-1], np.diff(t))
+        return self._propagated.states(start, columns, p, t[:-1], np.diff(t))
 
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
         log = windows.runs[run]
         zero = np.zeros(len(log.t))
         measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
-        return self._lateness.at_its_time(log.t[piece], measured, p)
+        return self._sensor_delay.at_its_time(log.t[piece], measured, p)
 
     @cached_property
-    def _carried(self) -> Carried:
+    def _propagated(self) -> PropagatedState:
         """Own states from sample to sample: the motion is linear in between, the command is held."""
         f, measured = self._functions, self._points.measured
         after, dt, rate = ca.SX.sym("after", measured.shape[0]), ca.SX.sym("dt"), self._rates
@@ -130,7 +132,9 @@ class Inherited:
             return rate(state, measured + share * (after - measured), f.u, f.p, f.t + share * dt)
 
         inputs = Inputs([measured, after, f.u], f.p, f.t, dt)
-        return Carried(ca.vertcat(f.memory, f.actuator_states), inputs, nothing, at, lambda *_: nothing)
+        return PropagatedState(
+            ca.vertcat(f.memory, f.actuator_states), inputs, nothing, at, lambda *_: nothing
+        )
 
     @cached_property
     def _rates(self) -> ca.Function:
@@ -141,7 +145,7 @@ class Inherited:
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
 
     # --- at its beginning ---------------------------------------------------------------------
-    def _begun(
+    def _best_starts(
         self, look: Windows, start: Array, drive: Drive, scale: Array, noise: Array, p: Array
     ) -> Array:
         """Own states at the beginning of every stretch."""
@@ -155,7 +159,7 @@ class Inherited:
         return best_start(report, measured, start, width)[:, -self.size :]
 
 
-def _opening(windows: Windows, first: Index) -> Windows:
+def _first_windows(windows: Windows, first: Index) -> Windows:
     """The first seconds of the first window of every stretch."""
     step = float(np.median(np.diff(windows.runs[0].t)))
     return windows.take(first, max(int(SETTINGS.seconds / step), 3))
@@ -233,8 +237,8 @@ class Predictor:
         self.functions = model if isinstance(model, Functions) else Functions(model)
         self.simulator = Simulator(self.functions, compiled=compiled)
         self._points = Pointwise(self.functions, ())
-        self.lateness = Lateness(self.functions)
-        self._inherited = Inherited(self.functions, self._points, self.lateness, self.simulated)
+        self.sensor_delay = SensorDelay(self.functions)
+        self._own_states = OwnStates(self.functions, self._points, self.sensor_delay, self.simulated)
         # Bound as one, so that threads with windows of their own do not mix them up.
         self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
         self._recent = (lambda: None), {}
@@ -280,7 +284,7 @@ class Predictor:
         found = recent.get(key := p.tobytes())
         if found is None:
             measured = self.measured_motion(windows, u, p)
-            found = measured, self._inherited.at_starts(windows, measured, held, delay, p)
+            found = measured, self._own_states.at_starts(windows, measured, held, delay, p)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
             recent[key] = found
@@ -290,8 +294,8 @@ class Predictor:
         """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
         f, count = self.functions, len(windows)
         nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
-        late = self.lateness.present
-        start = windows.start_after(self.lateness.seconds(p)) if late else windows.start
+        late = self.sensor_delay.present
+        start = windows.start_after(self.sensor_delay.seconds(p)) if late else windows.start
         (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
@@ -303,9 +307,11 @@ class Predictor:
         """
         states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
         prompt = self.reported(states, t, drive.u, p)
-        if not self.lateness.present:
+        if not self.sensor_delay.present:
             return prompt
-        return reported_late(prompt, t, self.lateness.seconds(p), prompt[:, 0] if before is None else before)
+        return reported_late(
+            prompt, t, self.sensor_delay.seconds(p), prompt[:, 0] if before is None else before
+        )
 
     def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
         """What sensors that are not late report of states of shape (b, k, nx)."""

@@ -15,7 +15,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
 from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
-from .inputs import Actuated, ActuatorStates, Driven, Memory, without_gaps
+from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
 from .pointwise import Limits, Pointwise, nonzeros
 from .test_functions import Entries, kink_delay, meeting, tested
 
@@ -45,7 +45,7 @@ class ResidualSettings:
 SETTINGS = ResidualSettings()
 
 
-class Lateness:
+class SensorDelay:
     """How old every measured channel is, and what follows for a segment."""
 
     def __init__(self, functions: Functions, free: tuple[int, ...] = ()) -> None:
@@ -204,7 +204,7 @@ class WeakModel:
         self._chain = ActuatorStates(functions, self.places)
         self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
-        self._late = Lateness(functions, self.places)
+        self._sensor_delay = SensorDelay(functions, self.places)
         self._known: dict[int, _At] = {}
 
     @cached_property
@@ -242,13 +242,13 @@ class WeakModel:
             for begin, part, s in zip(known, parts, data.segments, strict=True)
         ]
 
-    def _driven(self, data: WeakData, p: Array) -> list[Actuated]:
+    def _driven(self, data: WeakData, p: Array) -> list[Actuation]:
         return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
 
-    def _in_time(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
-        return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
+    def _in_time(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
+        return self._sensor_delay.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
-    def _segment(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
+    def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
         entries = self._entries(inputs, actuation, memory)
@@ -261,14 +261,14 @@ class WeakModel:
         return self._tested(entries, s, rows)
 
     def _inputs(
-        self, measured: Array, actuation: Actuated, memory: Array, u: Array, p: Array, t: Array
+        self, measured: Array, actuation: Actuation, memory: Array, u: Array, p: Array, t: Array
     ) -> list[Array]:
         forces = u[:, actuation.value.shape[1] :]
         before = np.hstack([actuation.before.value, np.vstack([forces[:1], forces[:-1]])])
         inverse, delay = self._points.mass_inverse(p), kink_delay(t)[:, None]
         return [measured, actuation.value, memory, u, inverse, before, delay, p, t[:, None]]
 
-    def _entries(self, inputs: list[Array], actuation: Actuated, memory: Driven) -> list[Entries]:
+    def _entries(self, inputs: list[Array], actuation: Actuation, memory: DrivenSignal) -> list[Entries]:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
         function = self._points.value_and_derivatives
         value, free, *by_driven = nonzeros(function, inputs, len(inputs[0]))
@@ -296,7 +296,7 @@ class WeakModel:
             np.where(place[equation] >= 0, place[equation] * width + e.column, -1)
             for e, (_, equation) in zip(entries, met, strict=True)
         ]
-        table = tested(s.functions.windows, entries, [kind for kind, _ in met], target, len(rows) * width)
+        table = tested(s.functions.supports, entries, [kind for kind, _ in met], target, len(rows) * width)
         stacked = table.reshape(-1, width)
         return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
@@ -304,11 +304,11 @@ class WeakModel:
         """Whitening of every segment under the noise of the channels, at parameters p."""
         driven = self._driven(data, p)
         return [
-            self._segment_whitening(self._late.in_time(s, p), _cut(driven[s.run], s), data, p)
+            self._segment_whitening(self._sensor_delay.in_time(s, p), _cut(driven[s.run], s), data, p)
             for s in data.segments
         ]
 
-    def _segment_whitening(self, s: Segment, actuation: Actuated, data: WeakData, p: Array) -> Whitening:
+    def _segment_whitening(self, s: Segment, actuation: Actuation, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
         function = self._points.noise
@@ -320,11 +320,12 @@ class WeakModel:
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
 
-def _cut(driven: Actuated, s: Segment) -> Actuated:
+def _cut(driven: Actuation, s: Segment) -> Actuation:
     parts = [
-        Driven(d.value[s.samples], d.slope[s.samples], d.start[s.samples]) for d in (driven, driven.before)
+        DrivenSignal(d.value[s.samples], d.slope[s.samples], d.start[s.samples])
+        for d in (driven, driven.before)
     ]
-    return Actuated.of(*parts)
+    return Actuation.of(*parts)
 
 
 def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
@@ -334,7 +335,7 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
     A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
     because little is left to be wrong about.
     """
-    lost = int(np.searchsorted(s.t[s.functions.windows.first], begin))
+    lost = int(np.searchsorted(s.t[s.functions.supports.first], begin))
     if not 0 < 2 * lost < s.functions.count:
         return part
     forces = [k for k, row in enumerate(rows) if row < n]

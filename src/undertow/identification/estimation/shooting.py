@@ -160,27 +160,27 @@ class Shooting:
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
 
-    def first_starts(self, p: Array) -> Array:
+    def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
         return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
 
-    def settled_starts(self, p: Array) -> Array:
+    def fitted_starts(self, p: Array) -> Array:
         """Starts of the windows that fit these parameters best, shape (b, 2n).
 
         What is read off the log at one sample is a little off, and a window may run away from there: then
         its beginning is fitted first, twice as much of it after that and so on, and all in the end.
         """
-        first = self.first_starts(p)
+        first = self.measured_starts(p)
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
-            return self._opened(p, first)[0]
+            return self._fitted_progressively(p, first)[0]
         starts, squares = self._stepped(p, first)
         if not np.max(squares) > SETTINGS.wrong_start * np.median(squares):
             return starts
-        opened, after = self._opened(p, first)
+        opened, after = self._fitted_progressively(p, first)
         return np.where((after < squares)[:, None], opened, starts)
 
-    def _opened(self, p: Array, starts: Array) -> tuple[Array, Array]:
+    def _fitted_progressively(self, p: Array, starts: Array) -> tuple[Array, Array]:
         """Starts fitted to more and more of every window, and the mean square of each with them."""
         trust = self.trust
         elapsed = self.windows.t - self.windows.t[:, :1]
@@ -324,8 +324,8 @@ class Shooting:
     @cached_property
     def _reports_states(self) -> bool:
         """Whether all that is compared are states of the simulation, and nothing acts before a window."""
-        lateness = self.predictor.lateness
-        return self.predictor.sensors_are_true and not lateness.present and not self._indirect
+        sensor_delay = self.predictor.sensor_delay
+        return self.predictor.sensors_are_true and not sensor_delay.present and not self._indirect
 
     def _all_weights(self, rows: slice) -> Array:
         """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
@@ -338,10 +338,10 @@ class Shooting:
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
         """Report and slopes at the time that they come; what was before a window moves with nothing."""
-        if not self.predictor.lateness.present:
+        if not self.predictor.sensor_delay.present:
             return reported, slope
         t, before = self.windows.t[rows], self.windows.start[rows]
-        seconds = self.predictor.lateness.seconds(p)
+        seconds = self.predictor.sensor_delay.seconds(p)
         still = np.zeros((*before.shape, slope.shape[3]))
         return reported_late(reported, t, seconds, before), reported_late(slope, t, seconds, still)
 

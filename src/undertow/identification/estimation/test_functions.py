@@ -24,16 +24,16 @@ from undertow.typing import Array, Index
 
 # --- the samples that a test function sees --------------------------------------------------------
 @dataclass(frozen=True)
-class Windows:
-    """Windows of one width W for K test functions."""
+class Supports:
+    """Supports of one width W for K test functions."""
 
     first: Index  # (K,) first sample of each window; none begins before the one in front of it
     samples: int  # Number of samples; a window may reach beyond the last one, with weights of zero
     weights: Array  # (kinds, K, W) weights of every kind
 
     @classmethod
-    def of(cls, kinds: Sequence[csr_array]) -> Windows:
-        """Windows around what every test function sees with any kind of weights (K, N)."""
+    def of(cls, kinds: Sequence[csr_array]) -> Supports:
+        """Supports around what every test function sees with any kind of weights (K, N)."""
         parts = [w.tocoo() for w in kinds]
         count, samples = kinds[0].shape
         first, last = np.full(count, samples - 1), np.zeros(count, dtype=np.intp)
@@ -47,9 +47,9 @@ class Windows:
             kind[part.row, part.col - first[part.row]] = part.data
         return cls(first, samples, weights)
 
-    def part(self, which: slice) -> Windows:
+    def part(self, which: slice) -> Supports:
         """Some of the windows."""
-        return Windows(self.first[which], self.samples, self.weights[:, which])
+        return Supports(self.first[which], self.samples, self.weights[:, which])
 
     @property
     def index(self) -> Index:
@@ -76,9 +76,9 @@ class TestFunctions:
     __test__ = False  # not a pytest class
 
     @cached_property
-    def windows(self) -> Windows:
+    def supports(self) -> Supports:
         """The weights of value, rate and held, as windows."""
-        return Windows.of([self.value, self.rate, self.held])
+        return Supports.of([self.value, self.rate, self.held])
 
     @property
     def count(self) -> int:
@@ -280,7 +280,7 @@ _SIDE = 8
 _NAMES = ("TESTED", "PRODUCTS", "SOLVED")
 
 
-class _Windows(ctypes.Structure):
+class _Supports(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in ("count", "width", "samples")),
         ("first", ctypes.c_void_p),
@@ -289,7 +289,7 @@ class _Windows(ctypes.Structure):
 
 
 class _Sums(Protocol):
-    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None: ...
+    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None: ...
 
     def products(self, first: Index, felt: Array, bands: Array) -> None: ...
 
@@ -306,14 +306,14 @@ class SumsInC:
         for entry in self._call.values():
             entry.restype = None
 
-    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
+    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
         chosen = np.flatnonzero(target >= 0)
         runs = np.ascontiguousarray(_runs(chosen, kind))
         data = np.ascontiguousarray(part.data)
         count, width = windows.weights.shape[1:]
         first, places = (np.ascontiguousarray(a, dtype=np.int64) for a in (windows.first, target))
         sums = np.empty(data.shape[1])
-        about = _Windows(count, width, windows.samples, first.ctypes.data, windows.weights.ctypes.data)
+        about = _Supports(count, width, windows.samples, first.ctypes.data, windows.weights.ctypes.data)
         self._call["TESTED"](
             ctypes.byref(about),
             ctypes.c_int64(data.shape[1]),
@@ -345,7 +345,7 @@ class SumsInC:
 class SumsInNumPy:
     """The same without a compiler."""
 
-    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
+    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
         index, flat = windows.index, table.reshape(len(table), -1)
         for e in np.flatnonzero(target >= 0):
             weights = windows.weights[kind[e]]
@@ -407,7 +407,7 @@ def _runs(chosen: Index, kind: Index) -> Index:
 
 
 def tested(
-    windows: Windows, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
+    windows: Supports, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
 ) -> Array:
     """Sums over each of K windows of weight times signal, (K, size), gathered in the places of the signals.
 

@@ -60,12 +60,12 @@ def mean_square(r: Array, data: WeakData) -> Array:
     return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
 
 
-def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
+def with_process_noise(sensor_noise: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
     """A noise model with a disturbance of the given intensity in each equation."""
     level = disturbance[list(data.rows)]
     return [
         w.with_disturbance(np.tile(level, s.functions.count))
-        for w, s in zip(quiet, data.segments, strict=True)
+        for w, s in zip(sensor_noise, data.segments, strict=True)
     ]
 
 
@@ -76,18 +76,18 @@ def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
     return np.nan_to_num(mean_square(raw, data)) / float(np.mean(lengths))
 
 
-def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
+def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
     """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
 
     Zero where the noise of the channels explains the residual by itself.
     """
     data = fit.data
     parts = fit.model.linearise(data, fit.p)
-    if fits_noise(whitened(parts, quiet), data):
+    if fits_noise(whitened(parts, sensor_noise), data):
         return np.zeros(len(data.names))
     level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
     for _ in range(SETTINGS.matching_steps):
-        square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
+        square = mean_square(whitened(parts, with_process_noise(sensor_noise, level, data)).r, data)
         level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
     return np.asarray(level)
 
@@ -118,8 +118,8 @@ class WeakFit(Fitted):
     @cached_property
     def noise_gram(self) -> Array:
         """J' J in units of the noise of the sensors alone, without a disturbance."""
-        quiet = self.model.whitening(self.data, self.p)
-        J = whitened(self.model.linearise(self.data, self.p), quiet).J
+        sensor_noise = self.model.whitening(self.data, self.p)
+        J = whitened(self.model.linearise(self.data, self.p), sensor_noise).J
         return np.asarray(J.T @ J)
 
     @cached_property
@@ -197,24 +197,24 @@ def fit_weak(
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
     model.require_defined(data, p)
     disturbance = first_guess(model, data, p)
-    loud = disturbed(model.whitening(data, p), disturbance, data)
-    return settled(_solved(model, p, data, loud, disturbance, max_iterations))
+    loud = with_process_noise(model.whitening(data, p), disturbance, data)
+    return with_reestimated_noise(_solved(model, p, data, loud, disturbance, max_iterations))
 
 
 def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constraints) -> WeakModel:
     return constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
 
 
-def settled(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> WeakFit:
+def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> WeakFit:
     """Match the noise model to what a fit leaves, and fit again, until neither changes."""
-    quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
+    sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
         # How the sensors' noise enters is dear to work out, and hangs on the parameters but little.
         if _moved(fit.p, at):
-            quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
-        disturbance = matched_disturbance(fit, quiet)
+            sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
+        disturbance = matched_disturbance(fit, sensor_noise)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
-        whitening = disturbed(quiet, disturbance, fit.data)
+        whitening = with_process_noise(sensor_noise, disturbance, fit.data)
         fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
         if changed < SETTINGS.noise_converged or not np.any(disturbance):
             break
@@ -228,12 +228,12 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
     """
     if not np.any(fit.disturbance):
         return fit
-    quiet = fit.model.whitening(fit.data, fit.p)
-    left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
+    sensor_noise = fit.model.whitening(fit.data, fit.p)
+    left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), sensor_noise).r, fit.data)
     if np.nanmax(left) > SETTINGS.worth_without_disturbance:
         return fit
     none = np.zeros_like(fit.disturbance)
-    other = _solved(fit.model, fit.p, fit.data, quiet, none, SETTINGS.most_steps)
+    other = _solved(fit.model, fit.p, fit.data, sensor_noise, none, SETTINGS.most_steps)
     return other if fits_noise(other.at, fit.data) else fit
 
 
@@ -242,7 +242,7 @@ def _moved(p: Array, since: Array) -> bool:
     return bool(np.any(np.abs(p - since) > SETTINGS.noise_moved * np.abs(since)))
 
 
-def opened(
+def start_fit(
     model: WeakModel,
     data: WeakData,
     start: Mapping[str, float],
@@ -377,8 +377,8 @@ class _Instruments:
         data = self._plain.data
         simulated = self._simulated(p)
         # Weights by the measured motion would know of its noise as well.
-        quiet = self._model.whitening(simulated, p)
-        whitening = disturbed(quiet, self._plain.disturbance, simulated)
+        sensor_noise = self._model.whitening(simulated, p)
+        whitening = with_process_noise(sensor_noise, self._plain.disturbance, simulated)
         smooth = self._model.linearise(simulated, p)
         excess = self._excess(simulated, [part.r for part in smooth], p)
         measured = self._model.linearise(data, p)
