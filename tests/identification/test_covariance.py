@@ -136,7 +136,7 @@ def c_compiler() -> Compiler:
 
 @pytest.mark.parametrize("t", [EVEN, UNEVEN])
 def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> None:
-    rng, windows = np.random.default_rng(6), functions_on(t, 0.25).windows
+    rng, windows = np.random.default_rng(6), functions_on(t, 0.25).supports
     entries = _entries(len(t))
     kind = rng.integers(0, 3, len(entries.row))
     target = rng.integers(-1, 7, len(entries.row))  # several signals in one place, and some in none
@@ -158,7 +158,7 @@ def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> No
 
 
 def test_what_lies_outside_a_window_counts_for_nothing_whatever_it_is(c_compiler: Compiler) -> None:
-    windows, entries = functions_on(EVEN, 0.25).windows, _entries(len(EVEN))
+    windows, entries = functions_on(EVEN, 0.25).supports, _entries(len(EVEN))
     entries.data[60:] = np.nan
     table = np.zeros((len(windows.first), 1))
     place = np.zeros(len(entries.row), dtype=np.intp)

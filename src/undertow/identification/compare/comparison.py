@@ -357,17 +357,8 @@ def compare(
         Logs with the velocities and commands of the vehicle.
     horizon : float
         How far ahead is predicted from each measured start, s; shorter where the logs are.
-    compiled : bool, optional
-        As for `Simulator`.
-    progress : callable
-        Told what share is done, and what is being done.
     trust_log : bool
         Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log cannot be, or no stretch without gaps is long enough.
     """
     began = time.perf_counter()
     refuse_impossible(vehicle, runs, trust_log=trust_log)

@@ -48,23 +48,7 @@ class Forces:
 
 
 def residual_forces(model: Vehicle | Functions, runs: Sequence[Run], data: WeakData | None = None) -> Forces:
-    """Forces that logs show and a model lacks.
-
-    Parameters
-    ----------
-    model : Vehicle or Functions
-        The model, at its values.
-    runs : sequence of Run
-        Logs with the velocities and commands of the vehicle.
-    data : WeakData, optional
-        The same logs prepared already.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, no stretch without gaps is long enough, or the model has no finite force
-        somewhere in the logs.
-    """
+    """Forces that logs show and a model lacks; `data` are the same logs if they are prepared already."""
     functions = model if isinstance(model, Functions) else Functions(model)
     data = prepare(runs, functions.vehicle) if data is None else data
     return _Evaluation(functions, data).forces()

@@ -336,20 +336,11 @@ def fit_output_error(
         Length of a window in s; None: each stretch without gaps is one.
     start : mapping, optional
         Starting values; by default those of a weak-form fit.
-    compiled : bool, optional
-        As for `Simulator`.
     constraints : Constraints
         What else is asked of the parameters.
     loss : str
-        "gaussian" squares every error; "huber" and "student-t" let no outlier pull without limit, by weights
-        for each sample, worked out anew until they settle.
-    progress : callable
-        Told what share is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, no stretch is as long as the horizon, or the simulation diverges.
+        "gaussian" squares every error; "huber" and "student-t" reweight each sample until the parameters
+        converge, so that no outlier pulls without limit.
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")

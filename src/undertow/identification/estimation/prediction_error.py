@@ -18,8 +18,17 @@ from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
 from .shooting import Shooting
-from .step import Constraints, SearchSpace, clustered, inverse_of, prior_of, require_rows, squared
-from .weak_form import free_parameters
+from .step import (
+    Constraints,
+    SearchSpace,
+    clustered,
+    inverse_of,
+    prior_of,
+    require_rows,
+    squared,
+    summed_scores,
+)
+from .weak_form import free_parameters, mean_square_by
 from .windows import Windows, cut_by_samples
 
 
@@ -310,8 +319,7 @@ class PredictionErrorFit(Fitted):
         within = np.floor((t - t.min(initial=0.0)) / SETTINGS.block).astype(np.intp)
         pairs = np.column_stack([self.windows.run[self.passed.window], within])
         block = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
-        scores = np.zeros((int(block.max(initial=0)) + 1, table.shape[1] - 1))
-        np.add.at(scores, block, table[:, 1:] * table[:, :1])
+        scores = summed_scores(table[:, 0], table[:, 1:], block)
         return clustered(self.gram + np.diag(prior_of(self.model)[1] ** 2), scores)
 
     @property
@@ -335,10 +343,7 @@ class PredictionErrorFit(Fitted):
 
     def mean_square(self) -> Array:
         """Mean square of the whitened innovations by channel; NaN where one is not used."""
-        size = len(self.windows.names)
-        total = np.bincount(self.passed.channel, self.passed.table[:, 0] ** 2, size)
-        count = np.bincount(self.passed.channel, minlength=size)
-        return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
+        return mean_square_by(self.passed.channel, self.passed.table[:, 0], len(self.windows.names))
 
 
 def _gram(passed: Filtered) -> Array:
@@ -356,18 +361,9 @@ def fit_prediction_error(
     constraints: Constraints = _PLAIN,
     progress: Progress = lambda done, words: None,
 ) -> PredictionErrorFit:
-    """Fit the free parameters of a vehicle that a disturbance pushes, by the errors of its predictions.
+    """Fit the free parameters of a vehicle with process noise by the errors of its predictions.
 
-    Parameters
-    ----------
-    vehicle, runs, free, start, compiled, constraints, progress
-        As for `fit_output_error`.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short or too long, a sensor reports late, or the simulation
-        diverges.
+    The parameters are those of `fit_output_error`.
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     _refuse_long(runs)

@@ -19,7 +19,7 @@ from undertow.typing import Array, Index
 from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
 from .pointwise import Pointwise, mapped
 from .residual import SensorDelay
-from .windows import Drive, Prediction, Windows, arriving, cut, prediction_error
+from .windows import Drive, Prediction, Windows, arriving, cut
 
 Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
 
@@ -248,10 +248,6 @@ class Predictor:
         """Parameters of the vehicle."""
         return np.array(self.functions.values(), dtype=float)
 
-    def predict(self, windows: Windows, p: Array | None = None) -> Prediction:
-        """Simulate every window from its measured start, by default with the vehicle's own values."""
-        return Prediction(windows, self.reports(windows, self.values if p is None else p))
-
     def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
         """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
 
@@ -374,36 +370,21 @@ def predict(
     runs: Sequence[Run] | Windows,
     horizon: float | None = 5.0,
     *,
-    p: Array | None = None,
-    overlap: float = 0.0,
     compiled: bool | None = None,
 ) -> Prediction:
-    """Predict logs window by window.
+    """Predict logs, or windows that were cut already, window by window.
 
     Parameters
     ----------
     model : Vehicle, Functions or Predictor
         The model; a Predictor keeps its compiled code from one call to the next.
     runs : sequence of Run, or Windows
-        Logs, or logs that are cut already (then horizon and overlap are theirs).
+        What is predicted; the horizon is that of the windows where they are given.
     horizon : float or None
         Length of a window in s; None: each stretch without gaps from its first sample to its end.
-    p : (n_parameters,) array, optional
-        Parameters; those of the vehicle by default.
-    overlap : float
-        Share of a window that the next one repeats.
     compiled : bool, optional
         As for `Simulator`.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, or no stretch without gaps is as long as the horizon.
     """
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
-    vehicle = predictor.functions.vehicle
-    windows = runs if isinstance(runs, Windows) else cut(runs, vehicle, horizon, overlap=overlap)
-    return predictor.predict(windows, p)
-
-
-__all__ = ["Prediction", "Predictor", "Windows", "cut", "predict", "prediction_error"]
+    windows = runs if isinstance(runs, Windows) else cut(runs, predictor.functions.vehicle, horizon)
+    return Prediction(windows, predictor.reports(windows, predictor.values))

@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .data import WeakData
 from .pointwise import Cut
@@ -436,6 +436,13 @@ def follower_errors(model: WeakModel, errors: Mapping[str, float]) -> dict[str, 
     """Standard errors of the parameters that are tied to others; zero where those are known."""
     tied = model.functions.equal.items()
     return {name: abs(factor) * errors.get(other, 0.0) for name, (other, factor) in tied}
+
+
+def summed_scores(r: Array, J: Array, block: Index) -> Array:
+    """J' r of the rows of each block, (blocks, k)."""
+    scores = np.zeros((int(block.max(initial=0)) + 1, J.shape[1]))
+    np.add.at(scores, block, J * r[:, None])
+    return scores
 
 
 def clustered(information: Array, scores: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .data import Segment, WeakData, Whitening, prepare
 from .fitted import Fitted
@@ -24,6 +24,7 @@ from .step import (
     prior_of,
     require_equations,
     squared,
+    summed_scores,
 )
 from .windows import Windows, cut
 
@@ -54,9 +55,12 @@ _PLAIN = Constraints()
 
 def mean_square(r: Array, data: WeakData) -> Array:
     """Mean square of a whitened residual for each of the 2n equations; 1 is the noise floor."""
-    size = len(data.names)
-    total = np.bincount(data.equation, weights=r**2, minlength=size)
-    count = np.bincount(data.equation, minlength=size)
+    return mean_square_by(data.equation, r, len(data.names))
+
+
+def mean_square_by(group: Index, r: Array, size: int) -> Array:
+    """Mean square of the rows of each of `size` groups; NaN for a group without rows."""
+    total, count = np.bincount(group, r**2, size), np.bincount(group, minlength=size)
     return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
 
 
@@ -134,11 +138,7 @@ class WeakFit(Fitted):
 
         Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
         """
-        scores = self.at.J * self.at.r[:, None]
-        block = self.data.block
-        summed = np.zeros((int(block.max(initial=0)) + 1, scores.shape[1]))
-        np.add.at(summed, block, scores)
-        return clustered(self.information, summed)
+        return clustered(self.information, summed_scores(self.at.r, self.at.J, self.data.block))
 
     @property
     def cost(self) -> float:
@@ -326,26 +326,8 @@ def fit_instrumental(
 ) -> WeakFit:
     """Fit the free parameters of a vehicle by the weak form with simulated regressors as instruments.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Model with starting values and priors.
-    runs : sequence of Run
-        Logs with the velocities and commands of the vehicle.
-    free : sequence of str, optional
-        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
-    horizon : float or None
-        Length of the windows that are simulated from the measured motion at their start, s; None: each
-        stretch without gaps is one.
-    compiled : bool, optional
-        As for `Simulator`.
-    constraints : Constraints
-        What else is asked of the parameters.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short, or the simulation diverges.
+    The parameters are those of `fit_output_error`; with `horizon` None each stretch without gaps is simulated
+    as a whole from its measured start.
     """
     model = constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
     data = prepare(runs, vehicle)

@@ -124,7 +124,6 @@ def cut(
     vehicle: Vehicle,
     horizon: float | None,
     *,
-    overlap: float = 0.0,
     sigma: Array | None = None,
     skip: float = 0.0,
 ) -> Windows:
@@ -138,8 +137,6 @@ def cut(
         Whose degrees of freedom and commands are wanted.
     horizon : float or None
         Length of a window in s; None makes one window of every stretch without gaps.
-    overlap : float
-        Share of a window that the next one repeats, 0 to less than 1.
     sigma : (2n,) array, optional
         Noise of the channels; estimated where it is not given.
     skip : float
@@ -152,7 +149,7 @@ def cut(
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
-    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap, skip)]
+    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, skip)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)
     return _windows_of(runs, vehicle, horizon, sigma, stretches)
@@ -161,7 +158,7 @@ def cut(
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
     """Cut every run into windows of so many of its own sampling intervals."""
     lengths = [intervals * float(np.median(np.diff(run.t))) for run in runs]
-    found = [_stretches(i, run, vehicle, lengths[i], 0.0) for i, run in enumerate(runs)]
+    found = [_stretches(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
         if not any(len(s.starts) for s in own):
             _refuse([run], own, length)
@@ -190,7 +187,7 @@ def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None
 
 
 def _stretches(
-    index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float, skip: float = 0.0
+    index: int, run: Run, vehicle: Vehicle, horizon: float | None, skip: float = 0.0
 ) -> list[Stretch]:
     pose = [n for n in vehicle.pose_names if run.has(n)]
     needed = [*pose, *vehicle.velocity_names]
@@ -200,7 +197,7 @@ def _stretches(
         t = run.t[piece]
         measured = np.column_stack([_column(run, n, piece) for n in names])
         late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
-        edges = (late + edge for edge in _windows(t[late:], horizon, overlap))
+        edges = (late + edge for edge in _windows(t[late:], horizon))
         found.append(Stretch(index, piece.start, t, measured, *edges))
     return found
 
@@ -212,7 +209,7 @@ def _column(run: Run, name: str, piece: slice) -> Array:
     return np.unwrap(values) if name in _ANGLES else values
 
 
-def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[Index, Index]:
+def _windows(t: Array, horizon: float | None) -> tuple[Index, Index]:
     """First sample, and one after the last sample, of every window; a window ends where the next starts."""
     if len(t) < SETTINGS.fewest:
         return _columns([])
@@ -224,7 +221,7 @@ def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[Index, In
         stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)
         if stop + 1 - first >= SETTINGS.fewest:
             found.append((first, stop + 1))
-        following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - slack))
+        following = int(np.searchsorted(t, t[first] + horizon - slack))
         first = min(max(following, first + 1), len(t) - 1)
         if stop == len(t) - 1:
             break
