@@ -99,22 +99,13 @@ class Pointwise:
     """Terms of the weak form at a sample, for one vehicle.
 
     The measured pose and velocity are first turned back into the true ones (inverse of the measurement
-    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration
-    by the
-    commands; n rows each. The equations of motion are divided by the mass matrix: their noise then
-    hardly depends on the
-    parameters, and least squares is not drawn to small inertia, as it is where the noise is multiplied
-    by what is
-    estimated.
+    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration by
+    the commands; n rows each. The equations of motion are divided by the mass matrix: their noise then hardly
+    depends on the parameters, and least squares is not drawn to small inertia, as it is where the noise is
+    multiplied by what is estimated.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the parameters that derivatives are taken in.
-    chain_moves : bool
-        Whether what reaches the thrusters depends on any of these, or on states.
+    `free` holds the places in p of the parameters that derivatives are taken in; `chain_moves` says whether
+    what reaches the thrusters depends on any of these, or on states.
     """
 
     def __init__(self, functions: Functions, free: tuple[int, ...], *, chain_moves: bool = True) -> None:
@@ -293,10 +284,18 @@ def _solved(report: ca.SX, motion: ca.SX, measured: ca.SX) -> ca.SX:
     return rest if slope.is_eye() else ca.solve(ca.substitute(ca.densify(slope), motion, zero), rest)
 
 
-# Least eigenvalue of the mass matrix, as a share of the stated inertia of each motion.
-_LEAST_MASS = 1e-3
-# Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at it.
-ROUNDING, _AT_LIMIT = 1e-7, 1e-5
+@dataclass(frozen=True)
+class LimitSettings:
+    """Numbers by which a matrix counts as positive."""
+
+    least_mass: float = 1e-3  # least eigenvalue of the mass matrix, as a share of the stated inertias
+    # Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at
+    # it.
+    rounding: float = 1e-7
+    at_limit: float = 1e-5
+
+
+SETTINGS = LimitSettings()
 
 
 @dataclass(frozen=True)
@@ -308,17 +307,10 @@ class Cut:
 
 
 class Limits:
-    """Which parameters a model can have together.
+    """Which parameters a model can have together: matrices that have to be positive.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    places : sequence of int
-        Places in p of the free parameters.
-    dissipative : bool
-        Whether linear damping has to take energy from every motion, D + D' >= 0. It is not asked for by
-        itself: at speed, the coefficients of a hull hold lift and the Munk moment too, which need not.
+    Dissipative linear damping, D + D' >= 0, is only asked for by the user: at speed, the coefficients of a
+    hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
     def __init__(self, functions: Functions, places: Sequence[int], *, dissipative: bool = False) -> None:
@@ -326,7 +318,8 @@ class Limits:
         free = ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
         stated = np.array(functions.values(), dtype=float)
         found = [
-            _Matrix("mass matrix M > 0", m, free, functions, stated, _LEAST_MASS) for m in _masses(functions)
+            _Matrix("mass matrix M > 0", m, free, functions, stated, SETTINGS.least_mass)
+            for m in _masses(functions)
         ]
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
@@ -338,11 +331,11 @@ class Limits:
 
     def broken(self, p: Array) -> bool:
         """Whether a matrix is not positive at p."""
-        return any(matrix.least(p) < -ROUNDING for matrix in self._matrices)
+        return any(matrix.least(p) < -SETTINGS.rounding for matrix in self._matrices)
 
     def impossible(self, p: Array) -> list[str]:
         """Names of all matrices that are not positive at p, those that no free parameter changes too."""
-        return [matrix.told(p) for matrix in self._all if matrix.least(p) < -ROUNDING]
+        return [matrix.described(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
 
     def moved(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""
@@ -352,7 +345,7 @@ class Limits:
 
     def active(self, p: Array) -> list[str]:
         """Names of the limits that hold the parameters back, with the motions that they concern."""
-        return [matrix.told(p) for matrix in self._matrices if matrix.least(p) < _AT_LIMIT]
+        return [matrix.described(p) for matrix in self._matrices if matrix.least(p) < SETTINGS.at_limit]
 
 
 class _Matrix:
@@ -386,15 +379,15 @@ class _Matrix:
 
     def cuts(self, p: Array) -> Iterator[Cut]:
         over, vectors = self._directions(p)
-        if over[0] >= -ROUNDING:
+        if over[0] >= -SETTINGS.rounding:
             return
         slope = self._values(p)[1]
         for excess, vector in zip(over, vectors.T, strict=True):
-            if excess < -ROUNDING:
+            if excess < -SETTINGS.rounding:
                 motion = vector * self._scale
                 yield Cut(np.einsum("i,kij,j->k", motion, slope, motion), -float(excess))
 
-    def told(self, p: Array) -> str:
+    def described(self, p: Array) -> str:
         direction = self._directions(p)[1][:, 0]
         part = np.abs(direction) > 0.1 * np.max(np.abs(direction))
         return f"{self.name} ({', '.join(m for m, there in zip(self._motions, part, strict=True) if there)})"
