@@ -23,7 +23,7 @@ from undertow.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 SLOW = {
-    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas", "pint", "plotly",
+    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pint", "plotly",
     "polars", "pydantic", "rich", "scipy", "statsmodels", "sympy", "tomlkit",
 }  # fmt: skip
 MOST_MODULES = 220
@@ -87,7 +87,7 @@ def test_help_of_no_command_imports_anything_slow(tmp_path: Path) -> None:
 
 AUV = ROOT / "src" / "undertow" / "demo_data" / "auv"
 NO_PICTURES = {"control", "matplotlib", "plotly", "scipy.signal"}
-NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
+NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
         ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
         (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
         (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
-        ("linearize mini-auv", {"polars", "plotly", "numba", "undertow.identification"}),
+        ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
     ],
 )
 def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:

@@ -475,9 +475,8 @@ def no_compiler(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
-    no_compiler: None, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    no_compiler: None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setitem(sys.modules, "numba", None)  # as if it were not installed
     functions = functions_of("box-hull")
     for _ in range(2):
         simulator = Simulator(functions)
@@ -490,7 +489,6 @@ def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
     assert [r.levelno for r in caplog.records] == [logging.WARNING]
     assert "no C compiler" in caplog.text
     assert "The CasADi virtual machine runs" in caplog.text
-    assert "pip install 'undertow[numba]'" in caplog.text
 
 
 def test_who_insists_on_compiled_code_is_told(no_compiler: None) -> None:
@@ -533,7 +531,7 @@ def test_a_broken_compiler_is_told_and_replaced(
         Simulator(functions, compiled=True)
     assert not Simulator(functions).compiled
     assert "math.h" in caplog.text
-    assert not [path for path in cache_folder().glob("*") if not path.name.startswith("numba-")]
+    assert not list(cache_folder().iterdir())
 
 
 # --- notes --------------------------------------------------------------------------------------

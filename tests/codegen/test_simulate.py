@@ -19,16 +19,13 @@ from undertow.model.symbols import Signals
 from undertow.model.vehicle import Thruster, Vehicle
 
 
-@pytest.fixture(params=["compiled", "uncompiled", "virtual", "numba"])
+@pytest.fixture(params=["compiled", "uncompiled", "virtual"])
 def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool | None:
     if request.param in ("compiled", "uncompiled"):
         if find_compiler() is None:
             pytest.skip("no C compiler on this machine")
         return bool(request.param == "compiled")
     monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
-    if request.param == "numba":
-        pytest.importorskip("numba", reason="numba is not installed")
-        return None
     return False
 
 

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeVar
 
@@ -194,13 +193,8 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         raise UndertowError(f"the C compiler '{command[0]}' cannot be run: {error}") from error
 
 
-def compiled_or_virtual(
-    wish: bool | None,
-    build: Callable[[Compiler], T],
-    otherwise: Callable[[], T],
-    interpreted: Callable[[], T] | None = None,
-) -> T:
-    """Compiled code if wished for (True) or possible (None); else numba or the virtual machine, and a line.
+def compiled_or_virtual(wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], T]) -> T:
+    """Compiled code if wished for (True) or possible (None); else the virtual machine, and a logged line.
 
     Parameters
     ----------
@@ -210,8 +204,6 @@ def compiled_or_virtual(
         Compiles.
     otherwise : callable
         What the virtual machine runs.
-    interpreted : callable, optional
-        What numba runs, where it is installed.
 
     Raises
     ------
@@ -228,27 +220,11 @@ def compiled_or_virtual(
     except UndertowError as error:
         if wish:
             raise
-        reason = str(error)
-    return _without_compiler(reason, otherwise, interpreted)
-
-
-def _without_compiler(reason: str, otherwise: Callable[[], T], interpreted: Callable[[], T] | None) -> T:
-    numba = find_spec("numba") is not None
-    try:
-        found = interpreted() if numba and interpreted else otherwise()
-    except (UndertowError, ImportError) as error:
-        reason, numba = f"{reason}; {error}", False
-        found = otherwise()
-    _say_who_runs(reason, numba)
-    return found
-
-
-_NUMBA = "numba runs the simulations instead of compiled code, CasADi's virtual machine single evaluations"
-_VIRTUAL = "The CasADi virtual machine runs instead of compiled code"
+        _say_who_runs(str(error))
+    return otherwise()
 
 
 @cache
-def _say_who_runs(reason: str, numba: bool) -> None:
+def _say_who_runs(reason: str) -> None:
     """Say it once for each reason."""
-    hint = "" if numba or find_spec("numba") else " (less so with numba: pip install 'undertow[numba]')"
-    _LOG.warning("%s. %s: same results, slower%s", reason, _NUMBA if numba else _VIRTUAL, hint)
+    _LOG.warning("%s. The CasADi virtual machine runs instead of compiled code: same results, slower", reason)

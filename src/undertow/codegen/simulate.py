@@ -42,8 +42,8 @@ class Simulator:
     compiled : bool, optional
         True compiles the model (and fails without a C compiler). False does not: its instructions are run
         by a loop in C that is the same for all models, which begins at once and is slower. By default the
-        model is compiled where a compiler is found; else numba runs it where it is installed, else CasADi's
-        virtual machine, and one logged line says so.
+        model is compiled where a compiler is found; else CasADi's virtual machine runs it, and one logged
+        line says so.
 
     Raises
     ------
@@ -73,15 +73,7 @@ class Simulator:
         def virtual() -> Stepper:
             return VirtualStepper(self._functions, sensitivities=sensitivities)
 
-        def interpreted() -> Stepper:
-            from .interpreted import InterpretedStepper
-
-            return InterpretedStepper(self._functions, sensitivities=sensitivities)
-
-        # A model that is not to be compiled is not worth numba's compilation either.
-        if self._wish is False:
-            return compiled_or_virtual(None, compiled, virtual)
-        return compiled_or_virtual(self._wish, compiled, virtual, interpreted)
+        return compiled_or_virtual(self._wish or None, compiled, virtual)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(

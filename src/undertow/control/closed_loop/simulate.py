@@ -35,7 +35,7 @@ class ClosedLoop:
         The vehicle that moves; by default the one that the controller knows.
     compiled : bool, optional
         True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
-        compiled code is used where a compiler is found, else numba where it is installed.
+        compiled code is used where a compiler is found.
 
     Raises
     ------
@@ -59,12 +59,7 @@ class ClosedLoop:
         def virtual() -> LoopStepper:
             return VirtualLoop(self.parts)
 
-        def interpreted() -> LoopStepper:
-            from .interpreted import InterpretedLoop
-
-            return InterpretedLoop(self.parts)
-
-        return compiled_or_virtual(wish, compiled, virtual, interpreted)
+        return compiled_or_virtual(wish, compiled, virtual)
 
     @property
     def gains(self) -> GainSet:
