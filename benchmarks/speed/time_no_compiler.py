@@ -1,4 +1,4 @@
-"""Simulation where there is no C compiler: instructions as data, and CasADi's virtual machine, beside compiled code."""
+"""Simulation without a C compiler: instructions as data, and CasADi's virtual machine, beside C."""
 
 from __future__ import annotations
 

@@ -448,13 +448,13 @@ def _python(program: str, *arguments: str, **environment: str) -> subprocess.Com
 
 HASHES = """
 from tests.codegen.support import functions_of
-from undertow.codegen.driver import driver_source
+from undertow.codegen.gauss_newton import tangents_source
 from undertow.codegen.rollout import rollout_source
 from undertow.codegen.source import c_source, digest
 for name in ("bluerov2", "full"):
     functions = functions_of(name)
     print(rollout_source(functions, 1)[1])
-    print(driver_source(functions)[1])
+    print(tangents_source(functions, [0, 1, -1])[1])
     print(digest(c_source(functions.regressor)))
 """
 

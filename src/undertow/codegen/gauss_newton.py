@@ -1,37 +1,29 @@
-"""Products for Gauss-Newton steps: windows simulated with sensitivities, nothing but sums kept."""
+"""Simulation with sensitivities in C: recorded, or only the sums that a Gauss-Newton step needs."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 
 import casadi as ca
 import numpy as np
 
+from undertow.errors import UndertowError
 from undertow.typing import Array, Integers
 
 from .cache import library_for
 from .compiler import Compiler
-from .driver import loaded, pointer, shared
+from .driver import loaded, pointer
 from .functions import Functions, solve_symmetric
 from .lanes import in_threads, shares
 from .plain import plain_c
 from .problem import Problem
-from .source import EXPORTED, SEPARATE, integers, with_entry
+from .source import c_file, integers, with_entry
+from .tape import Engine, Tape, TapeData
 
-# Doubles side by side in a vector; the compiler splits it where the processor has narrower ones.
-_LANES = 8
-_VECTORS = f"""\
-#if defined(__GNUC__)
-typedef double V __attribute__((vector_size({8 * _LANES})));
-#define LANES {_LANES}
-#else
-typedef double V;
-#define LANES 1
-#endif
-"""
+# Windows that are simulated in one share of a thread at least.
+_ABREAST = 8
 
 
 @dataclass(frozen=True)
@@ -83,95 +75,184 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
     return Products(found.table, squares, diverged=not np.isfinite(found.table).all())
 
 
-class CompiledProducts:
-    """Simulation of windows in C, compiled for one choice of parameters.
+# --- calls of tangents.c --------------------------------------------------------------------------
+_SHARED = ("t", "u", "p")
+
+
+class _Logs(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("samples", "first", "last")),
+        *((f"{name}_stride", ctypes.c_int64) for name in (*_SHARED, "x")),
+        *((name, ctypes.c_void_p) for name in (*_SHARED, "steps", "x", "s")),
+        ("groups", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("measured", "weight", "group", "table", "squares")),
+    )
+
+
+class Tangents:
+    """Simulation of a model with sensitivities.
+
+    Parameters
+    ----------
+    run : callable
+        Entry point of tangents.c.
+    model : _Model, optional
+        The model, where it is data.
+    """
+
+    def __init__(self, run: Callable[..., int], model: _Model | None = None) -> None:
+        self._run, self._model = run, model
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        """Record states and sensitivities from sample `first` to sample `last`.
+
+        Raises
+        ------
+        UndertowError
+            If there is no memory.
+        """
+        self._called(problem, (first, last), problem.x, problem.s)
+
+    def products(self, problem: Problem, measured: Array, weight: Array, group: Integers) -> Products:
+        """Sums over the samples of every window; `group` says of which sum of its window a sample is part.
+
+        Derivatives in the initial pose and velocity follow those in parameters.
+
+        Raises
+        ------
+        UndertowError
+            If there is no memory.
+        """
+        b, _, channels = measured.shape
+        width, groups = problem.wrt.size + 1, int(group.max(initial=0)) + 1
+        found = Products(np.zeros((b, groups, width, width)), np.zeros((b, channels)), diverged=False)
+        start = problem.x[:, 0].copy()
+        arrays: Sequence[np.ndarray] = (measured, weight, group, found.table, found.squares)
+        diverged: list[int] = []
+
+        def work(rows: slice) -> None:
+            part = problem.part(rows)
+            span = 0, part.t.shape[1] - 1
+            diverged.append(self._called(part, span, start[rows], None, groups, *(a[rows] for a in arrays)))
+
+        # Every derivative is carried along like a state.
+        steps = float(problem.steps.sum(axis=1).max(initial=1)) * problem.wrt.size
+        in_threads(work, shares(b, steps, None, _ABREAST), None)
+        if any(diverged) or not np.isfinite(found.table).all():
+            return Products(found.table, found.squares, diverged=True)
+        lower = np.tril_indices(width, -1)
+        found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]
+        return found
+
+    def _called(
+        self,
+        problem: Problem,
+        span: tuple[int, int],
+        x: Array,
+        s: Array | None,
+        groups: int = 0,
+        *sums: np.ndarray,
+    ) -> int:
+        shared: list[Array] = [getattr(problem, name) for name in _SHARED]
+        logs = _Logs(
+            *(problem.t.shape[1], *span),
+            *(0 if len(a) == 1 else a.strides[0] // a.itemsize for a in shared),
+            *(x.strides[0] // x.itemsize, *map(pointer, shared), pointer(problem.steps), pointer(x)),
+            *(None if s is None else pointer(s), groups, *map(pointer, sums)),
+        )
+        model = () if self._model is None else (ctypes.byref(self._model),)
+        diverged = int(self._run(*model, ctypes.byref(logs), ctypes.c_int64(len(x))))
+        if diverged < 0:
+            raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
+        return diverged
+
+
+# --- a model that is data -------------------------------------------------------------------------
+_PATTERNS = tuple(f"{of}_{what}" for of in ("rx", "rp") for what in ("start", "column", "place"))
+
+
+class _Model(ctypes.Structure):
+    """A model as tangents.c takes it, where it is not compiled."""
+
+    _fields_ = (
+        ("tape", TapeData),
+        *((name, ctypes.c_int64) for name in ("nx", "nu", "nd", "nf", "columns")),
+        *((name, ctypes.c_void_p) for name in _PATTERNS),
+        *((name, ctypes.c_int64) for name in ("rx_nonzeros", "rp_nonzeros")),
+    )
+
+
+class Uncompiled:
+    """The instructions of a model, run at once by the engine: compiling takes longer than a run or two.
 
     Parameters
     ----------
     functions : Functions
         The model.
-    places : sequence of int
-        Indices of the parameters to differentiate by.
-    compiler : Compiler
-        Compiler to use.
+    run : Engine
+        The engine.
+    sensitivities : bool
+        Whether to carry derivatives along.
     """
 
-    def __init__(self, functions: Functions, places: Sequence[int], compiler: Compiler) -> None:
-        source, name = _source(functions, places)
-        library = loaded(library_for(source, compiler.for_this_machine()))
-        self._products = getattr(library, name)
-        self._products.restype = ctypes.c_int64
-        self._size = len(places) + 2 * functions.nu_dot.numel()
+    def __init__(self, functions: Functions, run: Engine, *, sensitivities: bool) -> None:
+        self._run = run.simulate
+        self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
+        self._tape = Tape(self._function)
+        degrees = functions.nu_dot.numel() if sensitivities else 0
+        self._sizes = functions.x.numel(), functions.u.numel(), degrees
+        self._slopes = [self._function.sparsity_out(n) for n in ("R_x", "R_p") if sensitivities]
 
-    def __call__(self, problem: Problem, measured: Array, weight: Array, group: Integers) -> Products:
-        """Sums over the samples of every window; `group` says of which sum of its window a sample is part."""
-        b, _, channels = measured.shape
-        groups = int(group.max(initial=0)) + 1
-        found = Products(
-            np.zeros((b, groups, self._size + 1, self._size + 1)), np.zeros((b, channels)), diverged=False
-        )
-        arrays: Sequence[np.ndarray] = (
-            problem.x[:, 0].copy(),
-            measured,
-            weight,
-            group,
-            found.table,
-            found.squares,
-        )
-        diverged: list[int] = []
-
-        def work(rows: slice) -> None:
-            diverged.append(self._called(problem, rows, groups, [a[rows] for a in arrays]))
-
-        # Every derivative is carried along like a state.
-        steps = float(problem.steps.sum(axis=1).max(initial=1)) * self._size
-        in_threads(work, shares(b, steps, None, _LANES), None)
-        if any(diverged) or not np.isfinite(found.table).all():
-            return Products(found.table, found.squares, diverged=True)
-        lower = np.tril_indices(self._size + 1, -1)
-        found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]
-        return found
-
-    def _called(self, problem: Problem, rows: slice, groups: int, arrays: Sequence[np.ndarray]) -> int:
-        given: Sequence[np.ndarray] = (problem.t, problem.steps, problem.u, problem.p)
-        t, steps, u, p = (_of(a, rows) for a in given)
-        return int(
-            self._products(
-                *map(ctypes.c_int64, (len(arrays[0]), problem.t.shape[1], groups)),
-                *shared(t),
-                pointer(steps),
-                *shared(u),
-                *shared(p),
-                *map(pointer, arrays),
-            )
-        )
+    def tangents(self, wrt: Sequence[int]) -> Tangents:
+        """The simulation with derivatives in these parameters, and for each -1 in an initial state."""
+        chosen = [k for k in wrt if k >= 0]
+        rows = [_by_rows(s, c) for s, c in zip(self._slopes, (None, chosen), strict=False)]
+        tables = [np.array(part, dtype=np.int32) for row in rows or [([0],) * 3] * 2 for part in row]
+        nonzeros = [s.nnz() for s in self._slopes] or [0, 0]
+        addresses = [a.ctypes.data for a in tables]
+        model = _Model(self._tape.data, *self._sizes, len(chosen), len(wrt), *addresses, *nonzeros)
+        model.kept = self._tape, tables  # it points into these
+        return Tangents(self._run, model)
 
 
-def _of(array: np.ndarray, rows: slice) -> np.ndarray:
-    return array if len(array) == 1 else array[rows]
+# --- a model that is compiled ---------------------------------------------------------------------
+def compiled_tangents(functions: Functions, wrt: Sequence[int], compiler: Compiler) -> Tangents:
+    """The simulation compiled for one choice of parameters, with -1 for each initial state.
+
+    Raises
+    ------
+    UndertowError
+        If the compiler fails.
+    """
+    source, name = tangents_source(functions, wrt)
+    run = getattr(loaded(library_for(source, compiler.for_this_machine())), name)
+    run.restype = ctypes.c_int64
+    return Tangents(run)
 
 
-def _source(functions: Functions, places: Sequence[int]) -> tuple[str, str]:
+def tangents_source(functions: Functions, wrt: Sequence[int]) -> tuple[str, str]:
     """C source of the simulation, and the name of its entry point, which carries the hash of the source."""
+    places = [k for k in wrt if k >= 0]
     inverse, slopes, steady = _parts(functions, places)
     sizes = {
         "NX": functions.x.numel(),
         "NU": functions.u.numel(),
         "ND": functions.nu_dot.numel(),
         "NF": len(places),
+        "COLUMNS": len(wrt),
     }
     lines = [f"#define {k} {v}" for k, v in sizes.items()]
-    lines += ["#define SLOPES slopes", "#define INVERSE inverse"]
     lines += ["#define STEADY"] if steady else []
     for name, output in (("RX", "R_x"), ("RP", "R_p")):
-        lines += _by_rows(name, slopes.sparsity_out(output))
+        pattern = slopes.sparsity_out(output)
+        lines.append(f"#define {name}_NONZEROS {pattern.nnz()}")
+        tables = zip(("START", "COLUMN", "PLACE"), _by_rows(pattern), strict=True)
+        lines += [integers(f"{name}_{what}", values) for what, values in tables]
     prefix = "static SEPARATE "
     model = plain_c(inverse, "inverse", prefix=prefix)
     model += plain_c(slopes, "slopes", packed=("R_x", "R_p"), prefix=prefix)
-    driver = (files("undertow.codegen") / "gauss_newton.c").read_text(encoding="utf-8")
-    headers = "#include <math.h>\n#include <stdint.h>\n"
-    text = "\n".join([*lines, SEPARATE, EXPORTED, _VECTORS, headers, model, driver])
-    return with_entry(text, "PRODUCTS", "products")
+    text = "\n".join([*lines, c_file("portable.h"), model, c_file("tangents.c")])
+    return with_entry(text, "SIMULATE", "simulate")
 
 
 def _parts(functions: Functions, places: Sequence[int]) -> tuple[ca.Function, ca.Function, bool]:
@@ -196,14 +277,18 @@ def _parts(functions: Functions, places: Sequence[int]) -> tuple[ca.Function, ca
     )
 
 
-def _by_rows(name: str, sparsity: ca.Sparsity) -> list[str]:
-    """Nonzeros row by row, and where each stands in an output stored by columns."""
-    rows, columns = sparsity.get_triplet()
-    order = sorted(range(len(rows)), key=lambda k: (rows[k], columns[k]))
-    start = [sum(r < i for r in rows) for i in range(sparsity.size1() + 1)]
-    return [
-        f"#define {name}_NONZEROS {len(rows)}",
-        integers(f"{name}_START", start),
-        integers(f"{name}_COLUMN", [columns[k] for k in order]),
-        integers(f"{name}_PLACE", order),
-    ]
+def _by_rows(sparsity: ca.Sparsity, chosen: Sequence[int] | None = None) -> tuple[list[int], ...]:
+    """Nonzeros row by row: first of each row, columns, and where each stands in an output stored by columns.
+
+    Parameters
+    ----------
+    sparsity : casadi.Sparsity
+        Of the output.
+    chosen : sequence of int, optional
+        Columns to take, in this order; by default all.
+    """
+    columns = range(sparsity.size2()) if chosen is None else chosen
+    starts, rows = sparsity.get_ccs()
+    entries = sorted((rows[k], c, k) for c, j in enumerate(columns) for k in range(starts[j], starts[j + 1]))
+    first = [sum(row < i for row, _, _ in entries) for i in range(sparsity.size1() + 1)]
+    return first, [c for _, c, _ in entries], [k for _, _, k in entries]

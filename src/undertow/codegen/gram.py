@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from itertools import pairwise
 from typing import Protocol
 
@@ -21,7 +20,7 @@ from .driver import loaded, pointer
 from .functions import Functions
 from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
-from .source import EXPORTED, digest, integers
+from .source import c_file, digest, integers
 
 # As many samples as fit in one instruction.
 _LANES = """\
@@ -210,12 +209,12 @@ def gram_source(rows: Layout) -> tuple[str, str]:
     f, starts = rows.function, rows.starts
     sizes = {"NX": f.numel_in(0), "ND": f.numel_in(1), "NU": f.numel_in(2), "NF": rows.size}
     sizes |= {"ENTRIES": len(rows.row), "NEEDS": len(rows.needed), "TABLE": _tiles(starts)}
-    lines = [_LANES, LANES_HEADER, "#include <string.h>", EXPORTED, "#define ROWS entries_of_rows"]
+    lines = [_LANES, LANES_HEADER, "#include <string.h>", "#define ROWS entries_of_rows"]
     lines += [f"#define {k} {v}" for k, v in sizes.items()]
     for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.needed)):
         lines.append(integers(name, values))
     lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
-    lines.append((files("undertow.codegen") / "gram.c").read_text(encoding="utf-8"))
+    lines.append(c_file("gram.c"))
     text = "\n".join(lines)
     prefix = f"undertow_{digest(text)[:16]}_"
     names = "".join(f"#define {n.upper()} {prefix}{n}\n" for n in ("gram", "residual", "build"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from importlib.resources import files
 from typing import TypeVar
 
 import numpy as np
@@ -13,8 +12,10 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
+from .source import c_file
+
 T = TypeVar("T")
-LANES_HEADER = (files("undertow.codegen") / "lanes.h").read_text(encoding="utf-8")
+LANES_HEADER = c_file("lanes.h")
 _LIMIT = "UNDERTOW_JOBS"
 # So few runs are as fast one after the other.
 _FEW = 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -20,7 +19,7 @@ from .functions import Functions
 from .lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from .plain import LANES, plain_c
 from .problem import Problem
-from .source import EXPORTED, with_entry
+from .source import c_file, with_entry
 
 _SHARED = ("t", "count", "u", "p")
 
@@ -101,8 +100,7 @@ def _address(array: Array) -> ctypes.c_void_p:
 def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
     """C source of a simulation and the name of its entry point, which carries the hash of the source."""
     model = model_source(functions)
-    loop = (files("undertow.codegen") / "rollout.c").read_text(encoding="utf-8")
-    text = "\n".join([defines([("LANES", lanes)]), EXPORTED, LANES_HEADER, model, loop])
+    text = "\n".join([defines([("LANES", lanes)]), LANES_HEADER, model, c_file("rollout.c")])
     return with_entry(text, "RUN", "simulate")
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Sequence
-from functools import cache, cached_property
+from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -12,16 +11,14 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Integers
 
-from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
-from .driver import CompiledStepper, loaded, simulate
 from .functions import Functions
-from .gauss_newton import CompiledProducts, Products, products_of
+from .gauss_newton import Products, Tangents, Uncompiled, compiled_tangents, products_of
 from .lanes import in_threads, shares
 from .library import Evaluator
 from .problem import Problem, Stepper
 from .rollout import CompiledRollout
-from .tape import Tape, TapeData, tape_source
+from .tape import engine
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
@@ -42,8 +39,8 @@ class Simulator:
     compiled : bool, optional
         True compiles the model (and fails without a C compiler). False does not: its instructions are run
         by a loop in C that is the same for all models, which begins at once and is slower. By default the
-        model is compiled where a compiler is found; else CasADi's virtual machine runs it, and one logged
-        line says so.
+        model is compiled where a compiler is found; else its instructions are run, where a wheel brings that
+        loop along, or else CasADi's virtual machine runs, and one logged line says so.
 
     Raises
     ------
@@ -54,26 +51,50 @@ class Simulator:
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
         self._functions = functions
         self._wish = compiled
-        self._steppers = {False: self._stepper(sensitivities=False)}
-        self._products: dict[tuple[int, ...], CompiledProducts | None] = {}
+        self._states = self._stepper()
+        self._tangents: dict[tuple[int, ...], Stepper] = {}
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs."""
-        return isinstance(self._steppers[False], CompiledRollout)
+        return isinstance(self._states, CompiledRollout)
 
-    def _stepper(self, *, sensitivities: bool) -> Stepper:
+    def _stepper(self) -> Stepper:
+        """What simulates without sensitivities."""
+
         def compiled(compiler: Compiler) -> Stepper:
-            if self._wish is False:
-                return UncompiledStepper(self._functions, compiler, sensitivities=sensitivities)
-            if sensitivities:
-                return CompiledStepper(self._functions, compiler)
             return CompiledRollout(self._functions, compiler)
 
-        def virtual() -> Stepper:
-            return VirtualStepper(self._functions, sensitivities=sensitivities)
+        def otherwise() -> Stepper:
+            run = engine()
+            if run is None:
+                return VirtualStepper(self._functions, sensitivities=False)
+            return Uncompiled(self._functions, run, sensitivities=False).tangents([])
 
-        return compiled_or_virtual(self._wish or None, compiled, virtual)
+        return compiled_or_virtual(self._wish, compiled, otherwise)
+
+    def _sensitive(self, wrt: Integers) -> Stepper:
+        """What simulates with these sensitivities."""
+        columns = tuple(map(int, wrt))
+        if columns not in self._tangents:
+            self._tangents[columns] = self._with_columns(columns) if columns else self._states
+        return self._tangents[columns]
+
+    def _with_columns(self, columns: tuple[int, ...]) -> Stepper:
+        def compiled(compiler: Compiler) -> Stepper:
+            return compiled_tangents(self._functions, columns, compiler)
+
+        def otherwise() -> Stepper:
+            if self._uncompiled is None:
+                return VirtualStepper(self._functions, sensitivities=True)
+            return self._uncompiled.tangents(columns)
+
+        return compiled_or_virtual(self._wish, compiled, otherwise)
+
+    @cached_property
+    def _uncompiled(self) -> Uncompiled | None:
+        run = engine()
+        return None if run is None else Uncompiled(self._functions, run, sensitivities=True)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(
@@ -108,7 +129,7 @@ class Simulator:
             If a shape does not fit, or the times are not finite or decrease.
         """
         problem = self._problem(x0, t, u, p, max_step)
-        self._advance(problem, self._steppers[False], threads)
+        self._advance(problem, self._states, threads)
         return problem.x[0] if np.ndim(x0) == 1 else problem.x
 
     def run_with_sensitivities(
@@ -147,7 +168,7 @@ class Simulator:
         """
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
-        self._advance(problem, self._sensitive, 1)
+        self._advance(problem, self._sensitive(problem.wrt), 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
     def products(
@@ -183,29 +204,18 @@ class Simulator:
             As for `run`.
         """
         problem = self._problem(x0, t, u, p, max_step)
-        places = tuple(wrt)
-        if places not in self._products:
-            self._products[places] = compiled_or_virtual(
-                self._wish,
-                lambda compiler: CompiledProducts(self._functions, places, compiler),
-                lambda: None,
-            )
+        size = 2 * self._functions.nu_dot.numel()
         known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
         factors = np.ascontiguousarray(weight, dtype=float)
         groups = np.ascontiguousarray(group, dtype=np.int64)
-        compiled = self._products[places]
-        if compiled is not None:
-            return compiled(problem, known, factors, groups)
-        size = known.shape[2]
+        columns = [*wrt, *[-1] * size]
+        stepper = self._sensitive(np.array(columns))
+        if isinstance(stepper, Tangents):
+            problem.wrt = np.array(columns)
+            return stepper.products(problem, known, factors, groups)
         _start_sensitivities(problem, list(wrt), list(range(size)))
-        self._advance(problem, self._sensitive, 1)
+        self._advance(problem, stepper, 1)
         return products_of(problem.x[..., :size], problem.s[..., :size, :], known, factors, groups)
-
-    @property
-    def _sensitive(self) -> Stepper:
-        if True not in self._steppers:
-            self._steppers[True] = self._stepper(sensitivities=True)
-        return self._steppers[True]
 
     def _advance(self, problem: Problem, stepper: Stepper, threads: int | None) -> None:
         lanes = getattr(stepper, "lanes", 0)
@@ -383,67 +393,3 @@ class VirtualStepper:
 def _where(runs: Flags, then: Array, otherwise: Array) -> Array:
     """`then` for the selected runs, `otherwise` for the others."""
     return np.where(runs.reshape(-1, *[1] * (then.ndim - 1)), then, otherwise)
-
-
-# --- a model that is not compiled -----------------------------------------------------------------
-# Compiling a model takes longer than simulating it once or twice, as a judge of many models does.
-# Runs side by side: enough that what an instruction is takes less time than to do it.
-_RUNS = 16
-# Columns and rows of R_x and R_p where no sensitivities are wanted.
-_NONE: list[tuple[list[int], list[int]]] = [([], [])] * 2
-
-
-class _Model(ctypes.Structure):
-    """A model as driver.c takes it."""
-
-    _fields_ = (
-        ("tape", TapeData),
-        *((name, ctypes.c_int64) for name in ("nx", "nu", "nd")),
-        *((name, ctypes.c_void_p) for name in ("rx_column", "rx_row", "rp_column", "rp_row")),
-        *((name, ctypes.c_int64) for name in ("rx_nonzeros", "rp_nonzeros")),
-    )
-
-
-class UncompiledStepper:
-    """The driver around the instructions of a model.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    compiler : Compiler
-        For the driver itself, which is the same for all models.
-    sensitivities : bool
-        Whether to carry derivatives along.
-    """
-
-    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
-        self._simulate = _driver(compiler.for_this_machine())
-        function = functions.tangents("x", "p") if sensitivities else functions.dynamics
-        self._tape = Tape(function)
-        slopes = [function.sparsity_out(n).get_ccs() for n in ("R_x", "R_p") if sensitivities]
-        self._patterns = [np.array(a, dtype=np.int64) for pair in slopes or _NONE for a in pair]
-        self._model = _Model(
-            self._tape.data,
-            functions.x.numel(),
-            functions.u.numel(),
-            functions.nu_dot.numel() if sensitivities else 0,
-            *(a.ctypes.data for a in self._patterns),
-            *(len(rows) for rows in self._patterns[1::2]),
-        )
-
-    def advance(self, problem: Problem, first: int, last: int) -> None:
-        simulate(self._simulate, problem, first, last, ctypes.byref(self._model))
-
-
-@cache
-def _driver(compiler: Compiler) -> Callable[..., int]:
-    source, name = uncompiled_source()
-    run = getattr(loaded(library_for(source, compiler)), name)
-    run.restype = ctypes.c_int
-    return run
-
-
-def uncompiled_source() -> tuple[str, str]:
-    """C source of the driver over instructions, and the name of its entry point."""
-    return tape_source("driver.c", "SIMULATE", "interpreted", _RUNS, "#define INTERPRETED")

@@ -1,11 +1,11 @@
-"""The instructions of a CasADi function as data for compiled loops, without compiling the function."""
+"""The instructions of a CasADi function as data for a library that is the same for all models: the engine."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
-from importlib.resources import files
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,10 +16,9 @@ from undertow.typing import Array
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
 from .driver import loaded
-from .plain import operation_forms
-from .source import EXPORTED, with_entry
+from .source import INSTRUCTIONS, engine_source
 
-_SPECIAL = {"INPUT": ca.OP_INPUT, "OUTPUT": ca.OP_OUTPUT, "CONSTANT": ca.OP_CONST}
+_NUMBER = {code: INSTRUCTIONS[name] for name, code in vars(ca).items() if name in INSTRUCTIONS}
 
 
 class TapeData(ctypes.Structure):
@@ -55,13 +54,12 @@ class Tape:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        known = {*operation_forms(), *_SPECIAL.values(), ca.OP_ASSIGN}
         count = function.n_instructions()
         self._code = np.zeros((count, 4), dtype=np.int32)
         self._constants = np.zeros(count)
         for k in range(count):
             operation = function.instruction_id(k)
-            if operation not in known:
+            if operation not in _NUMBER:
                 raise UndertowError(
                     f"operation {operation} of a model has no counterpart in C: restate the effect"
                 )
@@ -73,55 +71,50 @@ class Tape:
 
     def _set(self, k: int, operation: int, into: list[int], operands: list[int]) -> None:
         if operation == ca.OP_OUTPUT:  # from a register to an entry of an output
-            self._code[k] = operation, into[0], operands[0], into[1]
+            self._code[k] = _NUMBER[operation], into[0], operands[0], into[1]
         else:
-            self._code[k, :2] = operation, into[0]
+            self._code[k, :2] = _NUMBER[operation], into[0]
             self._code[k, 2 : 2 + len(operands)] = operands
 
 
-def tape_source(loop: str, macro: str, ending: str, block: int, *others: str) -> tuple[str, str]:
-    """C source of a loop over tapes, and the name of its entry point, which carries the hash of the source.
+# --- the library ----------------------------------------------------------------------------------
+class Engine:
+    """Entry points of the library that runs tapes.
 
-    Parameters
+    Attributes
     ----------
-    loop : str
-        File with the loop.
-    macro, ending : str
-        What the loop calls its entry point, and how the entry point's name ends.
-    block : int
-        Samples that go through an instruction side by side.
-    *others : str
-        Lines that stand before all.
+    at_samples, simulate : callable
+        A function at many samples; a simulation.
     """
-    defines = [f"#define {name} {code}" for name, code in {"BLOCK": block, **_SPECIAL}.items()]
-    forms = {ca.OP_ASSIGN: "{0}", **operation_forms()}
-    cases = " ".join(
-        f"case {code}: for (int l = 0; l < BLOCK; l++) r[l] = {form.format('a[l]', 'b[l]')}; break;"
-        for code, form in forms.items()
-    )
-    folder = files("undertow.codegen")
-    parts = [(folder / name).read_text(encoding="utf-8") for name in ("tape.c", loop)]
-    return with_entry(
-        "\n".join([*defines, *others, EXPORTED, f"#define CASES {cases}", *parts]), macro, ending
-    )
+
+    def __init__(self, library: ctypes.CDLL, prefix: str) -> None:
+        self.at_samples: Callable[..., int] = _entry(library, f"{prefix}at_samples", ctypes.c_int)
+        self.simulate: Callable[..., int] = _entry(library, f"{prefix}simulate", ctypes.c_int64)
 
 
-# --- the tape over blocks of samples --------------------------------------------------------------
-# One library, compiled once for all models, is several times as fast as CasADi's virtual machine, which goes
-# through the instructions anew for every sample.
-# Samples in a block: the registers of a large model (a thousand) stay in the second-level cache.
-_BLOCK = 64
+def _entry(library: ctypes.CDLL, name: str, result: Any) -> Callable[..., int]:
+    entry = getattr(library, name)
+    entry.restype = result
+    return entry
 
 
+def engine() -> Engine | None:
+    """The engine, compiled once for all models; None where there is no compiler."""
+    return compiled_or_virtual(None, lambda compiler: _compiled(compiler.for_this_machine()), lambda: None)
+
+
+@cache
+def _compiled(compiler: Compiler) -> Engine:
+    source, prefix = engine_source()
+    return Engine(loaded(library_for(source, compiler)), prefix)
+
+
+# --- a function at many samples -------------------------------------------------------------------
 class Blockwise:
-    """A CasADi function of scalars, its instructions ready to run.
+    """A CasADi function of scalars, run over blocks of samples.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        An SX function.
-    run : ctypes function
-        The compiled loop.
+    CasADi's virtual machine goes through the instructions anew for every sample, which takes several times as
+    long.
 
     Raises
     ------
@@ -129,8 +122,8 @@ class Blockwise:
         If the function has an operation that C lacks.
     """
 
-    def __init__(self, function: ca.Function, run: Callable[..., int]) -> None:
-        self._run, self._tape = run, Tape(function)
+    def __init__(self, function: ca.Function, run: Engine) -> None:
+        self._run, self._tape = run.at_samples, Tape(function)
         self._outputs = [function.nnz_out(i) for i in range(function.n_out())]
 
     def __call__(self, arguments: Sequence[Array], count: int) -> list[Array]:
@@ -160,7 +153,7 @@ class Blockwise:
         )
         if failed:
             raise UndertowError(
-                f"no memory for {self._tape.slots} registers of {_BLOCK} samples: close other programs"
+                f"no memory for {self._tape.slots} registers of a block of samples: close other programs"
             )
         return results
 
@@ -173,21 +166,8 @@ def _table(arrays: Sequence[Array], strides: Sequence[int]) -> tuple[ctypes.Arra
 
 @lru_cache(maxsize=256)
 def blockwise(function: ca.Function) -> Blockwise | None:
-    """The function block by block; None where there is no compiler, or where it is no function of scalars."""
+    """The function block by block; None where there is no engine, or where it is no function of scalars."""
     if not function.is_a("SXFunction"):
         return None
-    run = compiled_or_virtual(None, _compiled, lambda: None)
+    run = engine()
     return None if run is None else Blockwise(function, run)
-
-
-@cache
-def _compiled(compiler: Compiler) -> Callable[..., int]:
-    source, name = loop_source()
-    run = getattr(loaded(library_for(source, compiler)), name)
-    run.restype = ctypes.c_int
-    return run
-
-
-def loop_source() -> tuple[str, str]:
-    """C source of the loop, and the name of its entry point."""
-    return tape_source("blockwise.c", "RUN", "blockwise", _BLOCK)

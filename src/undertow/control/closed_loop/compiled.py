@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from importlib.resources import files
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from undertow.codegen.driver import pointer
 from undertow.codegen.lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
 from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.rollout import Entries
-from undertow.codegen.source import EXPORTED, with_entry
+from undertow.codegen.source import c_file, with_entry
 
 from .parts import Parts
 from .problem import ALL, Block, LoopProblem, Rows
@@ -95,6 +94,6 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
         )
         for f in functions
     ]
-    loop = (files("undertow.control.closed_loop") / "loop.c").read_text(encoding="utf-8")
-    text = "\n".join([defines(sizes.items()), EXPORTED, LANES_HEADER, *model, loop])
+    loop = c_file("loop.c", "undertow.control.closed_loop")
+    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
     return with_entry(text, "RUN", "run")
