@@ -126,8 +126,8 @@ int main(void) {
   for (int i = 0; i < ROWS; i++) t[i] = 0.1 * (i % SAMPLES);
   for (int i = 0; i < RUNS * (SAMPLES - 1); i++) steps[i] = 1 + i % 3;
   for (int i = 0; i < ROWS * NU; i++) u[i] = 0.1;
-  Logs logs = {SAMPLES, 0, SAMPLES - 1, SAMPLES, SAMPLES * NU, 0, SAMPLES * NX, t, u, p, steps, x, s,
-               1, 0, 0, 0, 0, 0};
+  Logs logs = {SAMPLES, 0, SAMPLES - 1, SAMPLES, SAMPLES * NU, 0, SAMPLES - 1, SAMPLES * NX,
+               t, u, p, steps, x, s, 1, 0, 0, 0, 0, 0};
   if (SIMULATE(&logs, RUNS) < 0) return 1;
   logs.x_stride = NX, logs.s = 0;
   logs.measured = measured, logs.weight = weight, logs.group = group;

@@ -150,6 +150,19 @@ def test_a_batch_is_its_runs_one_by_one(compiled: bool | None) -> None:
     assert shared.shape == together.shape
 
 
+def test_runs_that_share_times_have_steps_of_their_own(compiled: bool | None) -> None:
+    functions = functions_of("thruster_lag")
+    lag = functions.parameter_names.index("T_lag")
+    p = np.tile(random_parameters(functions, 0), (2, 1))
+    p[:, lag] = 0.5, 0.01
+    x0, t, u = _batch(functions, 2, 12)
+    simulator, asked = Simulator(functions, compiled=compiled), [lag, 0]
+    together = simulator.run_with_sensitivities(x0, t[0], u, p, asked)
+    alone = [simulator.run_with_sensitivities(x0[k], t[0], u[k], p[k], asked) for k in range(2)]
+    for found, expected in zip(together, zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+
+
 def test_a_long_simulation_comes_back_to_python_unnoticed(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

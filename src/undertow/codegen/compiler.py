@@ -18,7 +18,7 @@ from typing import TypeVar
 from undertow.errors import UndertowError
 
 from .cache import noted
-from .source import digest
+from .source import digest, engine_file
 
 T = TypeVar("T")
 _LOG = logging.getLogger("undertow")
@@ -227,4 +227,7 @@ def compiled_or_virtual(wish: bool | None, build: Callable[[Compiler], T], other
 @cache
 def _say_who_runs(reason: str) -> None:
     """Say it once for each reason."""
-    _LOG.warning("%s. The CasADi virtual machine runs instead of compiled code: same results, slower", reason)
+    who = "The CasADi virtual machine runs"
+    if engine_file().is_file():
+        who = "The engine of this installation runs simulations, the CasADi virtual machine the rest,"
+    _LOG.warning("%s. %s instead of compiled code: same results, slower", reason, who)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,6 +42,7 @@ FORMS: dict[str, str] = {
 }
 """C expression of every operation by CasADi's name for it, with {0} and {1} for the operands."""
 
+LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 _UNDERTOW = Path(__file__).parents[1]
 _INCLUDE = re.compile(r'^#include "(.+)"$', re.MULTILINE)
 _RELEASE = re.compile(r"^(CASADI_SYMBOL_EXPORT void \w+_release\(int mem\) \{)$", re.MULTILINE)
@@ -119,3 +121,8 @@ def engine_source() -> tuple[str, str]:
     prefix = f"undertow_{digest(text)[:16]}_"
     entries = [f"#define {name.upper()} {prefix}{name}" for name in ("at_samples", "simulate")]
     return "\n".join([*entries, text]), prefix
+
+
+def engine_file() -> Path:
+    """Where a wheel that was built with a compiler brings the engine along."""
+    return Path(__file__).with_name(f"_engine{LIBRARY_SUFFIX}")

@@ -73,10 +73,10 @@ typedef struct {
 #define TIME double
 #include "runge_kutta.h"
 
-/* Where runs share times, inputs or parameters, the distance from run to run is zero. */
+/* Where runs share times, steps, inputs or parameters, the distance from run to run is zero. */
 typedef struct {
   int64_t samples, first, last; /* of a run in these arrays; the first and the last that is simulated */
-  int64_t t_stride, u_stride, p_stride, x_stride;
+  int64_t t_stride, u_stride, p_stride, steps_stride, x_stride;
   const double *t, *u, *p;
   const int64_t *steps;         /* Runge-Kutta steps to the next sample */
   double *x, *s;                /* recorded states and sensitivities; those of the first sample are given */
@@ -239,15 +239,14 @@ static void advance(Work *work, int64_t i, const int *finite) {
   double now[GROUP], h[GROUP];
   int moving[GROUP];
   const double *t = logs->t + work->begin * logs->t_stride + i;
-  const int64_t steps_stride = logs->t_stride ? logs->samples - 1 : 0;
-  const int64_t *steps = logs->steps + work->begin * steps_stride + i;
+  const int64_t *steps = logs->steps + work->begin * logs->steps_stride + i;
   for (int64_t g = 0; g < work->runs; g++)
-    h[g] = (t[g * logs->t_stride + 1] - t[g * logs->t_stride]) / (double)steps[g * steps_stride];
+    h[g] = (t[g * logs->t_stride + 1] - t[g * logs->t_stride]) / (double)steps[g * logs->steps_stride];
   for (int64_t k = 0;; k++) {
     int any = 0;
     for (int64_t g = 0; g < work->runs; g++) {
       now[g] = t[g * logs->t_stride] + (double)k * h[g];
-      any |= moving[g] = k < steps[g * steps_stride] && h[g] != 0 && finite[g]; /* no time passes: padding */
+      any |= moving[g] = k < steps[g * logs->steps_stride] && h[g] != 0 && finite[g]; /* no time passes: padding */
     }
     if (!any) break;
     work->moving = GROUP == 1 ? 0 : moving;

@@ -16,7 +16,7 @@ from undertow.typing import Array
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
 from .driver import loaded
-from .source import INSTRUCTIONS, engine_source
+from .source import INSTRUCTIONS, engine_file, engine_source
 
 _NUMBER = {code: INSTRUCTIONS[name] for name, code in vars(ca).items() if name in INSTRUCTIONS}
 
@@ -99,14 +99,29 @@ def _entry(library: ctypes.CDLL, name: str, result: Any) -> Callable[..., int]:
 
 
 def engine() -> Engine | None:
-    """The engine, compiled once for all models; None where there is no compiler."""
-    return compiled_or_virtual(None, lambda compiler: _compiled(compiler.for_this_machine()), lambda: None)
+    """The engine, compiled once for all models, or that of the wheel; None where there is neither."""
+
+    def compiled(compiler: Compiler) -> Engine | None:
+        return _compiled(compiler.for_this_machine())
+
+    return compiled_or_virtual(None, compiled, _prebuilt)
 
 
 @cache
 def _compiled(compiler: Compiler) -> Engine:
     source, prefix = engine_source()
     return Engine(loaded(library_for(source, compiler)), prefix)
+
+
+@cache
+def _prebuilt() -> Engine | None:
+    """The engine that the wheel brings along, if that is of this version and for this machine."""
+    if not engine_file().is_file():
+        return None
+    try:
+        return Engine(loaded(engine_file()), engine_source()[1])
+    except (UndertowError, AttributeError):
+        return None
 
 
 # --- a function at many samples -------------------------------------------------------------------
