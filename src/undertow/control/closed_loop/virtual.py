@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 
 from undertow.codegen.library import Evaluator
+from undertow.codegen.virtual import runge_kutta
 
 from .parts import Parts
 from .problem import Block, LoopProblem, Rows
-
-_STAGES = ((1, 0.5), (2, 0.5), (2, 1.0), (1, 0.0))
-_REACH = (0.0, 0.5, 0.5, 1.0)
 
 
 class VirtualLoop:
@@ -87,11 +87,8 @@ def _held_step(parts: Parts) -> ca.Function:
     f = parts.functions
     sizes = {"x": f.x.numel(), "u": f.u.numel(), "p": f.p.numel(), "t": 1, "h": 1}
     x, u, p, t, h = (ca.SX.sym(name, size) for name, size in sizes.items())
-    stage, total = x, ca.SX.zeros(x.shape)
-    for (weight, ahead), reach in zip(_STAGES, _REACH, strict=True):
-        rate = parts.dynamics(stage, u, p, t + reach * h)
-        total, stage = total + weight * rate, x + ahead * h * rate
-    return ca.Function("held", [x, u, p, t, h], [ca.densify(x + h / 6 * total)])
+    (following,) = runge_kutta(lambda z, reach: [parts.dynamics(*z, u, p, t + reach * h)], [x], [h])
+    return ca.Function("held", [x, u, p, t, h], [ca.densify(following)])
 
 
 def _joint_step(parts: Parts) -> ca.Function:
@@ -100,12 +97,14 @@ def _joint_step(parts: Parts) -> ca.Function:
     x, extra, p = ca.SX.sym("x", f.x.numel()), ca.SX.sym("e", f.u.numel()), ca.SX.sym("p", f.p.numel())
     s, r, k = (ca.SX.sym(n, law.size1_in(n)) for n in "srk")
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    z, w, total, total_s, u = x, s, ca.SX.zeros(x.shape), ca.SX.zeros(s.shape), ca.SX.zeros(extra.shape)
-    for (weight, ahead), reach in zip(_STAGES, _REACH, strict=True):
-        commands, s_dot, _ = law(parts.outputs(z, u, p, t + reach * h), r, w, k)
+    u = ca.SX.zeros(extra.shape)
+
+    def rates(z: Sequence[ca.SX], reach: float) -> list[ca.SX]:
+        nonlocal u
+        now = t + reach * h
+        commands, s_dot, _ = law(parts.outputs(z[0], u, p, now), r, z[1], k)
         u = commands + extra
-        x_dot = parts.dynamics(z, u, p, t + reach * h)
-        total, z = total + weight * x_dot, x + ahead * h * x_dot
-        total_s, w = total_s + weight * s_dot, s + ahead * h * s_dot
-    following = [ca.densify(x + h / 6 * total), ca.densify(s + h / 6 * total_s)]
-    return ca.Function("joint", [x, s, r, k, extra, p, t, h], following)
+        return [parts.dynamics(z[0], u, p, now), s_dot]
+
+    following = runge_kutta(rates, [x, s], [h, h])
+    return ca.Function("joint", [x, s, r, k, extra, p, t, h], [*map(ca.densify, following)])
