@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol
@@ -21,6 +21,7 @@ from .functions import Functions
 from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
 from .source import c_file, digest, integers
+from .tape import at_samples
 
 # As many samples as fit in one instruction.
 _LANES = """\
@@ -32,6 +33,7 @@ _LANES = """\
 #define LANES 1
 #endif
 """
+# Samples whose rows are in memory together, where they are not compiled.
 _CHUNK = 128
 
 
@@ -228,7 +230,7 @@ def _tiles(starts: list[int]) -> int:
 
 
 class VirtualRows:
-    """The same passes by CasADi's virtual machine and NumPy, where there is no compiler.
+    """The same passes where the rows are not compiled.
 
     Parameters
     ----------
@@ -238,7 +240,6 @@ class VirtualRows:
 
     def __init__(self, rows: Layout) -> None:
         self._layout = rows
-        self._map = rows.function.map(_CHUNK)
 
     def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None:
         """Add products of rows and target, upper triangle."""
@@ -261,27 +262,26 @@ class VirtualRows:
         nothing = np.zeros((0, self._layout.size + 1))
         return np.vstack([nothing, *(table for table, _ in parts)]), sum(count for _, count in parts)
 
-    def _chunks(self, columns: list[Array], p: Array, weights: list[Array] | None) -> list[tuple[Array, int]]:
-        n = _length(columns)
-        slices = [slice(i, min(i + _CHUNK, n)) for i in range(0, n, _CHUNK)]
-        return [self._chunk([c[s] for c in columns], p, _cut(weights, s)) for s in slices]
+    def _chunks(
+        self, columns: list[Array], p: Array, weights: list[Array] | None
+    ) -> Iterator[tuple[Array, int]]:
+        for first in range(0, _length(columns), _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            factors = [w if len(w) == 1 else w[rows] for w in weights or []]
+            yield self._chunk(np.stack([c[rows] for c in columns]), p, factors)
 
-    def _chunk(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
-        known, count, f = self._layout, len(columns[0]), self._layout.function
+    def _chunk(self, columns: Array, p: Array, weights: list[Array]) -> tuple[Array, int]:
+        """Rows and target at some samples, and how many of these have no gap."""
+        known, count, f = self._layout, columns.shape[1], self._layout.function
         sizes = [f.numel_in(i) for i in (0, 1, 2)] + [1]
-        inputs = np.zeros((sum(sizes), _CHUNK))
-        inputs[list(known.needed), :count] = columns
-        whole = np.isfinite(inputs).all(axis=0) & (np.arange(_CHUNK) < count)
-        x, nu_dot, u, t = np.split(np.where(whole, inputs, 0.0), np.cumsum(sizes)[:-1])
-        entries = self._map(x, nu_dot, u, np.tile(p[:, None], _CHUNK), t)
-        table = np.zeros((_CHUNK, known.degrees, known.size + 1))
-        table[:, list(known.row), list(known.column)] = np.asarray(entries).T
-        if weights is not None:
-            for r, weight in enumerate(weights):
-                table[:count, r] *= np.sqrt(weight)[:, None]
+        inputs = np.zeros((count, sum(sizes)))
+        inputs[:, list(known.needed)] = columns.T
+        whole = np.asarray(np.isfinite(inputs).all(axis=1))
+        x, nu_dot, u, t = np.split(np.where(whole[:, None], inputs, 0.0), np.cumsum(sizes)[:-1], axis=1)
+        (entries,) = at_samples(f, [x, nu_dot, u, p, t], count)
+        table = np.zeros((count, known.degrees, known.size + 1))
+        table[:, list(known.row), list(known.column)] = entries
+        for r, weight in enumerate(weights):
+            table[:, r] *= np.sqrt(weight)[:, None]
         table[~whole] = 0.0
-        return table[:count].reshape(-1, known.size + 1), int(whole.sum())
-
-
-def _cut(weights: list[Array] | None, rows: slice) -> list[Array] | None:
-    return None if weights is None else [w if len(w) == 1 else w[rows] for w in weights]
+        return table.reshape(-1, known.size + 1), int(whole.sum())

@@ -16,8 +16,11 @@ from undertow.typing import Array
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual
 from .driver import loaded
+from .library import Direct
 from .source import INSTRUCTIONS, engine_file, engine_source
 
+# Making a map costs time in proportion to its length; one of this length serves any number of samples.
+_CHUNK = 128
 _NUMBER = {code: INSTRUCTIONS[name] for name, code in vars(ca).items() if name in INSTRUCTIONS}
 
 
@@ -186,3 +189,62 @@ def blockwise(function: ca.Function) -> Blockwise | None:
         return None
     run = engine()
     return None if run is None else Blockwise(function, run)
+
+
+def at_samples(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
+    """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Function of one sample.
+    arguments : sequence of ndarray
+        (count, k) for what differs from sample to sample, (k,) for what is the same for all.
+    count : int
+        Number of samples.
+    """
+    run = blockwise(function)
+    return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
+
+
+def mapped(function: ca.Function, columns: Sequence[Array], p: Array, t: Array) -> list[Array]:
+    """Values at N samples of `function(*columns, p, t)`, each (N, rows, columns); `columns` are (N, k).
+
+    The function's outputs have to be dense.
+    """
+    flat = at_samples(function, [*columns, p, t[:, None]], len(t))
+    shapes = [function.size_out(i) for i in range(function.n_out())]
+    # CasADi is column-major: a sample's matrix lies transposed in the flat result.
+    return [f.reshape(len(t), c, r).transpose(0, 2, 1) for f, (r, c) in zip(flat, shapes, strict=True)]
+
+
+def _in_chunks(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
+    """The same by CasADi's virtual machine."""
+    run = Direct(_map_over(function, _CHUNK))
+    # CasADi stores columns one after the other, so a sample is a row of these arrays.
+    inputs = [a.reshape(_CHUNK, a.size // _CHUNK) for a in run.inputs.values()]
+    outputs = [a.reshape(_CHUNK, a.size // _CHUNK) for a in run.outputs.values()]
+    results = [np.zeros((count, a.shape[1])) for a in outputs]
+    for first in range(0, count, _CHUNK):
+        here = min(_CHUNK, count - first)
+        for array, given in zip(inputs, arguments, strict=True):
+            array[:here] = given[first : first + here] if given.ndim > 1 else given
+        run()
+        for result, array in zip(results, outputs, strict=True):
+            result[first : first + here] = array[:here]
+    return results
+
+
+@lru_cache(maxsize=256)
+def _map_over(function: ca.Function, count: int) -> ca.Function:
+    """The function over `count` samples in one call; made once."""
+    return function.map(count)
+
+
+def call(function: ca.Function, arguments: Sequence[Array]) -> list[Array]:
+    """Call a function once by the virtual machine; arguments and results are flat, column-major, dense."""
+    run = Direct(function)
+    for array, given in zip(run.inputs.values(), arguments, strict=True):
+        array[:] = np.ravel(given)
+    run()
+    return [*run.outputs.values()]
