@@ -122,13 +122,7 @@ def _workshop(folder: Path) -> Iterator[Path]:
 
 
 def _lock(folder: Path) -> int | None:
-    """Descriptor that holds the lock on a folder; None where there are no locks.
-
-    Raises
-    ------
-    OSError
-        BlockingIOError where another process holds it, FileNotFoundError where the folder has gone.
-    """
+    """Descriptor that holds the lock on a folder; None where there are no locks."""
     if fcntl is None:
         return None
     number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

@@ -15,16 +15,8 @@ from .terms import Atom, Atoms, Product, Reading, Sum, apply
 class Collector:
     """Rewrites expressions so that they use few coefficients in the place of many fixed symbols.
 
-    Parameters
-    ----------
-    fixed : SX
-        Symbols that stay the same for many evaluations (parameters).
-    moving : SX
-        The other symbols.
-    ready : SX
-        Those of the fixed symbols that are as good as a coefficient.
-    name : str
-        What the coefficients are called.
+    Fixed are those that stay the same for many evaluations; of these, what is `ready` is as good as a
+    coefficient, which are called `name` and a number.
     """
 
     def __init__(self, fixed: ca.SX, moving: ca.SX, *, ready: ca.SX, name: str) -> None:

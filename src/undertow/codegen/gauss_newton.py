@@ -90,38 +90,19 @@ class _Logs(ctypes.Structure):
 
 
 class Tangents:
-    """Simulation of a model with sensitivities.
-
-    Parameters
-    ----------
-    run : callable
-        Entry point of tangents.c.
-    model : _Model, optional
-        The model, where it is data.
-    """
+    """Simulation of a model with sensitivities."""
 
     def __init__(self, run: Callable[..., int], model: _Model | None = None) -> None:
         self._run, self._model = run, model
 
     def advance(self, problem: Problem, first: int, last: int) -> None:
-        """Record states and sensitivities from sample `first` to sample `last`.
-
-        Raises
-        ------
-        UndertowError
-            If there is no memory.
-        """
+        """Record states and sensitivities from sample `first` to sample `last`."""
         self._called(problem, (first, last), problem.x, problem.s)
 
     def products(self, problem: Problem, measured: Array, weight: Array, group: Integers) -> Products:
         """Sums over the samples of every window; `group` says of which sum of its window a sample is part.
 
         Derivatives in the initial pose and velocity follow those in parameters.
-
-        Raises
-        ------
-        UndertowError
-            If there is no memory.
         """
         b, _, channels = measured.shape
         width, groups = problem.wrt.size + 1, int(group.max(initial=0)) + 1
@@ -183,17 +164,7 @@ class _Model(ctypes.Structure):
 
 
 class Uncompiled:
-    """The instructions of a model, run at once by the engine: compiling takes longer than a run or two.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    run : Engine
-        The engine.
-    sensitivities : bool
-        Whether to carry derivatives along.
-    """
+    """The instructions of a model, run at once by the engine: compiling takes longer than a run or two."""
 
     def __init__(self, functions: Functions, run: Engine, *, sensitivities: bool) -> None:
         self._run = run.simulate
@@ -217,13 +188,7 @@ class Uncompiled:
 
 # --- a model that is compiled ---------------------------------------------------------------------
 def compiled_tangents(functions: Functions, wrt: Sequence[int], compiler: Compiler) -> Tangents:
-    """The simulation compiled for one choice of parameters, with -1 for each initial state.
-
-    Raises
-    ------
-    UndertowError
-        If the compiler fails.
-    """
+    """The simulation compiled for these parameters to differentiate by, with -1 for each initial state."""
     source, name = tangents_source(functions, wrt)
     run = getattr(loaded(library_for(source, compiler.for_this_machine())), name)
     run.restype = ctypes.c_int64

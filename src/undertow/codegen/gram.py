@@ -147,15 +147,7 @@ class RowSource(Protocol):
 
 
 class CompiledRows:
-    """Passes over the data in C.
-
-    Parameters
-    ----------
-    rows : Layout
-        The rows.
-    compiler : Compiler
-        Compiler to use.
-    """
+    """Passes over the data in C."""
 
     def __init__(self, rows: Layout, compiler: Compiler) -> None:
         self._layout = rows
@@ -230,13 +222,7 @@ def _tiles(starts: list[int]) -> int:
 
 
 class VirtualRows:
-    """The same passes where the rows are not compiled.
-
-    Parameters
-    ----------
-    rows : Layout
-        The rows.
-    """
+    """The same passes where the rows are not compiled."""
 
     def __init__(self, rows: Layout) -> None:
         self._layout = rows

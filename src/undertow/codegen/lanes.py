@@ -102,19 +102,7 @@ def in_threads(
 
 
 def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slice]:
-    """Runs in shares of whole groups, each a fraction of a second and a few for every thread.
-
-    Parameters
-    ----------
-    runs : int
-        Number of runs.
-    work : float
-        Runge-Kutta steps of a run.
-    threads : int, optional
-        As for `in_threads`.
-    lanes : int
-        Runs in a group.
-    """
+    """Runs in shares of whole groups, each a fraction of a second and a few for every thread."""
     groups, wanted = -(-runs // lanes), threads or processors()
     least, most = (max(int(steps / max(work, 1) / lanes), 1) for steps in _STEPS_IN_SHARE)
     each = lanes * min(max(-(-groups // (_SHARES * wanted)), least), most)

@@ -64,21 +64,7 @@ def kirchhoff(momentum: ca.SX, nu: ca.SX) -> ca.SX:
 def find_inertia(
     wrenches: Mapping[str, sm.Matrix], s: Signals, known: Converter, p: ca.SX, dofs: tuple[int, ...]
 ) -> Inertia:
-    """The inertial ones among some wrenches.
-
-    Parameters
-    ----------
-    wrenches : mapping
-        Wrench of every effect by id, shape (6, 1), as stated.
-    s : Signals
-        What they are stated in.
-    known : Converter
-        What parameters are in terms of `p`.
-    p : SX
-        The parameters.
-    dofs : tuple of int
-        Degrees of freedom.
-    """
+    """The inertial ones among some wrenches."""
     search = _Search(s, known, p, dofs)
     found = {i: parts for i, w in wrenches.items() if (parts := search.parts(w)) is not None}
     total = [sum(parts, ca.SX(6, 6)) for parts in zip(*found.values(), strict=True)] or [ca.SX(6, 6)] * 4

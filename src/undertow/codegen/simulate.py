@@ -299,13 +299,7 @@ def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -
 def checked_runs(
     functions: Functions, x0: Array, t: Array, u: Array, p: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """The same with a leading size of the batch, or of one where the runs share it.
-
-    Raises
-    ------
-    UndertowError
-        If a shape does not fit, or the times are not finite or decrease.
-    """
+    """The same with a leading size of the batch, or of one where the runs share it."""
     start = _checked("x0", x0, (len(functions.state_names),))
     batch = len(start)
     times = _checked("t", t, (None,), batch)

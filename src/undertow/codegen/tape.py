@@ -38,22 +38,7 @@ class TapeData(ctypes.Structure):
 class Tape:
     """The instructions of a CasADi function of scalars, ready to run.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        An SX function.
-
-    Attributes
-    ----------
-    slots : int
-        Number of registers.
-    data : TapeData
-        What compiled code is given; it points into this object, which has to live as long.
-
-    Raises
-    ------
-    UndertowError
-        If the function has an operation that C lacks.
+    Compiled code is given `data`, which points into this object: that has to live as long.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -82,13 +67,7 @@ class Tape:
 
 # --- the library ----------------------------------------------------------------------------------
 class Engine:
-    """Entry points of the library that runs tapes.
-
-    Attributes
-    ----------
-    at_samples, simulate : callable
-        A function at many samples; a simulation.
-    """
+    """Entry points of the library that runs tapes."""
 
     def __init__(self, library: ctypes.CDLL, prefix: str) -> None:
         self.at_samples: Callable[..., int] = _entry(library, f"{prefix}at_samples", ctypes.c_int)
@@ -129,36 +108,14 @@ def _prebuilt() -> Engine | None:
 
 # --- a function at many samples -------------------------------------------------------------------
 class Blockwise:
-    """A CasADi function of scalars, run over blocks of samples.
-
-    CasADi's virtual machine goes through the instructions anew for every sample, which takes several times as
-    long.
-
-    Raises
-    ------
-    UndertowError
-        If the function has an operation that C lacks.
-    """
+    """A CasADi function of scalars, run over blocks of samples: several times as fast as sample by sample."""
 
     def __init__(self, function: ca.Function, run: Engine) -> None:
         self._run, self._tape = run.at_samples, Tape(function)
         self._outputs = [function.nnz_out(i) for i in range(function.n_out())]
 
     def __call__(self, arguments: Sequence[Array], count: int) -> list[Array]:
-        """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
-
-        Parameters
-        ----------
-        arguments : sequence of ndarray
-            (count, k) for what differs from sample to sample, (k,) for what is the same for all.
-        count : int
-            Number of samples.
-
-        Raises
-        ------
-        UndertowError
-            If there is no memory.
-        """
+        """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz)."""
         inputs = [np.ascontiguousarray(a, dtype=float) for a in arguments]
         assert all(a.ndim == 1 or len(a) == count for a in inputs)
         results = [np.zeros((count, size)) for size in self._outputs]

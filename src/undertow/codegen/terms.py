@@ -29,15 +29,7 @@ class Atom:
 
 
 class Atoms:
-    """The atoms of some expressions, none of them twice.
-
-    Parameters
-    ----------
-    fixed : SX
-        Symbols that stay the same for many evaluations (parameters).
-    moving : SX
-        The other symbols.
-    """
+    """The atoms of some expressions, none of them twice."""
 
     def __init__(self, fixed: ca.SX, moving: ca.SX) -> None:
         self._fixed, self._moving = ca.vertsplit(fixed), ca.vertsplit(moving)

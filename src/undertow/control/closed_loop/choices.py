@@ -82,13 +82,7 @@ class Choices:
         return table.model_copy(update={"schedule": schedule, "unactuated": left_out})
 
     def with_sway(self, vehicle: Vehicle) -> Vehicle:
-        """The vehicle with a sway force if there is to be one.
-
-        Raises
-        ------
-        UndertowError
-            If it does not move sideways.
-        """
+        """The vehicle with a sway force if there is to be one."""
         if self.sway != "actuated" or _SWAY_FORCE in vehicle.force_channels:
             return vehicle
         if "sway" not in vehicle.degrees_of_freedom:

@@ -41,15 +41,7 @@ class Cycle:
 
 
 def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
-    """The oscillation in the last three fifths of a run, if there is one.
-
-    Parameters
-    ----------
-    t, error : ndarray, shape (n,)
-        Times in s and error in m or rad.
-    least : float
-        Smallest amplitude that is looked at.
-    """
+    """The oscillation in the last three fifths of a run, if there is one of this amplitude at least."""
     tail = t >= t[-1] - _TAIL * (t[-1] - t[0])
     t, error = t[tail], error[tail]
     if len(t) < 8 or not np.isfinite(error).all():

@@ -33,18 +33,7 @@ NONE: Varied = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Differences:
-    """What differs from run to run, an array of a value for each run by name.
-
-    Attributes
-    ----------
-    parameters, gains, starts : mapping
-        Parameters of the vehicle, gains of the controller, first pose and velocity.
-
-    Raises
-    ------
-    UndertowError
-        If there is none, or they are of different numbers of runs, or not finite.
-    """
+    """What differs from run to run, an array of a value for each run by name."""
 
     parameters: Varied
     gains: Varied
@@ -192,23 +181,7 @@ def blocks(
 ) -> Iterator[Block]:
     """Blocks of samples one after the other, so that Ctrl-C is heard in between.
 
-    Parameters
-    ----------
-    parts : Parts
-        The loop that runs.
-    scenario : Scenario
-        What is asked.
-    runs : range
-        Numbers of the runs: the noise of run i is that of seed + i.
-    stride : int
-        Every how many-th sample is recorded.
-    wanted : tuple of str
-        What is recorded.
-
-    Raises
-    ------
-    UndertowError
-        If noise or a push is meant for what the vehicle does not have.
+    The noise of run i is that of seed + i.
     """
     spread = scenario.noise_of(parts.reported_names)
     random = [np.random.default_rng(scenario.seed + i) for i in runs] if spread.any() else []

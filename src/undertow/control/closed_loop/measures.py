@@ -49,17 +49,7 @@ class Credible:
         return found
 
     def broken(self, x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Where states are not finite or beyond their limits, shape (..., n, states).
-
-        Parameters
-        ----------
-        x : ndarray, shape (..., n, states)
-            States over time, pose and velocities first.
-        start : ndarray, shape (..., pose)
-            First pose.
-        t : ndarray, shape (n,)
-            Times, s.
-        """
+        """Where states are not finite or beyond their limits, shape (..., n, states)."""
         pose = start.shape[-1]
         moved = x.copy()
         moved[..., :pose] -= start[..., None, :]
@@ -232,19 +222,7 @@ class _Error:
 
 
 class Measures:
-    """Gathers the measures of a run.
-
-    Parameters
-    ----------
-    loop : ClosedLoop
-        The loop that runs.
-    scenario : Scenario
-        What is asked.
-    start, to : mapping
-        First and desired pose in the vehicle's coordinates.
-    left : mapping
-        What sampling may leave, by coordinate.
-    """
+    """Gathers the measures of a run."""
 
     def __init__(
         self,

@@ -134,15 +134,7 @@ class Block:
 
 
 class LoopStepper(Protocol):
-    """Runs closed loops over the samples of a block.
-
-    Attributes
-    ----------
-    lanes : int
-        How many runs are best handed over together.
-    parallel : bool
-        Whether calls may run at the same time.
-    """
+    """Runs closed loops over the samples of a block."""
 
     lanes: int
     parallel: bool
@@ -160,30 +152,7 @@ def problem_of(
     p: np.ndarray | None = None,
     k: np.ndarray | None = None,
 ) -> LoopProblem:
-    """Runs from their first sample on.
-
-    Parameters
-    ----------
-    parts : Parts
-        Model and controller.
-    start : ndarray, shape (b, 2n)
-        First pose and velocity of the vehicle.
-    desired : ndarray
-        Desired pose in the coordinates of the controller.
-    dt : float
-        Sampling interval, s.
-    substeps : int
-        Runge-Kutta steps in it.
-    continuous : bool
-        Whether the law is not sampled.
-    p, k : ndarray, shape (b, n), optional
-        Parameters and gains that are not those of the files.
-
-    Raises
-    ------
-    UndertowError
-        If dead times differ from run to run.
-    """
+    """Runs from their first sample on."""
     runs = len(start)
     p = np.tile(parts.parameters, (runs, 1)) if p is None else p
     k = np.tile(parts.gains, (runs, 1)) if k is None else k

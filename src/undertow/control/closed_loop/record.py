@@ -122,15 +122,7 @@ class Record:
 
 
 class Recorder:
-    """Keeps every so many-th row of a run, with the mean of the commands up to the next.
-
-    Parameters
-    ----------
-    loop : ClosedLoop
-        The loop that runs.
-    scenario : Scenario
-        What is asked.
-    """
+    """Keeps every so many-th row of a run, with the mean of the commands up to the next."""
 
     def __init__(self, loop: ClosedLoop, scenario: Scenario) -> None:
         self._loop, self._scenario, self._stride = loop, scenario, scenario.stride

@@ -68,13 +68,7 @@ class ClosedLoop:
 
     # --- set-points -----------------------------------------------------------------------------
     def desired(self, scenario: Scenario) -> tuple[dict[str, float], dict[str, float]]:
-        """Start and set-point of a run in the vehicle's coordinates, the heading worked out if not given.
-
-        Raises
-        ------
-        UndertowError
-            If the numbers of values do not fit the vehicle.
-        """
+        """Start and set-point of a run in the vehicle's coordinates, the heading worked out if not given."""
         names = self.vehicle.pose_names
         zero = dict.fromkeys(names, 0.0)
         start = zero | (scenario.pose(scenario.start, names, "start") if scenario.start else {})
@@ -177,13 +171,7 @@ class ClosedLoop:
         p: np.ndarray | None = None,
         k: np.ndarray | None = None,
     ) -> LoopProblem:
-        """Runs of a scenario from the states `first` on, with parameters and gains of their own if given.
-
-        Raises
-        ------
-        UndertowError
-            If dt is too long for the law and the vehicle as the files have them, or dead times differ.
-        """
+        """Runs of a scenario from the states `first` on, with parameters and gains of their own if given."""
         desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
         substeps = self._substeps(scenario, start, to, desired)
         return problem_of(self.parts, first, desired, scenario.dt, substeps, scenario.continuous, p, k)
