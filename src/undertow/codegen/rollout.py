@@ -33,7 +33,7 @@ class _Logs(ctypes.Structure):
 
 
 class Entries:
-    """Entry points of the same loop for different numbers of lanes, each compiled when it is first asked for."""
+    """Entry points of a loop for different numbers of lanes, each compiled when it is first asked for."""
 
     def __init__(self, source: Callable[[int], tuple[str, str]], compiler: Compiler) -> None:
         # What is a vector is so already; others that the compiler makes up cost a twentieth.
