@@ -194,16 +194,16 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def compiled_or_virtual(wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], T]) -> T:
-    """Compiled code if wished for (True) or possible (None); else the virtual machine, and a logged line.
+    """Compiled code if wished for (True) or possible (None); else what runs without, and a logged line.
 
     Parameters
     ----------
     wish : bool, optional
-        True for compiled code only, False for the virtual machine.
+        True for compiled code only, False for none.
     build : callable
         Compiles.
     otherwise : callable
-        What the virtual machine runs.
+        What runs without: the engine's instructions, or CasADi's virtual machine.
 
     Raises
     ------

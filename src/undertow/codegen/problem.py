@@ -1,4 +1,4 @@
-"""What a simulation needs and fills, as the compiled driver and the virtual machine both take it."""
+"""What a simulation needs and fills, whoever runs it."""
 
 from __future__ import annotations
 

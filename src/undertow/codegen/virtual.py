@@ -38,7 +38,7 @@ def runge_kutta(
 
 
 class VirtualStepper:
-    """The driver's steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
+    """Steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
 
     def __init__(self, functions: Functions, *, sensitivities: bool) -> None:
         self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
