@@ -76,14 +76,14 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
 
 
 # --- calls of tangents.c --------------------------------------------------------------------------
-_SHARED = ("t", "u", "p", "steps")
+_RUN_ARRAYS = ("t", "u", "p", "steps")
 
 
-class _Logs(ctypes.Structure):
+class _TangentLogs(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in ("samples", "first", "last")),
-        *((f"{name}_stride", ctypes.c_int64) for name in (*_SHARED, "x")),
-        *((name, ctypes.c_void_p) for name in (*_SHARED, "x", "s")),
+        *((f"{name}_stride", ctypes.c_int64) for name in (*_RUN_ARRAYS, "x")),
+        *((name, ctypes.c_void_p) for name in (*_RUN_ARRAYS, "x", "s")),
         ("groups", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("measured", "weight", "group", "table", "squares")),
     )
@@ -134,8 +134,8 @@ class Tangents:
         groups: int = 0,
         *sums: np.ndarray,
     ) -> int:
-        shared: list[np.ndarray] = [getattr(problem, name) for name in _SHARED]
-        logs = _Logs(
+        shared: list[np.ndarray] = [getattr(problem, name) for name in _RUN_ARRAYS]
+        logs = _TangentLogs(
             *(problem.t.shape[1], *span),
             *(0 if len(a) == 1 else a.strides[0] // a.itemsize for a in shared),
             *(x.strides[0] // x.itemsize, *map(pointer, shared), pointer(x)),

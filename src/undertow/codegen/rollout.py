@@ -21,14 +21,14 @@ from .plain import LANES, plain_c
 from .problem import Problem
 from .source import c_file, with_entry
 
-_SHARED = ("t", "count", "u", "p")
+_GROUP_ARRAYS = ("t", "count", "u", "p")
 
 
-class _Logs(ctypes.Structure):
+class _RolloutLogs(ctypes.Structure):
     _fields_ = (
         ("samples", ctypes.c_int64),
-        *((f"{name}_step", ctypes.c_int64) for name in _SHARED),
-        *((name, ctypes.c_void_p) for name in (*_SHARED, "x")),
+        *((f"{name}_step", ctypes.c_int64) for name in _GROUP_ARRAYS),
+        *((name, ctypes.c_void_p) for name in (*_GROUP_ARRAYS, "x")),
     )
 
 
@@ -79,7 +79,7 @@ class CompiledRollout:
         }
         x = packed(problem.x[:, first : last + 1], lanes)
         steps = (0 if len(a) < len(x) else a[0].size for a in arrays.values())
-        logs = _Logs(last + 1 - first, *steps, *map(_address, [*arrays.values(), x]))
+        logs = _RolloutLogs(last + 1 - first, *steps, *map(_address, [*arrays.values(), x]))
         self._entries(lanes)(ctypes.byref(logs), ctypes.c_int64(len(x)))
         problem.x[:, first + 1 : last + 1] = unpacked(x, runs)[:, 1:]
 
