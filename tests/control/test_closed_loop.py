@@ -12,7 +12,7 @@ from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
 from undertow.control.closed_loop.measures import CREDIBLE, divergence
 from undertow.control.closed_loop.sampling import SampledLoop
-from undertow.control.closed_loop.virtual import VirtualLoop
+from undertow.control.closed_loop.stepping import VirtualLoop
 from undertow.control.gain_schema import GainTable, ScheduleTable
 from undertow.control.gains import gains_from_table, load_gains
 from undertow.errors import UndertowError
@@ -178,7 +178,7 @@ def test_without_a_compiler_the_numbers_are_the_same(gains: str, continuous: boo
 def test_a_long_run_in_parts_is_the_same_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = Scenario(GOAL, 2.0, 0.001, noise={"psi": 0.01}, seed=3)
     at_once = loop("paper-pd").run(scenario)
-    monkeypatch.setattr("undertow.control.closed_loop.many._SAMPLES_PER_CALL", 77)
+    monkeypatch.setattr("undertow.control.closed_loop.simulate._SAMPLES_PER_CALL", 77)
     in_parts = loop("paper-pd").run(scenario)
     for one, other in zip(in_parts.result.coordinates, at_once.result.coordinates, strict=True):
         assert replace(one, steady_error=0.0) == replace(other, steady_error=0.0)

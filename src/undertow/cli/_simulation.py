@@ -20,8 +20,7 @@ from undertow.model.effects.ocean_current import check_current
 from undertow.model.units import to_si
 
 if TYPE_CHECKING:
-    from undertow.control.closed_loop.cycles import Cycle
-    from undertow.control.closed_loop.measures import CoordinateResult
+    from undertow.control.closed_loop.measures import CoordinateResult, Cycle
 
 _AXES = "XYZKMN"
 _MUCH = 1e5  # of an overshoot in %: more has no decimals
