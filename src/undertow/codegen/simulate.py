@@ -51,50 +51,39 @@ class Simulator:
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
         self._functions = functions
         self._wish = compiled
-        self._states = self._stepper()
-        self._tangents: dict[tuple[int, ...], Stepper] = {}
+        self._steppers: dict[tuple[int, ...], Stepper] = {}
+        self._stepper(())
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs."""
-        return isinstance(self._states, CompiledRollout)
+        return isinstance(self._stepper(()), CompiledRollout)
 
-    def _stepper(self) -> Stepper:
-        """What simulates without sensitivities."""
+    def _stepper(self, wrt: tuple[int, ...]) -> Stepper:
+        """What simulates with sensitivities in these parameters (-1 for initial states), made once."""
 
         def compiled(compiler: Compiler) -> Stepper:
+            if wrt:
+                return compiled_tangents(self._functions, wrt, compiler)
             return CompiledRollout(self._functions, compiler)
 
         def otherwise() -> Stepper:
-            run = engine()
-            if run is None:
-                return VirtualStepper(self._functions, sensitivities=False)
-            return Uncompiled(self._functions, run, sensitivities=False).tangents([])
+            model = self._with_slopes if wrt else self._uncompiled(sensitivities=False)
+            if model is not None:
+                return model.tangents(wrt)
+            return VirtualStepper(self._functions, sensitivities=bool(wrt))
 
-        return compiled_or_virtual(self._wish, compiled, otherwise)
-
-    def _sensitive(self, wrt: Integers) -> Stepper:
-        """What simulates with these sensitivities."""
-        columns = tuple(map(int, wrt))
-        if columns not in self._tangents:
-            self._tangents[columns] = self._with_columns(columns) if columns else self._states
-        return self._tangents[columns]
-
-    def _with_columns(self, columns: tuple[int, ...]) -> Stepper:
-        def compiled(compiler: Compiler) -> Stepper:
-            return compiled_tangents(self._functions, columns, compiler)
-
-        def otherwise() -> Stepper:
-            if self._uncompiled is None:
-                return VirtualStepper(self._functions, sensitivities=True)
-            return self._uncompiled.tangents(columns)
-
-        return compiled_or_virtual(self._wish, compiled, otherwise)
+        if wrt not in self._steppers:
+            self._steppers[wrt] = compiled_or_virtual(self._wish, compiled, otherwise)
+        return self._steppers[wrt]
 
     @cached_property
-    def _uncompiled(self) -> Uncompiled | None:
+    def _with_slopes(self) -> Uncompiled | None:
+        return self._uncompiled(sensitivities=True)
+
+    def _uncompiled(self, *, sensitivities: bool) -> Uncompiled | None:
         run = engine()
-        return None if run is None else Uncompiled(self._functions, run, sensitivities=True)
+        return None if run is None else Uncompiled(self._functions, run, sensitivities=sensitivities)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(
@@ -129,7 +118,7 @@ class Simulator:
             If a shape does not fit, or the times are not finite or decrease.
         """
         problem = self._problem(x0, t, u, p, max_step)
-        self._advance(problem, self._states, threads)
+        self._advance(problem, self._stepper(()), threads)
         return problem.x[0] if np.ndim(x0) == 1 else problem.x
 
     def run_with_sensitivities(
@@ -168,7 +157,7 @@ class Simulator:
         """
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
-        self._advance(problem, self._sensitive(problem.wrt), 1)
+        self._advance(problem, self._stepper(tuple(problem.wrt.tolist())), 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
     def products(
@@ -208,8 +197,8 @@ class Simulator:
         known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
         factors = np.ascontiguousarray(weight, dtype=float)
         groups = np.ascontiguousarray(group, dtype=np.int64)
-        columns = [*wrt, *[-1] * size]
-        stepper = self._sensitive(np.array(columns))
+        columns = *map(int, wrt), *[-1] * size
+        stepper = self._stepper(columns)
         if isinstance(stepper, Tangents):
             problem.wrt = np.array(columns)
             return stepper.products(problem, known, factors, groups)
