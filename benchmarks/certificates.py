@@ -20,11 +20,11 @@ import numpy as np
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
 from undertow.control.conditions.check import check
+from undertow.control.conditions.problem import Uncertainty
 from undertow.control.conditions.result import Report
-from undertow.control.conditions.uncertain import Uncertainty
 from undertow.control.gains import GainSet, load_gains
 from undertow.errors import UndertowError
-from undertow.model.evaluation import function_of
+from undertow.model.composition import function_of
 from undertow.model.loading import load_vehicle
 
 Array = np.ndarray

@@ -10,9 +10,9 @@ import pytest
 from benchmarks.chain.steps import HERE, without_drag
 from benchmarks.chain.tuning import CROSSOVER, LEAST, PHASE_MARGIN, gain_file, surge_of, tuned
 from undertow.control import close_loop, find_trim
+from undertow.control.conditions.check import certified
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.linear.analysis import modes
-from undertow.control.linear.certified import certified
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
 

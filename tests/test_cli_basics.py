@@ -16,10 +16,9 @@ import pytest
 
 import undertow
 import undertow.cli
-from undertow.cli import _progress
+from undertow.cli import _terminal
 from undertow.cli._docs import page
-from undertow.cli._lazy import commands, load
-from undertow.cli.main import main
+from undertow.cli.main import commands, load, main
 
 ROOT = Path(__file__).parents[1]
 SLOW = {
@@ -329,7 +328,7 @@ class _Timer:
     runs_out = True
 
     def __init__(self, seconds: float, action: Callable[[], None]) -> None:
-        assert seconds == _progress.DELAY == 2.0
+        assert seconds == _terminal.DELAY == 2.0
         self.action = action
 
     def start(self) -> None:
@@ -342,10 +341,10 @@ class _Timer:
 
 def _progress_on(screen: io.StringIO, monkeypatch: pytest.MonkeyPatch, runs_out: bool) -> str:
     monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setattr(_progress, "Timer", _Timer)
+    monkeypatch.setattr(_terminal, "Timer", _Timer)
     monkeypatch.setattr(_Timer, "runs_out", runs_out)
     monkeypatch.setenv("TERM", "xterm")
-    with _progress.progress("fitting", total=4.0) as report:
+    with _terminal.progress("fitting", total=4.0) as report:
         report(1.0, "run [3]")
         report(4.0, "")
     return screen.getvalue()
@@ -366,7 +365,7 @@ def test_without_a_terminal_nothing_is_printed(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_bar_that_comes_too_late_is_not_shown() -> None:
-    bar = _progress._Bar("fitting", 1.0)
+    bar = _terminal._Bar("fitting", 1.0)
     bar.close()
     bar.show()
     assert bar._picture is None

@@ -18,7 +18,10 @@ from benchmarks.examples.sf30k import lever_arm
 from benchmarks.examples.variants import variant, vehicle_of
 from benchmarks.results.text import number
 from undertow.identification.compare.comparison import compare
-from undertow.identification.logs import Run, read_log, read_mapping, velocities_from_pose
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 ROOT = Path(__file__).parents[1]

@@ -28,24 +28,23 @@ from benchmarks.fuzz.mutations import Mutation, mutated, parquet, zipped
 from benchmarks.fuzz.originals import diagnosis, originals
 from benchmarks.fuzz.readers import READERS, refusal
 from benchmarks.shape.hulls import spheroid_mesh, stl
-from undertow.cli._run import run
-from undertow.cli._simulation import choices_of, scenario_of
+from undertow.cli.main import run
+from undertow.cli.simulate import choices_of, scenario_of
 from undertow.control.closed_loop import Scenario
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import gains_from_table, load_gains
-from undertow.control.linear.snapshot import Snapshot
+from undertow.control.gains import GainTable, gains_from_table, load_gains
+from undertow.control.linear.report import Snapshot
 from undertow.errors import UndertowError
+from undertow.fleet.diagnose import Store
 from undertow.fleet.reduction import Reduced
-from undertow.fleet.store import Store
-from undertow.identification import Mapping, read_log, read_mapping
 from undertow.identification.logs.chunks import LongLog
-from undertow.identification.planning.diagnosed import read_diagnosis as read_for_plan
-from undertow.identification.published import appendix
-from undertow.identification.published.tables import _numbers
-from undertow.identification.scaffold.suggestion import read_diagnosis
-from undertow.identification.shape.reading import read_hull
+from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.reading import read_log
+from undertow.identification.planning.rivals import read_diagnosis as read_for_plan
+from undertow.identification.report.scaffold import read_diagnosis
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.saving import save_vehicle
+from undertow.paper.tables import _numbers, appendix
+from undertow.shape.mesh import read_hull
 
 one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 FINITE = st.floats(-1e12, 1e12)
@@ -207,7 +206,7 @@ def test_a_table_comes_back_from_every_kind_of_log(values, steps, kind: str, tmp
     run = read_log(path, channels=["f1"], missing_commands="gap")
     np.testing.assert_array_equal(run.t, table["t"])
     np.testing.assert_array_equal(run.matrix(["u", "v", "f1"]), values)
-    parts = [part.run for part in LongLog(path, Mapping(), ("f1",), missing_commands="gap").parts(8, 3)]
+    parts = [part.run for part in LongLog(path, LogMapping(), ("f1",), missing_commands="gap").parts(8, 3)]
     for part in parts:
         at = np.searchsorted(run.t, part.t)
         np.testing.assert_array_equal(part.matrix(["u", "v"]), values[at, :2])
@@ -249,7 +248,7 @@ MAPPINGS = st.fixed_dictionaries(
 @given(content=MAPPINGS)
 def test_a_mapping_comes_back(content: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "log.toml").write_text(tomlkit.dumps(content), encoding="utf-8")
-    assert read_mapping(tmp_path / "log.toml") == Mapping.model_validate(content)
+    assert read_mapping(tmp_path / "log.toml") == LogMapping.model_validate(content)
 
 
 @settings(one_folder, max_examples=5)

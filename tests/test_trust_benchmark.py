@@ -30,8 +30,8 @@ from benchmarks.trust.sizing import sized
 from benchmarks.trust.tally import Share, scored
 from benchmarks.trust.terms import _filled, make_terms
 from benchmarks.trust.verdicts import Answer, accepted
-from undertow.identification.logs import Run
-from undertow.identification.parallel import jobs
+from undertow.identification.diagnosis.parallel import jobs
+from undertow.identification.logs.run import Run
 
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
 

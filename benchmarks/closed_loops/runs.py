@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from undertow.control.closed_loop import Choices, ClosedLoop, LoopResult, Record, Scenario, without
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import load_gains
+from undertow.control.gains import GainTable, load_gains
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Thruster, Value, Vehicle

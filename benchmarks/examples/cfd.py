@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison, compare
-from undertow.identification.compare.shown import traces
+from undertow.identification.figures import AFTER, BEFORE, FAINT, INK, figure, look, save_png
 from undertow.identification.report.pictures import measured_vs_simulated
-from undertow.identification.report.style import AFTER, BEFORE, FAINT, INK, figure, look, save_png
+from undertow.identification.report.tables import traces
 
 from . import telling
 from .calls import Caller, Judged, Told

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import medfilt, welch
 
-from undertow.identification.logs import Run, read_log, read_mapping
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 
 from . import telling
 from .calls import ROOT, Caller, Judged, Told

@@ -8,11 +8,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison, compare
-from undertow.identification.compare.shown import curves, error_map, leading, traces
-from undertow.identification.logs import Run
+from undertow.identification.figures import AFTER, BEFORE, figure, look, save_png
+from undertow.identification.logs.run import Run
 from undertow.identification.report.pictures import error_map as drawn_map
 from undertow.identification.report.pictures import measured_vs_simulated, residual_against
-from undertow.identification.report.style import AFTER, BEFORE, figure, look, save_png
+from undertow.identification.report.tables import curves, error_map, leading, traces
 
 from . import cse1 as set_
 from .calls import Caller, Judged

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.identification.compare.comparison import compare
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from . import telling

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.identification.compare.comparison import Comparison, compare
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 
 from . import telling
 from .calls import Caller, Judged, Told

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison
-from undertow.identification.compare.shown import error_map, traces
-from undertow.identification.logs import Run
+from undertow.identification.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
+from undertow.identification.logs.run import Run
 from undertow.identification.report.pictures import error_map as drawn_map
 from undertow.identification.report.pictures import measured_vs_simulated
-from undertow.identification.report.style import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
+from undertow.identification.report.tables import error_map, traces
 from undertow.model.symbols import FORCE_UNITS
 
 from . import sf30k as set_

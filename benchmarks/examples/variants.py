@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from undertow.identification.logs import Run, read_log, read_mapping, velocities_from_pose
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from undertow.codegen import Functions, Simulator
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 

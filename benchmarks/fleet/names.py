@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undertow.fleet.changes import Changes, shift, trend
-from undertow.fleet.combine import Day, by_month, days_of
-from undertow.fleet.panel import Panel
-from undertow.fleet.reduction import Job, marked, reduce_runs
+from undertow.fleet.changes import Changes, Day, by_month, days_of, shift, trend
+from undertow.fleet.reduction import Job, Panel, marked, reduce_runs
 from undertow.fleet.verdicts import Asked, Statement, statements
 
 from .made import THRUSTERS, days, folder_with_vehicle, fouling, run

@@ -16,9 +16,9 @@ from benchmarks.hidden_effects.files import toml_text
 from benchmarks.shape.hulls import box_mesh, stl
 from undertow.codegen.export import Export
 from undertow.control.gains import bundled_gains
-from undertow.control.linear.snapshot import Snapshot
+from undertow.control.linear.report import Snapshot
+from undertow.fleet.diagnose import Store
 from undertow.fleet.reduction import Reduced
-from undertow.fleet.store import Store
 from undertow.identification.diagnosis.result import (
     Diagnosis,
     Estimate,

@@ -13,17 +13,19 @@ import numpy as np
 
 from undertow.codegen.export import Export, Report
 from undertow.control.gains import load_gains
-from undertow.control.linear.snapshot import Snapshot, changes
+from undertow.control.linear.report import Snapshot, changes
 from undertow.errors import UndertowError
+from undertow.fleet.diagnose import Store
 from undertow.fleet.partitions import partition_of
-from undertow.fleet.store import Store
-from undertow.identification.logs import Mapping, Run, read_log, read_mapping
 from undertow.identification.logs.chunks import LongLog
-from undertow.identification.planning.diagnosed import read_diagnosis as read_for_plan
-from undertow.identification.scaffold.suggestion import read_diagnosis
-from undertow.identification.shape.reading import read_hull
+from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
+from undertow.identification.planning.rivals import read_diagnosis as read_for_plan
+from undertow.identification.report.scaffold import read_diagnosis
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
+from undertow.shape.mesh import read_hull
 
 COMMANDS = ("f1", "f2", "f3", "f4")
 
@@ -80,13 +82,15 @@ def _log(path: Path) -> Run:
 
 
 def _parts(path: Path) -> list[Run]:
-    log = LongLog(path, Mapping(), COMMANDS, missing_commands="gap")
+    log = LongLog(path, LogMapping(), COMMANDS, missing_commands="gap")
     return [sound_run(part.run) for part in log.parts(60, 10)]
 
 
-def _mapping(path: Path) -> Mapping:
+def _mapping(path: Path) -> LogMapping:
     mapping = read_mapping(path)
-    assert Mapping.model_validate_json(mapping.model_dump_json(by_alias=True)) == mapping, "not what it says"
+    assert LogMapping.model_validate_json(mapping.model_dump_json(by_alias=True)) == mapping, (
+        "not what it says"
+    )
     return mapping
 
 
@@ -177,7 +181,7 @@ def _hull(path: Path) -> Any:
 
 
 def _partition(path: Path) -> Any:
-    return partition_of(path, Mapping())
+    return partition_of(path, LogMapping())
 
 
 READERS = {

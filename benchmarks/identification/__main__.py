@@ -13,7 +13,7 @@ from benchmarks.progress import clear, teller
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.identification.report.adapting import versions
+from undertow.identification.report.tables import versions
 
 from .cfd import estimates
 from .hardships import hardships

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from undertow.identification.fitted import Fitted, verdicts
-from undertow.identification.least_squares import CASES, estimate, experiments, selected
-from undertow.identification.logs import Run, read_log, read_mapping
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import Fitted, verdicts
+from undertow.identification.estimation.output_error import fit_output_error
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
+from undertow.paper.least_squares import estimate, experiments, selected
+from undertow.paper.regression import CASES
 
 LOGS = ("surge_step_coarse_dt0p2.csv", "surge_multistep_coarse_dt0p2.csv")
 BODY = 60.48

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.identification.estimators import Estimator
-from undertow.identification.logs import Run
+from undertow.identification.api import Estimator
+from undertow.identification.logs.run import Run
 
 from .profile import EXACT, vehicle
 from .variables import INTERVAL, driven, numbers, steps

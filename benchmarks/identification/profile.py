@@ -7,11 +7,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import vehicle_from_table
+from undertow.model.loading import VehicleTable, vehicle_from_table
 from undertow.model.vehicle import Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
 Array = NDArray[np.float64]
 MASS = 7.5

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.fitted import Fitted, cramer_rao, verdicts
-from undertow.identification.least_squares import CASES, Experiment, estimate, experiments, selected
-from undertow.identification.logs import Run
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import Fitted, cramer_rao, verdicts
+from undertow.identification.estimation.output_error import fit_output_error
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
+from undertow.paper.least_squares import Experiment, estimate, experiments, selected
+from undertow.paper.regression import CASES
 
 from .profile import EXACT, MASS, NOISES, logs, spread, vehicle
 

@@ -12,9 +12,10 @@ import polars as pl
 from benchmarks.results.basin import Basin, at, drag
 from benchmarks.results.reading import read
 from undertow.errors import UndertowError
-from undertow.identification.estimators import Estimator, Method
-from undertow.identification.fitted import Fitted, verdicts
-from undertow.identification.logs import Run, read_mapping
+from undertow.identification.api import Estimator, Method
+from undertow.identification.estimation.fitted import Fitted, verdicts
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
 

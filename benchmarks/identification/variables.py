@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.identification.estimators import Estimator
-from undertow.identification.least_squares import CASES, estimate, experiments
-from undertow.identification.logs import Run
+from undertow.identification.api import Estimator
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
+from undertow.paper.least_squares import estimate, experiments
+from undertow.paper.regression import CASES
 
 from .profile import EXACT, MASS, vehicle
 

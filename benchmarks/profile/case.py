@@ -6,7 +6,7 @@ from functools import cache
 
 from benchmarks.hidden_effects import make_case
 from benchmarks.trust.material import written_to_memory
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 VEHICLE, HIDDEN, SEED = "rov", "lift", 3

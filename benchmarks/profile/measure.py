@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 
-from undertow.identification.diagnosis import diagnose as module
+from undertow.identification import diagnose as module
 from undertow.identification.diagnosis import rounds
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import Catalogue, catalogue

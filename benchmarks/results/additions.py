@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undertow.identification.compare.cutting import Windows, cut
-from undertow.identification.compare.windows import predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.scouting import scout
-from undertow.identification.diagnosis.trial import Bench, open_bench
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import WeakFit
+from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.predictor import predict
+from undertow.identification.estimation.weak_form import WeakFit
+from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
 

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import undertow
+from undertow.identification.compare.comparison import regimes
 from undertow.identification.compare.forces import residual_forces
-from undertow.identification.compare.regimes import regimes
-from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.logs import Run, read_mapping
-from undertow.identification.weak.data import prepare
+from undertow.identification.estimation.data import prepare
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from undertow.identification.compare.comparison import compare
-from undertow.identification.compare.shown import traces
-from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.logs import Run, read_mapping
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.run import Run
 from undertow.identification.report.data import RunTraces
+from undertow.identification.report.tables import traces
 from undertow.model.loading import load_vehicle
 
 from .additions import Addition, added

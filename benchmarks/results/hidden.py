@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.hidden_effects.conversion import convert_vehicles
-from undertow.identification.diagnosis.diagnose import diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from undertow.identification.figures import AFTER, BEFORE, INK, figure, look, save_png
 from undertow.identification.report.pictures import measured_vs_simulated
-from undertow.identification.report.style import AFTER, BEFORE, INK, figure, look, save_png
 
 from .basin import Basin, drag
 from .cse1 import Direction, shown_run

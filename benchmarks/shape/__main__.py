@@ -8,7 +8,7 @@ from pathlib import Path
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.identification.shape.panels import PANELS
+from undertow.shape.panels import PANELS
 
 from ..progress import clear, teller
 from .bodies import measure

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from undertow.identification.shape import AddedMass, box, cylinder, ellipsoid, prolate_spheroid, sphere
-from undertow.identification.shape.boxes import equivalent
-from undertow.identification.shape.mending import mended
-from undertow.identification.shape.mesh import Mesh
-from undertow.identification.shape.panels import added_mass_of_hull
+from undertow.shape.bodies import AddedMass, box, cylinder, ellipsoid, equivalent, prolate_spheroid, sphere
+from undertow.shape.mesh import Mesh, mended
+from undertow.shape.panels import added_mass_of_hull
 
 from ..progress import Report
 from .hulls import ball, box_mesh, cylinder_mesh, revolved, spheroid_mesh, torpedo_mesh

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.files import write_whole
-from undertow.identification.shape.capytaine import quiet_capytaine
+from undertow.shape.mesh import quiet_capytaine
 
 from ..progress import clear, teller
 
@@ -22,7 +22,7 @@ CELLS = (5, 10, 20)
 # Observed for panels that shrink with the cube of the distance to the edge: 1.81, 1.83, 1.84 for the forces
 # on a box of 0.60 x 0.42 x 0.24 m with 6, 12 and 24 cells.
 ORDER = 1.83
-OUT = Path("src/undertow/identification/shape/box_table.csv")
+OUT = Path("src/undertow/shape/box_table.csv")
 HEAD = """\
 # Added mass of boxes with sides L >= B >= H in unbounded ideal fluid: source method, direct boundary-integral
 # equation, capytaine {version}. Panels shrink towards the edges; 10 and 20 of them along half of the longest

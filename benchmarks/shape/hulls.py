@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from undertow.identification.shape.mesh import Mesh
-from undertow.identification.shape.refining import subdivided
+from undertow.shape.mesh import Mesh, subdivided
 
 SIDES = (0.60, 0.42, 0.24)
 _BOX = [

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from undertow import __version__
-from undertow.identification.report.adapting import versions
-from undertow.identification.shape.capytaine import quiet_capytaine
+from undertow.identification.report.tables import versions
+from undertow.shape.mesh import quiet_capytaine
 
 from .bodies import Measured
 

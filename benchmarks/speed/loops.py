@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from undertow.control.closed_loop import ClosedLoop, Scenario
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import GainSet, gains_from_table
+from undertow.control.gains import GainSet, GainTable, gains_from_table
 
 from . import hand, vehicle
 

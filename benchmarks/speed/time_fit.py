@@ -15,10 +15,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from undertow.codegen import Functions, Simulator
-from undertow.identification.compare.cutting import Windows, cut
-from undertow.identification.logs import Run
-from undertow.identification.output_error.descent import Descent, channel_weights
-from undertow.identification.weak.residual import WeakModel
+from undertow.identification.estimation.output_error import Descent, channel_weights
+from undertow.identification.estimation.residual import WeakModel
+from undertow.identification.estimation.windows import Windows, cut
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from . import vehicle

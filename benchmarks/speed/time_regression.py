@@ -17,7 +17,7 @@ import pytest
 from undertow.codegen import Compiled
 from undertow.codegen.gram import layout
 from undertow.codegen.plain import operation_forms
-from undertow.identification.least_squares.linear_fit import LinearFit
+from undertow.paper.linear_fit import LinearFit
 
 from . import vehicle
 from .conftest import Speed

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import undertow
-from undertow.cli._lazy import commands
+from undertow.cli.main import commands
 
 from .conftest import Speed
 

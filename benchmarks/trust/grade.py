@@ -9,14 +9,12 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.referee import Referee
-from undertow.identification.fitted import Fitted
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import WeakData, prepare
-from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import WeakFit, fit_weak, settled
-from undertow.identification.weak.noise import Whitening
-from undertow.identification.weak.residual import whitened
+from undertow.identification.diagnosis.validation import Referee
+from undertow.identification.estimation.data import WeakData, Whitening, prepare
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import WeakFit, fit_weak, mean_square, settled
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 

@@ -11,7 +11,7 @@ from benchmarks.hidden_effects import Case, make_case, write_case
 from benchmarks.hidden_effects.files import FILES
 from benchmarks.hidden_effects.simulation import stream
 from benchmarks.results.reading import read
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hidden_effects import Case
-from undertow.identification.diagnosis.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.logs import Run
-from undertow.identification.parallel import jobs
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from .cases import Planned

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from .terms import Terms, make_terms

@@ -17,8 +17,8 @@ from scipy.signal import savgol_filter
 
 from undertow.codegen.functions import Functions
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.logs import Run
-from undertow.identification.weak.fit import free_parameters
+from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import kinds_of
 from undertow.model.vehicle import Vehicle

@@ -9,16 +9,18 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from undertow.version import __version__
+
 if TYPE_CHECKING:
     from undertow.codegen.public import compile as compile
-    from undertow.control.public import check_gains as check_gains
-    from undertow.control.public import linearize as linearize
+    from undertow.control.api import check_gains as check_gains
+    from undertow.control.api import linearize as linearize
     from undertow.errors import UndertowError as UndertowError
-    from undertow.identification.logs import Run as Run
-    from undertow.identification.public import add_effect as add_effect
-    from undertow.identification.public import diagnose as diagnose
-    from undertow.identification.public import fit as fit
-    from undertow.identification.public import read_log as read_log
+    from undertow.identification.api import add_effect as add_effect
+    from undertow.identification.api import diagnose as diagnose
+    from undertow.identification.api import fit as fit
+    from undertow.identification.api import read_log as read_log
+    from undertow.identification.logs.run import Run as Run
     from undertow.model.catalogue import catalogue as catalogue
     from undertow.model.effect import Actuation as Actuation
     from undertow.model.effect import Flow as Flow
@@ -28,10 +30,9 @@ if TYPE_CHECKING:
     from undertow.model.parameter import Parameter as Parameter
     from undertow.model.vehicle import Vehicle as Vehicle
 
-__version__ = "0.1.0"
 
 _HOME_OF = {
-    "Run": "undertow.identification.logs",
+    "Run": "undertow.identification.logs.run",
     "UndertowError": "undertow.errors",
     "Vehicle": "undertow.model.vehicle",
     "Actuation": "undertow.model.effect",
@@ -39,15 +40,15 @@ _HOME_OF = {
     "Measurement": "undertow.model.effect",
     "Parameter": "undertow.model.parameter",
     "Wrench": "undertow.model.effect",
-    "add_effect": "undertow.identification.public",
-    "check_gains": "undertow.control.public",
+    "add_effect": "undertow.identification.api",
+    "check_gains": "undertow.control.api",
     "compile": "undertow.codegen.public",
-    "diagnose": "undertow.identification.public",
+    "diagnose": "undertow.identification.api",
     "catalogue": "undertow.model.catalogue",
-    "fit": "undertow.identification.public",
-    "linearize": "undertow.control.public",
+    "fit": "undertow.identification.api",
+    "linearize": "undertow.control.api",
     "load_vehicle": "undertow.model.loading",
-    "read_log": "undertow.identification.public",
+    "read_log": "undertow.identification.api",
 }
 
 __all__ = ["__version__", *_HOME_OF]

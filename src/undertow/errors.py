@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class UndertowError(Exception):
     """A foreseeable failure, told in one line that names the thing, the value, the limit and the remedy.
@@ -22,3 +25,12 @@ def _one_line(message: str) -> str:
     plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in spaced)
     half = _LONGEST // 2
     return plain if len(plain) <= _LONGEST else f"{plain[:half]} ... {plain[-half:]}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``" (did you mean 'abc'?)"`` for the known name most like `name`, or an empty text."""
+    names = list(known)
+    alike = [other for other in names if other.lower() == name.lower()]
+    alike = alike or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    alike = alike or [other for other in names if other.lower().startswith(name.lower())]
+    return f" (did you mean {alike[0]!r}?)" if alike else ""

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.cli._lazy import commands
-from undertow.cli.main import main
+from undertow.cli.main import commands, main
 
 Columns = dict[str, np.ndarray]
 Refused = Callable[..., str]

@@ -52,4 +52,4 @@ def hulls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if undertow[bem] were not installed."""
     monkeypatch.setitem(sys.modules, "capytaine", None)
-    monkeypatch.setattr("undertow.identification.shape.capytaine.find_spec", lambda name: None)
+    monkeypatch.setattr("undertow.shape.mesh.find_spec", lambda name: None)

@@ -12,8 +12,8 @@ import pytest
 from tests.cli.bad import refusal
 from tests.identification.test_panels import BOX, needs_capytaine
 from undertow.cli.main import main
-from undertow.identification.shape import cylinder, ellipsoid, moved, turned
 from undertow.model.loading import load_vehicle
+from undertow.shape.bodies import cylinder, ellipsoid, moved, turned
 
 Capture = pytest.CaptureFixture[str]
 

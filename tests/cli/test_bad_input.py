@@ -23,9 +23,8 @@ from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, refusal, text_of
 from undertow import files
 from undertow.cli import _vehicle_and_logs
-from undertow.cli._run import run
-from undertow.cli.main import main
-from undertow.identification.diagnosis.diagnose import diagnose as diagnosed
+from undertow.cli.main import main, run
+from undertow.identification.diagnose import diagnose as diagnosed
 
 Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parents[2]
@@ -460,7 +459,7 @@ def test_a_write_that_fails_leaves_nothing_behind(
     monkeypatch: pytest.MonkeyPatch,
     found_once: Callable[..., object],
 ) -> None:
-    monkeypatch.setattr("undertow.identification.diagnosis.diagnose.diagnose", found_once)
+    monkeypatch.setattr("undertow.identification.diagnose.diagnose", found_once)
     (case / "out").mkdir()
     monkeypatch.setattr(files, "open", lambda path, mode: _Failing(path, failure), raising=False)
     before = contents(case)
@@ -516,7 +515,7 @@ def test_one_file_for_two_outputs_is_refused(case: Path, capsys: Capture) -> Non
     ("command", "place"),
     [
         ("compare", "undertow.identification.compare.comparison.prepare"),
-        ("diagnose", "undertow.identification.diagnosis.diagnose.search"),
+        ("diagnose", "undertow.identification.diagnose.search"),
         ("diagnose", "undertow.identification.logs.reading.read_table"),
         ("codegen", "undertow.codegen.export.plain_c"),
     ],
@@ -576,7 +575,7 @@ def test_a_real_ctrl_c_while_a_diagnosis_runs(case: Path) -> None:
     code = (
         # Whoever began the tests in the background had SIGINT ignored, which a child inherits.
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "import sys, undertow.identification.diagnosis.diagnose as d; from undertow.cli.main import main\n"
+        "import sys, undertow.identification.diagnose as d; from undertow.cli.main import main\n"
         "search = d.search\n"
         "def told(*words):\n"
         "    print('searching', flush=True)\n"

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.cli._lazy import each_named
-from undertow.cli.main import main
-from undertow.identification.compare.result import ComparisonResult
+from undertow.cli.main import each_named, main
+from undertow.identification.compare.comparison import ComparisonResult
 from undertow.model.loading import load_vehicle
 
 LOG = ["usv.toml", "train.csv"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from undertow.cli._demo.scene import DATA
+from undertow.cli.demo import DATA
 from undertow.cli.main import main
 
 AUV = ("diagnosis.json", "error-map.png", "falling-error.png", "measured-vs-simulated.png")

@@ -12,7 +12,7 @@ from benchmarks.hidden_effects.files import toml_text
 from tests.cli.bad import contents, refusal, text_of
 from undertow.cli.main import main
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.doctor import Examination
+from undertow.identification.doctor.findings import Examination
 
 LOG = ["doctor", "usv.toml", "train.csv"]
 

@@ -15,9 +15,8 @@ import sympy as sm
 from benchmarks.hidden_effects import make_case
 from benchmarks.hidden_effects.files import toml_text
 from undertow.cli.main import main
-from undertow.identification import Run
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.remaining import remaining
+from undertow.identification.diagnosis.residual import remaining
 from undertow.identification.diagnosis.result import (
     BetweenRuns,
     Dependence,
@@ -26,10 +25,10 @@ from undertow.identification.diagnosis.result import (
     RunInfo,
     Spectrum,
 )
-from undertow.identification.diagnosis.scouting import scout
-from undertow.identification.diagnosis.trial import noise_ratio, open_bench, try_candidate
-from undertow.identification.scaffold import effect_file, suggested
-from undertow.identification.weak.data import prepare
+from undertow.identification.diagnosis.trial import noise_ratio, open_bench, scout, try_candidate
+from undertow.identification.estimation.data import prepare
+from undertow.identification.logs.run import Run
+from undertow.identification.report.scaffold import effect_file, suggested
 from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle

@@ -366,7 +366,7 @@ def test_sides_that_differ_little_are_told_apart(sled: Path, capsys: Capture) ->
 def test_a_terminal_without_greek_letters_has_their_names(
     sled: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("undertow.cli._show._encoding", lambda: "ascii")
+    monkeypatch.setattr("undertow.cli._terminal._encoding", lambda: "ascii")
     assert main(["gains", "mini-auv", "paper-pid"]) == 1
     out = capsys.readouterr().out
     assert out.isascii()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from undertow.cli._show import console, table, text, wrapped
+from undertow.cli._terminal import console, table, text, wrapped
 from undertow.cli.main import main
 from undertow.model.loading import bundled_vehicles
 

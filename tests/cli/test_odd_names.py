@@ -14,12 +14,12 @@ from undertow.codegen.simulate import Simulator
 from undertow.control.linear.numeric import motion_of, reversing
 from undertow.identification.diagnosis.addition import add_effect, lay_ground
 from undertow.identification.diagnosis.candidates import candidates
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.hints import hints
 from undertow.model.loading import load_vehicle
+from undertow.model.plausibility import hints
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Value, Vehicle
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tests.control.loops import run as simulated
-from undertow.cli._simulation import show
 from undertow.cli.main import main
-from undertow.identification.logs import read_log
+from undertow.cli.simulate import show
+from undertow.identification.logs.reading import read_log
 from undertow.model.loading import bundled_vehicles
 
 Capture = pytest.CaptureFixture[str]

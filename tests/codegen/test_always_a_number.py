@@ -10,9 +10,9 @@ import pytest
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.compare.comparison import compare
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue, lookup
 from undertow.model.loading import load_vehicle
 from undertow.model.parameter import Parameter

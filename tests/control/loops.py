@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario, without
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import gains_from_table
+from undertow.control.gains import GainTable, gains_from_table
 from undertow.model.loading import load_vehicle
 
 WITH_CORIOLIS = load_vehicle("mini-auv")

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 import sympy as sm
 
-from undertow.control.conditions import attitude, interval
-from undertow.control.conditions.attitude import Attitudes, least
+from undertow.control.conditions import attitude
+from undertow.control.conditions.attitude import Attitudes, Interval, least, least_eigenvalue
 from undertow.control.conditions.check import check
-from undertow.control.conditions.interval import Interval, least_eigenvalue
-from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.problem import ALL, SAMPLED, Problem, Uncertainty
 from undertow.control.conditions.result import HOLDS, UNPROVED
-from undertow.control.conditions.uncertain import ALL, SAMPLED, Uncertainty
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
@@ -50,7 +48,7 @@ def test_intervals_contain_their_functions(name: str) -> None:
     lo = RNG.uniform(-7, 7, 400)
     hi = lo + RNG.choice([1e-9, 0.01, 1.0, 8.0], 400)
     with np.errstate(over="ignore", invalid="ignore"):
-        found = interval.FUNCTIONS[name](Interval(lo, hi))
+        found = attitude.FUNCTIONS[name](Interval(lo, hi))
     for share in np.linspace(0, 1, 21):
         values = getattr(np, name)(lo + share * (hi - lo))
         assert np.all((found.lo <= values) & (values <= found.hi))

@@ -7,10 +7,11 @@ from dataclasses import replace
 import pytest
 import sympy as sm
 
-from undertow.control.audit import audit_paper, audit_vehicle, paper
-from undertow.control.conditions import CONDITIONS
+from undertow.control.conditions.by_law import CONDITIONS
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.vehicle import Value, Vehicle
+from undertow.paper import equations
+from undertow.paper.equations import audit_paper, audit_vehicle
 
 
 def wrong(vehicle: Vehicle) -> list[str]:
@@ -38,20 +39,20 @@ def test_a_paper_with_the_sign_fixed_and_the_mass_added_is_not_blamed(
 ) -> None:
     """C_q = J M_gamma J_dot' instead of (11): what is left are the Munk moment and the text."""
 
-    def right(self: paper._Equations) -> sm.Matrix:
+    def right(self: equations._Equations) -> sm.Matrix:
         return self.plant.J * self.mass * self.J_rate.T
 
-    monkeypatch.setattr(paper._Equations, "printed", property(right))
-    equations = paper._Equations()
-    assert [*equations.coriolis_sign(), *equations.power()] == []
+    monkeypatch.setattr(equations._Equations, "printed", property(right))
+    found = equations._Equations()
+    assert [*found.coriolis_sign(), *found.power()] == []
     # Of (8) with this matrix and the sign turned as the audit does, the difference is twice the term.
     assert len(list(equations.frames())) == 1
 
 
 def test_units_of_derived_and_mended_conditions_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     printed = [c for c in CONDITIONS["pid"] if c.form == "printed"]
-    assert len(list(paper.condition_units())) == 3
-    from undertow.control.conditions import Signs
+    assert len(list(equations.condition_units())) == 3
+    from undertow.control.conditions.by_law import Signs
     from undertow.model.symbols import symbol
 
     units = {"K_P": "N/m", "K_V": "N s/m", "K_I": "N/(m s)", "M": "kg", "D": "kg/s", "iota": "1/s"}
@@ -59,7 +60,7 @@ def test_units_of_derived_and_mended_conditions_fit(monkeypatch: pytest.MonkeyPa
     by_symbol = {symbol(n): u for n, u in units.items()}
     for condition in CONDITIONS["pid"]:
         if condition not in printed and condition.id != "V_dot":
-            assert paper._mismatch(condition.left(s), condition.right(s), by_symbol) == "", (
+            assert equations._mismatch(condition.left(s), condition.right(s), by_symbol) == "", (
                 condition.statement
             )
 

@@ -12,11 +12,10 @@ import pytest
 
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.check import check
+from undertow.control.conditions.problem import Uncertainty
 from undertow.control.conditions.result import SETTINGS, Report
-from undertow.control.conditions.uncertain import Uncertainty
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import GainSet, gains_from_table, load_gains
-from undertow.control.linear.loop import close_loop
+from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
+from undertow.control.linear.systems import close_loop
 from undertow.control.linear.trim import find_trim
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle

@@ -13,8 +13,7 @@ from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
 from undertow.control.closed_loop.measures import CREDIBLE, divergence
 from undertow.control.closed_loop.sampling import SampledLoop
 from undertow.control.closed_loop.stepping import VirtualLoop
-from undertow.control.gain_schema import GainTable, ScheduleTable
-from undertow.control.gains import gains_from_table, load_gains
+from undertow.control.gains import GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle

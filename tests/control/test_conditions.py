@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 import sympy as sm
 
-from undertow.control.conditions import CONDITIONS, Signs
+from undertow.control.conditions.by_law import CONDITIONS, Signs
+from undertow.control.conditions.channels import roots, routh_array, routh_symbols, unstable_roots
 from undertow.control.conditions.check import check
-from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.problem import Problem, Uncertainty
 from undertow.control.conditions.repair import KINDS, Repair, singles
 from undertow.control.conditions.repair import repair as repaired
 from undertow.control.conditions.result import Report, Row
-from undertow.control.conditions.routh import roots, routh_array, routh_symbols, unstable_roots
-from undertow.control.conditions.uncertain import Uncertainty
 from undertow.control.gains import load_gains
 from undertow.model.loading import load_vehicle
 

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from undertow.control.allocation import Allocation, allocation_of
-from undertow.control.controller import Controller
-from undertow.control.gain_schema import AllocationTable, ScheduleTable
-from undertow.control.gains import GainSet, load_gains
+from undertow.control.controller import Allocation, Controller, allocation_of
+from undertow.control.gains import AllocationTable, GainSet, ScheduleTable, load_gains
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 

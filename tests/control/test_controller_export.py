@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.control.controller import Controller
-from undertow.control.export import ControllerExport
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import gains_from_table, load_gains
+from undertow.control.controller import Controller, ControllerExport
+from undertow.control.gains import GainTable, gains_from_table, load_gains
 from undertow.control.laws import LAWS
 from undertow.model.loading import load_vehicle
 

@@ -22,8 +22,7 @@ from undertow.control import (
     linearize,
 )
 from undertow.control.closed_loop import ClosedLoop, Scenario
-from undertow.control.gain_schema import ScheduleTable
-from undertow.control.gains import load_gains
+from undertow.control.gains import ScheduleTable, load_gains
 from undertow.control.linear.analysis import controllability, gramian, margins, minimal, modes, observability
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle

@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from undertow.control.conditions.channels import coupled_roots
 from undertow.control.conditions.check import check
 from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, _InNumbers, along_the_loop
-from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
-from undertow.control.conditions.routh import coupled_roots
-from undertow.control.conditions.uncertain import ALL, NOMINAL, SOME, Uncertainty
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.laws import LawSignals
 from undertow.control.plant import Plant
-from undertow.model.history import last_covariance
 from undertow.model.loading import load_vehicle
+from undertow.model.saving import last_covariance
 from undertow.model.symbols import symbol
 from undertow.model.vehicle import Value, Vehicle
 
@@ -155,7 +154,7 @@ def test_coupled_axes_are_judged_together() -> None:
     gains = {"K_P": np.full(n, 5.0), "K_V": np.full(n, 20.0)}
     zero = Value(0.0)
     assert vehicle.value_of("m").value > zero.value
-    from undertow.control.conditions.case import sign_sets
+    from undertow.control.conditions.problem import sign_sets
 
     one = sign_sets(plant)[0]
     found = coupled_roots(gains, one.inertia, one.damping, plant)

@@ -13,9 +13,8 @@ import pytest
 from benchmarks.fleet.made import folder_with_vehicle, fouling
 from benchmarks.fleet.names import asked, logged
 from undertow.fleet.changes import Change, Changes, Direction, Kind, Span, chance
-from undertow.fleet.panel import Panel
-from undertow.fleet.reduction import Job, marked
-from undertow.fleet.summary import summarised
+from undertow.fleet.diagnose import summarised
+from undertow.fleet.reduction import Job, Panel, marked
 from undertow.fleet.verdicts import Asked, Statement, holm, statements
 
 Drift = Mapping[str, float]

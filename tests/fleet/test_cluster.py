@@ -16,12 +16,11 @@ import pytest
 from benchmarks.trust.cases import Planned
 from benchmarks.trust.run import records, run
 from undertow.errors import UndertowError
-from undertow.fleet.diagnose import Question, diagnose
+from undertow.fleet.diagnose import Question, Store, diagnose
 from undertow.fleet.engine import Failure, Here, OnDask, engine
 from undertow.fleet.reduction import Job
-from undertow.fleet.result import Fleet
 from undertow.fleet.rollouts import Flights, rollouts
-from undertow.fleet.store import Store
+from undertow.fleet.verdicts import Fleet
 
 
 def question(fleet: Path) -> Question:

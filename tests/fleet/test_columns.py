@@ -9,14 +9,13 @@ import pytest
 
 from benchmarks.fleet.made import fouling, run
 from undertow.errors import UndertowError
-from undertow.fleet.combine import choosing, days_of, no_prior, solve
-from undertow.fleet.panel import Panel
-from undertow.fleet.reduction import Job, marked, reduce_log, reduce_runs
+from undertow.fleet.changes import choosing, days_of, no_prior, solve
+from undertow.fleet.reduction import Job, Panel, marked, reduce_log, reduce_runs
 from undertow.identification.diagnosis.candidates import candidates
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.residual import whitened
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 

@@ -11,11 +11,11 @@ import pytest
 
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
+from undertow.fleet.diagnose import Store
 from undertow.fleet.engine import Here
-from undertow.fleet.fingerprint import content_of, files_digest
+from undertow.fleet.partitions import content_of, files_digest
 from undertow.fleet.reduction import Job, Reduced, marked, reduce_log
 from undertow.fleet.rollouts import Flights, Source, rollouts, windows_of
-from undertow.fleet.store import Store
 
 SIDE = """
 import sympy as sm

@@ -10,8 +10,8 @@ import pytest
 
 from undertow.errors import UndertowError
 from undertow.fleet.partitions import Partition, find, partition_of, twins
-from undertow.identification.logs import Mapping
-from undertow.identification.logs.parquet import flat_table
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.table import flat_table
 
 PLAIN = {"t": [0.0, 0.1], "u": [1.0, 2.0]}
 
@@ -37,7 +37,7 @@ def written(path: Path, **more: object) -> Path:
 def test_folders_columns_names_and_clocks(
     tmp_path: Path, path: str, columns: dict[str, object], vehicle: str, day: date
 ) -> None:
-    found = partition_of(written(tmp_path / path, **columns), Mapping())
+    found = partition_of(written(tmp_path / path, **columns), LogMapping())
     assert (found.vehicle, found.day) == (vehicle, day)
 
 
@@ -56,7 +56,7 @@ def test_what_does_not_say_it_is_refused(
     tmp_path: Path, path: str, columns: dict[str, object], words: str
 ) -> None:
     with pytest.raises(UndertowError, match=words):
-        partition_of(written(tmp_path / path, **columns), Mapping())
+        partition_of(written(tmp_path / path, **columns), LogMapping())
 
 
 def test_what_is_no_parquet_file_is_refused(tmp_path: Path) -> None:
@@ -64,9 +64,9 @@ def test_what_is_no_parquet_file_is_refused(tmp_path: Path) -> None:
     csv.write_text("t,u\n0,1\n")
     broken.write_bytes(b"PAR1 and no more")
     with pytest.raises(UndertowError, match="no Parquet file"):
-        partition_of(csv, Mapping())
+        partition_of(csv, LogMapping())
     with pytest.raises(UndertowError, match="cannot be read"):
-        partition_of(broken, Mapping())
+        partition_of(broken, LogMapping())
 
 
 def test_patterns_and_folders_find_each_file_once(tmp_path: Path) -> None:
@@ -88,16 +88,16 @@ def test_names_with_brackets_are_names(tmp_path: Path) -> None:
     decoy = written(tmp_path / "logs [1]" / "v" / "x1.parquet", day=[date(2026, 5, 5)] * 2, w=[1.0, 2.0])
     assert find([str(tmp_path / "logs [1]")]) == sorted([first, decoy])
     assert find([str(first)]) == [first]
-    assert partition_of(first, Mapping()).day == date(2026, 2, 3)
+    assert partition_of(first, LogMapping()).day == date(2026, 2, 3)
     assert flat_table(first, "log").collect().columns == ["t", "u", "day"]
 
 
 def test_a_clock_counts_in_the_unit_of_the_mapping(tmp_path: Path) -> None:
-    ms = Mapping.model_validate({"time": {"column": "t", "unit": "ms"}})
+    ms = LogMapping.model_validate({"time": {"column": "t", "unit": "ms"}})
     path = written(tmp_path / "rov7/x.parquet", t=[1770076800000, 1770076800100])
     assert partition_of(path, ms).day == date(2026, 2, 3)
     with pytest.raises(UndertowError, match=r"1\.77008e\+12 s after 1970, which is no day: give the unit"):
-        partition_of(path, Mapping())
+        partition_of(path, LogMapping())
     two_days = written(tmp_path / "rov7/y.parquet", t=[172800000.0, 172800000.1])
     with pytest.raises(UndertowError, match="does not say its day"):
         partition_of(two_days, ms)

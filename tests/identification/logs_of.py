@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.hidden_effects import Case
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import vehicle_from_table
+from undertow.model.loading import VehicleTable, vehicle_from_table
 from undertow.model.vehicle import Value, Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
 
 def runs_of(case: Case) -> list[Run]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.identification.surge import M_X, TRUTH
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 
 EXACT = -np.array(list(TRUTH.values()))
 """X_udot, X_u, X_uabsu."""

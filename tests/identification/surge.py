@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.identification.profile import INTERVAL, MASS, TRUTH
 from benchmarks.identification.profile import vehicle as surge_vehicle
-from undertow.identification.logs import Run
+from undertow.identification.logs.run import Run
 
 __all__ = ["INTERVAL", "MASS", "M_X", "TRUTH", "surge_run", "surge_vehicle"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from undertow.identification.base_parameters import base_parameters, undetermined
+from undertow.identification.estimation.fitted import base_parameters, undetermined
 
 
 def test_groups_of_what_is_undetermined() -> None:

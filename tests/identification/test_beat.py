@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from undertow.identification.diagnosis.beat import beat
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import WeakData, prepare
+from undertow.identification.diagnosis.candidates import beat
+from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.logs.run import Run
 from undertow.model.effects.rigid_body import RigidBody
 from undertow.model.effects.waves import Waves
 from undertow.model.vehicle import Value, Vehicle

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification.shape import box
-from undertow.identification.shape.boxes import _table
+from undertow.shape.bodies import _table, box
 
 from .test_panels import BOX
 

@@ -10,22 +10,29 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.surge import surge_run, surge_vehicle
-from undertow.identification import Run, velocities_from_pose
-from undertow.identification.diagnosis.associations.between_runs import difference
-from undertow.identification.diagnosis.associations.force_rows import ForceRows
-from undertow.identification.diagnosis.associations.residual import Association, Sample, Samples
-from undertow.identification.diagnosis.associations.spectrum import Series, highest_peak, without_waves
-from undertow.identification.diagnosis.associations.terms import Along, Term, coefficient_unit, terms_of
-from undertow.identification.diagnosis.associations.wording import how, sentence
-from undertow.identification.diagnosis.remaining import remaining
+from undertow.identification.diagnosis.associations import (
+    Along,
+    Association,
+    Sample,
+    Samples,
+    Series,
+    Term,
+    coefficient_unit,
+    difference,
+    highest_peak,
+    terms_of,
+    without_waves,
+)
+from undertow.identification.diagnosis.residual import ForceRows, how, remaining, sentence
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
-from undertow.identification.diagnosis.split import keep_blocks_aside
-from undertow.identification.weak.data import WeakData, prepare
-from undertow.identification.weak.fit import WeakFit, fit_weak
+from undertow.identification.diagnosis.validation import keep_blocks_aside
+from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.weak_form import WeakFit, fit_weak
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 from undertow.model.vehicle import Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
 HEADING, COMMANDS = ("turning_drag", "heading_force"), ("thruster_interference", "periodic_side_force")
 

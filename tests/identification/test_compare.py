@@ -11,13 +11,21 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
-from undertow.identification.compare.comparison import Comparison, compare, correlation, headline, whiteness
+from undertow.identification.compare.comparison import (
+    Cell,
+    Comparison,
+    ComparisonResult,
+    Regime,
+    compare,
+    correlation,
+    headline,
+    profiles,
+    regimes,
+    whiteness,
+)
 from undertow.identification.compare.forces import Forces, residual_forces
-from undertow.identification.compare.profiles import profiles
-from undertow.identification.compare.regimes import Regime, regimes
-from undertow.identification.compare.result import Cell, ComparisonResult
-from undertow.identification.compare.shown import budgets, curves, error_map, leading, telling, traces
-from undertow.identification.weak.data import channel_noise
+from undertow.identification.estimation.data import channel_noise
+from undertow.identification.report.tables import budgets, curves, error_map, leading, telling, traces
 from undertow.model.vehicle import Vehicle
 
 

@@ -11,12 +11,16 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.compare.cutting import local_value, start_values
-from undertow.identification.compare.drive import arriving
-from undertow.identification.compare.inherited import best_start
-from undertow.identification.compare.windows import Predictor, cut, predict, prediction_error
-from undertow.identification.logs import Run
-from undertow.identification.output_error.shooting import Shooting
+from undertow.identification.estimation.predictor import Predictor, best_start, predict
+from undertow.identification.estimation.shooting import Shooting
+from undertow.identification.estimation.windows import (
+    arriving,
+    cut,
+    local_value,
+    prediction_error,
+    start_values,
+)
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 CLOCK = np.arange(0.0, 20.0, 0.05)

@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.compensation import Relief, absorbing
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.scouting import scout
-from undertow.identification.diagnosis.trial import Bench, open_bench, try_candidate
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
+from undertow.identification.diagnosis.trial import Bench, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.verdict import Relief, absorbing
+from undertow.identification.estimation.data import prepare
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 from undertow.model.vehicle import Value, Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
 MASS, ADDED, DRAG, BUOYANCY = 10.0, 8.0, 6.0, 3.0
 

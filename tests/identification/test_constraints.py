@@ -16,19 +16,24 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.trial import noise_ratio
-from undertow.identification.fitted import verdicts
-from undertow.identification.logs import Run
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.weak.constraints import Constraints, read_equalities
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.limits import Limits
-from undertow.identification.weak.residual import Linearised, WeakModel
-from undertow.identification.weak.step import bounds_of, limited_step, physical, prior_of
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import verdicts
+from undertow.identification.estimation.output_error import fit_output_error
+from undertow.identification.estimation.pointwise import Limits
+from undertow.identification.estimation.residual import Linearised, WeakModel
+from undertow.identification.estimation.step import (
+    Constraints,
+    bounds_of,
+    limited_step,
+    physical,
+    prior_of,
+    read_equalities,
+)
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import vehicle_from_table
+from undertow.model.loading import VehicleTable, vehicle_from_table
 from undertow.model.vehicle import Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
 NOTHING = np.zeros(3), np.zeros(3)
 

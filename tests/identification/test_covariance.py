@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.identification.weak import covariance
-from undertow.identification.weak.carried import Carried, Inputs
-from undertow.identification.weak.covariance import residual_covariance, unbanded
-from undertow.identification.weak.entries import Entries
-from undertow.identification.weak.sums import SumsInC, SumsInNumPy
-from undertow.identification.weak.testfunctions import boxes
-from undertow.identification.weak.testfunctions import test_functions as functions_on
+from undertow.identification.estimation import data
+from undertow.identification.estimation.data import residual_covariance, unbanded
+from undertow.identification.estimation.inputs import Carried, Inputs
+from undertow.identification.estimation.test_functions import Entries, SumsInC, SumsInNumPy, boxes
+from undertow.identification.estimation.test_functions import test_functions as functions_on
 
 N_DOF = 2
 ROWS = (0, 1, 3)
@@ -73,7 +71,7 @@ def test_pieces_of_windows_give_what_all_at_once_give(
 ) -> None:
     asked = functions_on(t, 0.25), _entries(len(t)), np.array([0.3, 0.5, 1.0, 2.0]), ROWS, derived, t
     whole = residual_covariance(*asked)
-    monkeypatch.setattr(covariance, "_BYTES", 1)
+    monkeypatch.setattr(data, "_BYTES", 1)
     np.testing.assert_allclose(residual_covariance(*asked), whole, rtol=1e-12, atol=1e-18)
 
 

@@ -12,13 +12,14 @@ import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
 from undertow.errors import UndertowError
-from undertow.identification import Run, read_log
+from undertow.identification.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.evidence import compare_scores, explained
-from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.diagnosis.trial import Score, open_bench, try_candidate
-from undertow.identification.weak.data import prepare
+from undertow.identification.diagnosis.validation import keep_blocks_aside
+from undertow.identification.estimation.data import prepare
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 

@@ -15,12 +15,15 @@ from tests.cli.bad import text_of
 from tests.identification import broken
 from tests.identification.broken import Break
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of
-from undertow.identification import Mapping, Run, read_log, velocities_from_pose
-from undertow.identification.doctor import Examined, Finding, examine
-from undertow.identification.doctor.angles import halfway, wrapped_angles
-from undertow.identification.doctor.kinematic_search import inconsistent
+from undertow.identification.doctor.examine import Examined, examine
+from undertow.identification.doctor.findings import Edit, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mending import Edit, edited
+from undertow.identification.doctor.mistakes import halfway, wrapped_angles
+from undertow.identification.doctor.sensors import inconsistent
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.effect import Wrench
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals
@@ -46,7 +49,7 @@ def auv() -> Case:
 def read(tmp_path: Path) -> Callable[..., Run]:
     """Return a function that writes a log and reads it by a mapping."""
 
-    def reader(columns: Columns, vehicle: Vehicle, mapping: Mapping | None = None) -> Run:
+    def reader(columns: Columns, vehicle: Vehicle, mapping: LogMapping | None = None) -> Run:
         path = tmp_path / "log.csv"
         path.write_text(text_of(columns))
         return read_log(path, mapping, vehicle.command_names)
@@ -54,7 +57,9 @@ def read(tmp_path: Path) -> Callable[..., Run]:
     return reader
 
 
-def _doctored(case: Case, wrong: Break, read: Callable[..., Run], mapping: Mapping | None = None) -> Examined:
+def _doctored(
+    case: Case, wrong: Break, read: Callable[..., Run], mapping: LogMapping | None = None
+) -> Examined:
     vehicle = vehicle_of(case)
     (columns,) = case.runs.values()
     return examine(vehicle, [read(wrong(columns), vehicle, mapping)])
@@ -62,7 +67,7 @@ def _doctored(case: Case, wrong: Break, read: Callable[..., Run], mapping: Mappi
 
 def _mended_run(case: Case, wrong: Break, examined: Examined, read: Callable[..., Run]) -> Run:
     (columns,) = case.runs.values()
-    before = examined.given[0].mapping or Mapping()
+    before = examined.given[0].mapping or LogMapping()
     return read(wrong(columns), vehicle_of(case), edited(before, examined.edits))
 
 
@@ -125,7 +130,7 @@ def test_the_line_is_for_the_column_of_the_mapping_in_use(usv: Case, read: Calla
         found = broken.in_degrees("psi")(columns)
         return {"heading" if n == "psi" else n: data for n, data in found.items()}
 
-    examined = _doctored(usv, wrong, read, Mapping.model_validate(HEADING))
+    examined = _doctored(usv, wrong, read, LogMapping.model_validate(HEADING))
     (mistake,) = examined.result.mistakes
     assert mistake.mapping == '[columns]\nheading = { channel = "psi", unit = "deg" }'
 
@@ -135,7 +140,7 @@ def test_a_mapping_that_is_itself_the_mistake(usv: Case, read: Callable[..., Run
         "frames": {"position": "ENU", "attitude": "NED"},
         "columns": {"r": {"channel": "r", "unit": "deg/s"}},
     }
-    examined = _doctored(usv, lambda columns: columns, read, Mapping.model_validate(wrong))
+    examined = _doctored(usv, lambda columns: columns, read, LogMapping.model_validate(wrong))
     lines = "\n".join(m.mapping for m in examined.result.mistakes)
     assert 'position = "NED"' in lines
     assert 'r = { channel = "r", unit = "rad/s" }' in lines
@@ -154,7 +159,7 @@ def test_an_angle_that_jumps_is_unwrapped() -> None:
     run = Run("roll", t, {"phi": np.angle(np.exp(1j * phi)), "theta": 0.1 * phi})
     ((mistake, count),) = wrapped_angles([run])
     assert count == 2
-    assert mistake.edits(Mapping()) == (Edit("columns", "phi", {"channel": "phi", "wrapped": True}),)
+    assert mistake.edits(LogMapping()) == (Edit("columns", "phi", {"channel": "phi", "wrapped": True}),)
     np.testing.assert_allclose(mistake.undo(run).channels["phi"], phi)
 
 
@@ -346,7 +351,7 @@ def test_a_mistake_that_a_log_has_not_the_channels_for_is_not_tried(
     turned = {**columns, "r": np.degrees(columns["r"])}
     kept = {n: a for n, a in turned.items() if n not in left_out}
     found = examine(
-        vehicle_of(usv), [read(kept, vehicle_of(usv), Mapping.model_validate({"frames": frames}))]
+        vehicle_of(usv), [read(kept, vehicle_of(usv), LogMapping.model_validate({"frames": frames}))]
     )
     told = [f for f in found.result.findings if f.id == "degrees_for_radians"]
     assert all(np.isfinite(list(f.evidence.values())).all() for f in found.result.findings)
@@ -355,6 +360,6 @@ def test_a_mistake_that_a_log_has_not_the_channels_for_is_not_tried(
 
 def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read: Callable[..., Run]) -> None:
     (columns,) = usv.runs.values()
-    mapping = Mapping.model_validate({"columns": {"x": "v", "v": "y", "y": {"channel": "zz"}}})
+    mapping = LogMapping.model_validate({"columns": {"x": "v", "v": "y", "y": {"channel": "zz"}}})
     found = examine(vehicle_of(usv), [read(columns, vehicle_of(usv), mapping)])
     assert found.result.findings

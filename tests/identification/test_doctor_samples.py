@@ -9,11 +9,9 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification import Mapping, Run
-from undertow.identification.doctor import excitation
-from undertow.identification.doctor.findings import Finding
-from undertow.identification.doctor.mending import (
+from undertow.identification.doctor.findings import (
     Edit,
+    Finding,
     as_toml,
     column_edit,
     edited,
@@ -21,7 +19,9 @@ from undertow.identification.doctor.mending import (
     into_file,
     reassigned,
 )
-from undertow.identification.doctor.sampling import sampling
+from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.run import Run
 
 RNG = np.random.default_rng(3)
 
@@ -30,8 +30,8 @@ def _run(t: np.ndarray, **channels: np.ndarray) -> Run:
     return Run("run", t, channels)
 
 
-def _found(run: Run, mapping: Mapping | None = None) -> dict[str, Finding]:
-    found = sampling([run], list(run.channels), mapping or Mapping())
+def _found(run: Run, mapping: LogMapping | None = None) -> dict[str, Finding]:
+    found = sampling([run], list(run.channels), mapping or LogMapping())
     return {f.id: f for f in found}
 
 
@@ -87,7 +87,7 @@ def test_rows_out_of_order_are_a_mistake_until_the_mapping_drops_them() -> None:
     found = _found(run)["disorder"]
     assert found.severity == "mistake"
     assert found.mapping == '[time]\ndisorder = "drop"'
-    known = Mapping.model_validate({"time": {"disorder": "drop"}})
+    known = LogMapping.model_validate({"time": {"disorder": "drop"}})
     assert _found(run, known)["disorder"].severity == "note"
 
 
@@ -95,7 +95,7 @@ def test_rows_out_of_order_are_a_mistake_until_the_mapping_drops_them() -> None:
 def test_excitation_tells_what_moved_and_what_the_commands_asked_for() -> None:
     case = make_case("usv", (), 2, duration=40.0, runs=("multisine",))
     vehicle, runs = vehicle_of(case), runs_of(case)
-    rows = {e.degree_of_freedom: e for e in excitation.excitation(vehicle, runs)}
+    rows = {e.degree_of_freedom: e for e in excitation(vehicle, runs)}
     (columns,) = case.runs.values()
     assert rows["surge"].rms == pytest.approx(np.sqrt(np.mean(columns["u"] ** 2)))
     assert rows["surge"].noise == pytest.approx(0.01, rel=0.15)
@@ -108,8 +108,8 @@ def test_a_motion_that_was_not_excited_is_a_warning() -> None:
     case = make_case("usv", (), 2, duration=20.0, runs=("multisine",))
     vehicle, (run,) = vehicle_of(case), runs_of(case)
     still = replace(run, channels={**run.channels, "v": 0.01 * RNG.standard_normal(len(run.t))})
-    rows = excitation.excitation(vehicle, [still])
-    (warning,) = [f for f in excitation.findings(rows, vehicle, [still]) if f.severity == "warning"]
+    rows = excitation(vehicle, [still])
+    (warning,) = [f for f in excitation_findings(rows, vehicle, [still]) if f.severity == "warning"]
     assert warning.text.startswith("sway (v: rms 0.0")
     assert "cannot show anything" in warning.text
 
@@ -120,9 +120,7 @@ def test_one_speed_in_one_direction_leaves_drag_open() -> None:
     n = len(run.t)
     steady = {"u": 0.5 + 0.01 * RNG.standard_normal(n), "psi": 0.1 + 0.003 * RNG.standard_normal(n)}
     towed = replace(run, channels={**run.channels, **steady})
-    text = "\n".join(
-        f.text for f in excitation.findings(excitation.excitation(vehicle, [towed]), vehicle, [towed])
-    )
+    text = "\n".join(f.text for f in excitation_findings(excitation(vehicle, [towed]), vehicle, [towed]))
     assert "added mass (the velocity hardly changes); drag in the other direction" in text
     assert "linear and quadratic drag apart" in text
     assert "a current cannot be told from a constant force" in text
@@ -130,18 +128,22 @@ def test_one_speed_in_one_direction_leaves_drag_open() -> None:
 
 # --- lines for mapping files -----------------------------------------------------------------------------
 def test_a_column_edit_keeps_what_the_mapping_says_already() -> None:
-    mapping = Mapping.model_validate({"columns": {"hdg": {"channel": "psi", "unit": "rad", "wrapped": True}}})
+    mapping = LogMapping.model_validate(
+        {"columns": {"hdg": {"channel": "psi", "unit": "rad", "wrapped": True}}}
+    )
     edit = column_edit(mapping, "psi", unit="deg")
     assert as_toml([edit]) == '[columns]\nhdg = { channel = "psi", unit = "deg", wrapped = true }'
     assert edited(mapping, [edit]).columns["hdg"].unit == "deg"
     flipped = column_edit(
-        Mapping.model_validate({"columns": {"a": {"channel": "u", "scale": 2, "offset": 1}}}), "u", times=-1.0
+        LogMapping.model_validate({"columns": {"a": {"channel": "u", "scale": 2, "offset": 1}}}),
+        "u",
+        times=-1.0,
     )
     assert flipped.value == {"channel": "u", "scale": -2.0, "offset": -1.0}
 
 
 def test_a_channel_of_a_log_in_enu_is_found_under_its_name_there() -> None:
-    mapping = Mapping.model_validate(
+    mapping = LogMapping.model_validate(
         {"frames": {"position": "ENU", "body": "FLU"}, "columns": {"e": "x", "n": "y"}}
     )
     assert column_edit(mapping, "x", times=-1.0).key == "n"  # north inside
@@ -162,9 +164,9 @@ def test_a_channel_of_a_log_in_enu_is_found_under_its_name_there() -> None:
 def test_frames_are_said_as_the_mapping_needs_them(
     frames: tuple[str, str, str], said: dict[str, str]
 ) -> None:
-    edits = frames_edits(Mapping(), *frames)
+    edits = frames_edits(LogMapping(), *frames)
     assert {e.key: e.value for e in edits} == said
-    again = edited(Mapping(), edits).frames
+    again = edited(LogMapping(), edits).frames
     assert (again.position, again.body, again.attitude or again.position) == frames
 
 

@@ -12,15 +12,16 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification import Mapping, Run, read_log, velocities_from_pose
-from undertow.identification.doctor import Examined, Finding, examine
-from undertow.identification.doctor.angles import in_degrees, wrapped_angles
 from undertow.identification.doctor.clocks import Shift, _remedy
-from undertow.identification.doctor.command_mistakes import reversed_commands
-from undertow.identification.doctor.dynamic_search import best_of, dynamic_mistakes
-from undertow.identification.doctor.dynamics import dynamics_of
+from undertow.identification.doctor.dynamics import best_of, dynamic_mistakes, dynamics_of, reversed_commands
+from undertow.identification.doctor.examine import Examined, examine
+from undertow.identification.doctor.findings import Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mending import edited
+from undertow.identification.doctor.mistakes import in_degrees, wrapped_angles
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 Columns = dict[str, np.ndarray]
@@ -36,7 +37,7 @@ def auv() -> Case:
 def examined(auv: Case, tmp_path: Path) -> Callable[..., Examined]:
     """Return a function that writes columns, reads them by a mapping and examines them."""
 
-    def look(columns: Columns, mapping: Mapping | None = None) -> Examined:
+    def look(columns: Columns, mapping: LogMapping | None = None) -> Examined:
         vehicle, path = vehicle_of(auv), tmp_path / "log.csv"
         path.write_text(text_of(columns))
         run = read_log(path, mapping, vehicle.command_names)
@@ -67,13 +68,13 @@ def test_a_heading_in_degrees_shows_without_velocities(
     assert "in an ordinary second" in mistake.text
     r = next(iter(auv.runs.values()))["r"]
     assert np.nanstd(found.mended[0].channels["r"] - r) < 0.1 * np.std(r)
-    assert not examined(columns | {"psi": degrees}, edited(Mapping(), found.edits)).result.mistakes
+    assert not examined(columns | {"psi": degrees}, edited(LogMapping(), found.edits)).result.mistakes
 
 
 def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     t = np.arange(0.0, 20.0, 0.05)
     tilted = {"phi": 3.0 * np.sin(t), "theta": 6.0 * np.cos(t), "psi": 20.0 * np.sin(0.1 * t)}
-    found = in_degrees([Run("tilted", t, tilted)], Mapping(), POSE)
+    found = in_degrees([Run("tilted", t, tilted)], LogMapping(), POSE)
     assert found is not None
     assert "phi, theta" in found.told
     assert "theta reaches 6 in the log" in found.told
@@ -82,9 +83,9 @@ def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     )
     # Level, and rolling on and on like a spent torpedo: radians both.
     level = {n: 0.05 * a for n, a in tilted.items()}
-    assert in_degrees([Run("level", t, level)], Mapping(), POSE) is None
-    assert in_degrees([Run("rolling", t, level | {"phi": 3.0 * t})], Mapping(), POSE) is None
-    assert in_degrees([Run("no pitch", t, tilted)], Mapping(), ("x", "y", "psi")) is None
+    assert in_degrees([Run("level", t, level)], LogMapping(), POSE) is None
+    assert in_degrees([Run("rolling", t, level | {"phi": 3.0 * t})], LogMapping(), POSE) is None
+    assert in_degrees([Run("no pitch", t, tilted)], LogMapping(), ("x", "y", "psi")) is None
 
 
 def test_steps_of_a_turn_among_large_ones_are_no_jumps() -> None:
@@ -106,7 +107,7 @@ def test_times_in_another_unit_are_mended_and_blamed_for_nothing_else(
     assert mistake.mapping == f'[time]\nunit = "{unit}"'
     np.testing.assert_allclose(found.mended[0].t, columns["t"], atol=1e-9)
     assert not examined(
-        columns | {"t": columns["t"] / seconds}, edited(Mapping(), found.edits)
+        columns | {"t": columns["t"] / seconds}, edited(LogMapping(), found.edits)
     ).result.mistakes
 
 
@@ -119,7 +120,7 @@ def test_a_log_whose_pose_and_velocities_disagree_blames_no_thruster(auv: Case) 
     assert np.all(kinematics.mismatch(slow).excess > 0.5)
     blamed = best_of(at, reversed_commands(vehicle))
     assert blamed is not None
-    assert dynamic_mistakes(vehicle, at, kinematics, slow, Mapping()) is None
+    assert dynamic_mistakes(vehicle, at, kinematics, slow, LogMapping()) is None
 
 
 def test_commands_that_stand_still_are_told(auv: Case) -> None:

@@ -11,12 +11,12 @@ from benchmarks.identification.profile import EXACT, vehicle
 from benchmarks.identification.variables import Bias, numbers, run, with_current
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.estimators import Estimator
-from undertow.identification.fitted import cramer_rao, verdicts
-from undertow.identification.least_squares import CASES, estimate, experiments
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.instrumental import fit_instrumental
+from undertow.identification.api import Estimator
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import cramer_rao, verdicts
+from undertow.identification.estimation.weak_form import fit_instrumental, fit_weak
+from undertow.paper.least_squares import estimate, experiments
+from undertow.paper.regression import CASES
 
 DRAWS = 6
 

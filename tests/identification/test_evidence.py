@@ -9,18 +9,15 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification.diagnosis.blocks import Blocks
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.chance import Linear, best_by_chance, inclusion, p_value
-from undertow.identification.diagnosis.equivalents import equivalents, moved_parameters
-from undertow.identification.diagnosis.referee import clearly_worse
-from undertow.identification.diagnosis.repeats import repeats
+from undertow.identification.diagnosis.evidence import Blocks, Linear, best_by_chance, inclusion, p_value
 from undertow.identification.diagnosis.trial import open_bench, told_apart
+from undertow.identification.diagnosis.validation import clearly_worse, repeats
+from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.identification.logs.pose_velocity import velocities_from_pose
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.residual import whitened
 from undertow.model.catalogue import catalogue
 
 _ROWS, _PER_BLOCK = 600, 20

@@ -12,12 +12,11 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.diagnose import Outcome, diagnose
-from undertow.identification.diagnosis.fixed_values import other_values
-from undertow.identification.diagnosis.rounds import Round, _finding, try_all
+from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnosis.rounds import Round, _finding, other_values, try_all
 from undertow.identification.diagnosis.trial import Bench, open_bench
+from undertow.identification.estimation.data import prepare
 from undertow.identification.report.page import render_report
-from undertow.identification.weak.data import prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
 

@@ -9,11 +9,8 @@ import pytest
 
 from benchmarks.shape.hulls import SIDES, ball, box_mesh, cylinder_mesh, spheroid_mesh, stl
 from undertow.errors import UndertowError
-from undertow.identification.shape.curving import curved, panels
-from undertow.identification.shape.mending import mended
-from undertow.identification.shape.mesh import Mesh
-from undertow.identification.shape.reading import read_hull
-from undertow.identification.shape.refining import base_mesh, bisected
+from undertow.shape.mesh import Mesh, base_mesh, bisected, mended, read_hull
+from undertow.shape.panels import curved, panels
 
 FLU = np.diag([1.0, -1.0, -1.0])
 

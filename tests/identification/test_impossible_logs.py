@@ -15,11 +15,14 @@ from tests.identification import broken
 from tests.identification.broken import Break, both, scaled
 from tests.identification.logs_of import run_of, runs_of, vehicle_of
 from undertow.errors import UndertowError
-from undertow.identification import Mapping, Run, read_log, read_mapping, velocities_from_pose
+from undertow.identification.api import Estimator
 from undertow.identification.compare.comparison import compare
-from undertow.identification.diagnosis.diagnose import diagnose
-from undertow.identification.doctor import examine, refuse_impossible
-from undertow.identification.estimators import Estimator
+from undertow.identification.diagnose import diagnose
+from undertow.identification.doctor.examine import examine, refuse_impossible
+from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
@@ -185,7 +188,7 @@ def test_the_line_mends_a_mapping_that_is_itself_the_mistake(tmp_path: Path) -> 
     rows = zip(*(c.tolist() for c in columns.values()), strict=True)
     path.write_text("\n".join([",".join(columns), *(",".join(map(repr, r)) for r in rows)]) + "\n")
     said = {"columns": {n: {"channel": n, "unit": "mm/s"} for n in ("u", "v")}}
-    run = read_log(path, Mapping.model_validate(said), _vehicle("usv").command_names)
+    run = read_log(path, LogMapping.model_validate(said), _vehicle("usv").command_names)
     message = _refusal(_vehicle("usv"), run)
     assert "u, v are in m/s, read as mm/s" in message
     assert 'u = { channel = "u", unit = "m/s" }' in message
@@ -291,7 +294,7 @@ def test_logs_with_hidden_effects_of_others_are_not_refused(case: str, tmp_path:
     convert_vehicles(DATA / "hidden-effects" / "vehicles.json", tmp_path)
     vehicle = load_vehicle(str(tmp_path / f"{'rov' if case.startswith('rov') else 'mini-auv'}.toml"))
     for path in sorted((DATA / "hidden-effects" / case).glob("*.csv"))[:2]:
-        refuse_impossible(vehicle, [read_log(path, Mapping(), vehicle.command_names)])
+        refuse_impossible(vehicle, [read_log(path, LogMapping(), vehicle.command_names)])
 
 
 REAL = [

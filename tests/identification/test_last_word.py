@@ -12,15 +12,21 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.chain import Chain
-from undertow.identification.diagnosis.final import last_fit
-from undertow.identification.diagnosis.referee import Contender, Referee, clearly_worse
-from undertow.identification.diagnosis.scouting import Scouted, scout
-from undertow.identification.diagnosis.trial import Bench, noise_ratio, open_bench, try_candidate
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.residual import whitened
+from undertow.identification.diagnosis.evidence import Chain
+from undertow.identification.diagnosis.search import last_fit
+from undertow.identification.diagnosis.trial import (
+    Bench,
+    Scouted,
+    noise_ratio,
+    open_bench,
+    scout,
+    try_candidate,
+)
+from undertow.identification.diagnosis.validation import Contender, Referee, clearly_worse
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 

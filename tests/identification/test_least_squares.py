@@ -11,22 +11,13 @@ from scipy.signal import savgol_filter
 
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.fitted import t_values
-from undertow.identification.least_squares import (
-    CASES,
-    Estimation,
-    Smoother,
-    chosen,
-    chosen_cases,
-    estimate,
-    experiments,
-    selected,
-)
-from undertow.identification.logs import Run
+from undertow.identification.estimation.fitted import t_values
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 from undertow.model.vehicle import Value, Vehicle
-from undertow.model.vehicle_schema import VehicleTable
+from undertow.paper.least_squares import Estimation, chosen, estimate, experiments, selected
+from undertow.paper.regression import CASES, Smoother, chosen_cases
 
 Array = NDArray[np.float64]
 _STEP = 0.01

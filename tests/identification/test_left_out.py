@@ -10,9 +10,8 @@ import sympy as sm
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.scouting import begun, scout, scouts
-from undertow.identification.diagnosis.trial import Trial, open_bench, try_candidate
-from undertow.identification.weak.data import WeakData, prepare
+from undertow.identification.diagnosis.trial import Trial, begun, open_bench, scout, scouts, try_candidate
+from undertow.identification.estimation.data import WeakData, prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Effect, Wrench
 from undertow.model.parameter import Parameter

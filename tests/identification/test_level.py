@@ -10,11 +10,10 @@ import pytest
 
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis import trial
-from undertow.identification.diagnosis.level import means_over, simulates_to_noise
-from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.diagnosis.trial import only_noise
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.diagnosis.validation import Referee, means_over, simulates_to_noise
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.weak_form import fit_weak
 
 
 def _shooting(errors: np.ndarray, step: float = 0.05) -> SimpleNamespace:

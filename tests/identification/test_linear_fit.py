@@ -11,10 +11,10 @@ import pytest
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.least_squares import linear_fit
-from undertow.identification.least_squares.linear_fit import LinearFit
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.paper import linear_fit
+from undertow.paper.linear_fit import LinearFit
 
 NAMES = (
     *("X_udot", "Y_vdot", "Z_wdot", "K_pdot", "M_qdot", "N_rdot", "X_u", "Y_v", "Z_w", "K_p", "M_q", "N_r"),

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from undertow.errors import UndertowError
-from undertow.identification import read_mapping
-from undertow.identification.logs import frames
-from undertow.identification.logs.run import FORCES, POSE, VELOCITY
+from undertow.identification.logs import mapping
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.run import FORCES
+from undertow.model.symbols import POSE, VELOCITY
 
 TOP = 'schema = "undertow/mapping/1"\n'
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -89,7 +90,7 @@ def test_the_mappings_that_are_shipped_are_valid(folder):
 @given(arrays(float, (len(POSE + VELOCITY + FORCES), 4), elements=st.floats(-100, 100)))
 def test_turning_frames_twice_changes_nothing(values):
     channels = dict(zip(POSE + VELOCITY + FORCES, values, strict=True))
-    for turn in (frames.swap_position, frames.swap_attitude, frames.swap_body):
+    for turn in (mapping.swap_position, mapping.swap_attitude, mapping.swap_body):
         twice = turn(turn(channels))
         assert twice.keys() == channels.keys()
         for name, data in channels.items():
@@ -105,7 +106,7 @@ def _rotation(phi, theta, psi):
 
 @given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))
 def test_the_attitude_is_the_same_rotation_seen_from_other_axes(phi, theta, psi):
-    turned = frames.swap_attitude({"phi": np.array(phi), "theta": np.array(theta), "psi": np.array(psi)})
+    turned = mapping.swap_attitude({"phi": np.array(phi), "theta": np.array(theta), "psi": np.array(psi)})
     ned_of_enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
     expected = ned_of_enu @ _rotation(phi, theta, psi) @ np.diag([1, -1, -1])
     actual = _rotation(*(float(turned[name]) for name in ("phi", "theta", "psi")))
@@ -122,15 +123,15 @@ def test_velocities_along_the_earth_become_body_velocities(axes):
     angles, body = _attitude_and_velocity(np.random.default_rng(1))
     ned = np.array([_rotation(*(a[i] for a in angles.values())) @ body[:, i] for i in range(5)]).T
     given = ned if axes == "NED" else np.array([ned[1], ned[0], -ned[2]])
-    turned = frames.velocity_to_body({**angles, **dict(zip("uvw", given, strict=True))}, axes)
+    turned = mapping.velocity_to_body({**angles, **dict(zip("uvw", given, strict=True))}, axes)
     np.testing.assert_allclose([turned[n] for n in "uvw"], body, atol=1e-12)
     level = {name: angles[name] for name in ("psi",)} | dict(zip("uv", given, strict=False))
-    assert "w" not in frames.velocity_to_body(level, axes)
+    assert "w" not in mapping.velocity_to_body(level, axes)
 
 
 def test_the_velocity_of_the_water_is_added_along_the_earth():
     angles, body = _attitude_and_velocity(np.random.default_rng(2))
-    found = frames.over_ground({**angles, **dict(zip("uvw", body, strict=True))}, (0.3, -0.2, 0.1))
+    found = mapping.over_ground({**angles, **dict(zip("uvw", body, strict=True))}, (0.3, -0.2, 0.1))
     for i in range(5):
         moved = _rotation(*(a[i] for a in angles.values())) @ [
             found[n][i] - body[k, i] for k, n in enumerate("uvw")

@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from undertow.errors import UndertowError
-from undertow.identification import Mapping, read_log
 from undertow.identification.logs.checks import refuse_constant
 from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.table import WHOLE
 
 PLAIN = "t,u,r,f1\n0,0.1,0.0,1\n0.1,0.2,0.1,2\n0.25,,0.2,3\n"
@@ -35,7 +36,7 @@ def log(tmp_path):
     def read(content, mapping=None, channels=(), name="run.csv", **options):
         path = tmp_path / name
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return read_log(path, Mapping.model_validate(mapping or {}), channels, **options)
+        return read_log(path, LogMapping.model_validate(mapping or {}), channels, **options)
 
     return read
 
@@ -276,7 +277,7 @@ def test_what_is_written_is_read(tmp_path, steps, values):
 def test_degrees_become_radians_up_to_whole_turns(tmp_path, angles):
     path = tmp_path / "angles.csv"
     pl.DataFrame({"t": np.arange(10.0), "heading": angles}).write_csv(path)
-    mapping = Mapping.model_validate({"columns": {"heading": {"channel": "psi", "unit": "deg"}}})
+    mapping = LogMapping.model_validate({"columns": {"heading": {"channel": "psi", "unit": "deg"}}})
     psi = read_log(path, mapping).channels["psi"]
     assert np.all(np.abs(np.diff(psi)) <= np.pi + 1e-9)
     np.testing.assert_allclose(np.exp(1j * psi), np.exp(1j * np.radians(angles)), atol=1e-9)
@@ -334,7 +335,7 @@ def test_velocities_along_the_earth_and_through_the_water(log):
 
 def test_a_run_knows_how_it_was_read(log):
     mapping = {"columns": {"heading": {"channel": "psi", "unit": "deg"}}}
-    assert log("t,heading\n0,1\n1,2\n", mapping).mapping == Mapping.model_validate(mapping)
+    assert log("t,heading\n0,1\n1,2\n", mapping).mapping == LogMapping.model_validate(mapping)
 
 
 def test_a_log_may_be_thinned_out(log):
@@ -349,7 +350,7 @@ def test_a_log_may_be_thinned_out(log):
 
 
 def _parts(path, mapping=None):
-    return list(LongLog(path, mapping or Mapping(), ()).parts(100, 10))
+    return list(LongLog(path, mapping or LogMapping(), ()).parts(100, 10))
 
 
 def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(log):
@@ -495,7 +496,7 @@ def test_every_kind_of_time_column_counts_seconds(tmp_path, kind):
 def test_a_column_that_is_no_time_is_told(tmp_path, unit, values):
     pl.DataFrame({"t": values, "u": [1.0, 2.0]}).write_parquet(tmp_path / "a.parquet")
     with pytest.raises(UndertowError, match=r"a.parquet") as caught:
-        read_log(tmp_path / "a.parquet", Mapping.model_validate({"time": {"unit": unit}}))
+        read_log(tmp_path / "a.parquet", LogMapping.model_validate({"time": {"unit": unit}}))
     assert "\n" not in str(caught.value)
 
 
@@ -511,7 +512,7 @@ def test_times_since_1970_are_subtracted_before_they_are_rounded(tmp_path, unit,
     kinds = {"text": pl.String, "datetime": pl.Datetime(unit), "unsigned": pl.UInt64}
     column = stamps.cast(kinds.get(kind, pl.Int64))
     pl.DataFrame({"t": column, "u": np.arange(501.0)}).write_parquet(tmp_path / "a.parquet")
-    run = read_log(tmp_path / "a.parquet", Mapping.model_validate({"time": {"unit": unit}}))
+    run = read_log(tmp_path / "a.parquet", LogMapping.model_validate({"time": {"unit": unit}}))
     tick = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3}[unit]
     np.testing.assert_allclose(run.t[1:], steps * tick, rtol=1e-14)
 
@@ -521,7 +522,7 @@ def test_times_since_1970_are_the_same_in_parts(tmp_path, name):
     stamps = _EPOCHS["ns"] + np.arange(0, 1000 * 333, 333)
     table = pl.DataFrame({"t": stamps, "u": np.arange(1000.0)})
     table.write_csv(tmp_path / name) if name.endswith("csv") else table.write_parquet(tmp_path / name)
-    mapping = Mapping.model_validate({"time": {"unit": "ns"}})
+    mapping = LogMapping.model_validate({"time": {"unit": "ns"}})
     whole = read_log(tmp_path / name, mapping)
     t = np.unique(np.concatenate([part.run.t for part in _parts(tmp_path / name, mapping)]))
     np.testing.assert_array_equal(t, whole.t)

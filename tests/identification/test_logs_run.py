@@ -7,7 +7,7 @@ import pytest
 
 import undertow.identification
 from undertow.errors import UndertowError
-from undertow.identification import Run
+from undertow.identification.logs.run import Run
 
 
 def _run(t, **channels):

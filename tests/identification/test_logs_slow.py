@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification import Mapping, read_log
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.reading import read_log
 
 RATE, PERIOD = 6.0, 1.0  # rows a second; seconds between reports
 
@@ -26,12 +27,12 @@ def slow_log(tmp_path):
 
 
 def mapping(**column):
-    return Mapping.model_validate({"columns": {"dvl": {"channel": "u", "fresh": "new", **column}}})
+    return LogMapping.model_validate({"columns": {"dvl": {"channel": "u", "fresh": "new", **column}}})
 
 
 def test_rows_between_reports_are_not_late(slow_log):
     path, t, true = slow_log
-    held = read_log(path, Mapping.model_validate({"columns": {"dvl": "u"}, "ignore": ["new"]}))
+    held = read_log(path, LogMapping.model_validate({"columns": {"dvl": "u"}, "ignore": ["new"]}))
     run = read_log(path, mapping())
     inside = np.isfinite(run.channels["u"])
     assert inside.sum() == len(t) - 5  # the rows after the last report
@@ -74,7 +75,7 @@ def test_rpm_become_newton_with_their_sign(tmp_path):
     path = tmp_path / "rpm.csv"
     path.write_text("t,u,n\n0,0.1,-1000\n1,0.2,0\n2,0.3,500\n")
     columns = {"n": {"channel": "stern", "scale": 3e-4, "power": 2}}
-    run = read_log(path, Mapping.model_validate({"columns": columns}), ["stern"])
+    run = read_log(path, LogMapping.model_validate({"columns": columns}), ["stern"])
     np.testing.assert_allclose(run.channels["stern"], [-300.0, 0.0, 75.0])
     assert any("stern = 0.0003 n |n|" in note for note in run.notes)
 

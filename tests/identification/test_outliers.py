@@ -9,13 +9,12 @@ import pytest
 
 from tests.identification.long_surge import EXACT
 from tests.identification.surge import surge_run, surge_vehicle
-from undertow.identification.fitted import Fitted
-from undertow.identification.logs import Run
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.output_error.descent import LOSSES
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.spikes import despiked, without_spikes
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.output_error import LOSSES, fit_output_error
+from undertow.identification.estimation.residual import despiked, without_spikes
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 
 DRAWS = 12
 VEHICLE = surge_vehicle()

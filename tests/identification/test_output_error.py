@@ -13,16 +13,14 @@ from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
 from undertow.codegen.gauss_newton import Products
 from undertow.errors import UndertowError
-from undertow.identification import velocities_from_pose
-from undertow.identification.compare.cutting import cut
-from undertow.identification.fitted import correlation, cramer_rao, remarks, t_values, verdicts
-from undertow.identification.logs import Run
-from undertow.identification.output_error import OutputErrorFit, fit_output_error
-from undertow.identification.output_error.descent import channel_weights
-from undertow.identification.output_error.elimination import _condensed, eliminated
-from undertow.identification.output_error.shooting import Shooting
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import correlation, cramer_rao, remarks, t_values, verdicts
+from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
+from undertow.identification.estimation.shooting import Shooting, _condensed, eliminated
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.estimation.windows import cut
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 SIZES = np.array([M_X, TRUTH["X_u"], TRUTH["X_uabsu"]])
@@ -219,7 +217,7 @@ def test_eliminating_the_starts_gives_the_slope_of_the_best_cost() -> None:
 
 def test_batches_of_windows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = fit_output_error(surge_vehicle(), [surge_run(0.02, 1)])
-    monkeypatch.setattr("undertow.identification.output_error.shooting._BATCH", 1)
+    monkeypatch.setattr("undertow.identification.estimation.shooting._BATCH", 1)
     pieces = fit_output_error(surge_vehicle(), [surge_run(0.02, 1)])
     assert pieces.values == pytest.approx(whole.values, rel=1e-8)
     np.testing.assert_allclose(pieces.covariance, whole.covariance, rtol=1e-6)

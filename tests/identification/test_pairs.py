@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from undertow.identification.diagnosis import pairs
+from undertow.identification.diagnosis import search
 
 _BLOCKS, _PER_BLOCK = 40, 10
 _ROWS = _BLOCKS * _PER_BLOCK
@@ -21,8 +21,8 @@ def _score(size: float, seed: int) -> SimpleNamespace:
 def _round(sizes: list[float], base: float, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A round in which pair i leaves `sizes[i]` times the noise, and the model alone `base` times."""
     chains = {i: SimpleNamespace(fit=size, score=_score(size, i), pair=i) for i, size in enumerate(sizes)}
-    monkeypatch.setattr(pairs, "promising_pairs", lambda *_: [(i, i) for i in chains])
-    monkeypatch.setattr(pairs, "fitted", lambda vehicle, pair, bench: chains[pair[0]])
+    monkeypatch.setattr(search, "promising_pairs", lambda *_: [(i, i) for i in chains])
+    monkeypatch.setattr(search, "fitted", lambda vehicle, pair, bench: chains[pair[0]])
     model = SimpleNamespace(functions=SimpleNamespace(vehicle=None))
     bench = SimpleNamespace(
         base=SimpleNamespace(model=model, size=base),
@@ -52,5 +52,5 @@ def _quiet(fit: object, data: object) -> bool:
 def test_a_pair_is_named_where_it_alone_leaves_only_noise(
     sizes: list[float], base: float, named: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = pairs.lone_pair(_round(sizes, base, monkeypatch), _quiet)
+    found = search.lone_pair(_round(sizes, base, monkeypatch), _quiet)
     assert (None if found is None else found.pair) == named

@@ -9,10 +9,9 @@ import pytest
 
 from benchmarks.shape.hulls import SIDES, ball, box_mesh, spheroid_mesh
 from undertow.errors import UndertowError
-from undertow.identification.shape import box, ellipsoid, moved, turned
-from undertow.identification.shape.capytaine import has_capytaine, quiet_capytaine
-from undertow.identification.shape.mesh import Mesh
-from undertow.identification.shape.panels import PanelResult, added_mass_of_hull
+from undertow.shape.bodies import box, ellipsoid, moved, turned
+from undertow.shape.mesh import Mesh, has_capytaine, quiet_capytaine
+from undertow.shape.panels import PanelResult, added_mass_of_hull
 
 needs_capytaine = pytest.mark.skipif(
     not has_capytaine(), reason="capytaine is not installed: pip install undertow[bem]"

@@ -11,9 +11,9 @@ import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
 from undertow.errors import UndertowError
-from undertow.identification import read_log
-from undertow.identification.diagnosis.diagnose import diagnose
-from undertow.identification.parallel import aside, jobs, mapped
+from undertow.identification.diagnose import diagnose
+from undertow.identification.diagnosis.parallel import aside, jobs, mapped
+from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
 
 shared_memory = pytest.mark.skipif(sys.platform != "linux", reason="processes share memory on Linux only")

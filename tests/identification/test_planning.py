@@ -9,30 +9,19 @@ import pytest
 
 from tests.identification.surge import surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.logs import Run
-from undertow.identification.planning import (
-    Planned,
-    Request,
-    RivalSpec,
-    plan_parameters,
-    plan_separation,
-    suggest,
-)
-from undertow.identification.planning.families import Design
-from undertow.identification.planning.flight import Flight, Plant
-from undertow.identification.planning.flyable import command_csv
-from undertow.identification.planning.information import gram_along, stated
-from undertow.identification.planning.limits import MotionLimits, extremes
-from undertow.identification.planning.rivals import rival_models
-from undertow.identification.planning.separation import Separations
-from undertow.identification.planning.setting import Ground
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak, free_parameters
-from undertow.identification.weak.residual import WeakModel
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import WeakModel
+from undertow.identification.estimation.weak_form import fit_weak, free_parameters
+from undertow.identification.logs.run import Run
+from undertow.identification.planning.flight import Flight, Ground, Plant, Request, gram_along, stated
+from undertow.identification.planning.manoeuvres import Design, MotionLimits, extremes
+from undertow.identification.planning.parameters import Planned, plan_parameters
+from undertow.identification.planning.picture import command_csv
+from undertow.identification.planning.rivals import RivalSpec, rival_models
+from undertow.identification.planning.separation import Separations, plan_separation, suggest
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 from undertow.model.vehicle import Vehicle
-from undertow.model.vehicle_schema import VehicleTable
 
 SIGMA = 0.01
 SHORT = Request(duration=40.0, rate=10.0, limits={"": 1.0}, noise={"u": SIGMA, "x": np.inf}, tries=40)

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification import Run, read_log, read_mapping, velocities_from_pose
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 
 ROOT = Path(__file__).parents[2]
 CSE1 = ROOT.parent / "shared" / "data" / "ntnu-cse1" / "freerun"

@@ -10,11 +10,11 @@ from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with
 from tests.identification.long_surge import EXACT, simulated, steps
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification import velocities_from_pose
-from undertow.identification.fitted import cramer_rao, verdicts
-from undertow.identification.logs import Run
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.prediction_error import PredictionErrorFit, fit_prediction_error
+from undertow.identification.estimation.fitted import cramer_rao, verdicts
+from undertow.identification.estimation.output_error import fit_output_error
+from undertow.identification.estimation.prediction_error import PredictionErrorFit, fit_prediction_error
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
 SAMPLES, DRAWS, NOISE = 500, 6, 0.005

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from undertow.identification.published import KINDS, Appendix, Remark, appendix, audit
+from undertow.paper.tables import KINDS, Appendix, Remark, appendix, audit
 
 PAPER = Path(__file__).parents[3] / "shared" / "paper.txt"
 _SYMBOLS = {

@@ -10,12 +10,11 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.codegen.functions import Functions
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import free_parameters
-from undertow.identification.weak.residual import WeakModel, whitened
-from undertow.identification.weak.testfunctions import boxes, kink_delay
-from undertow.identification.weak.testfunctions import test_functions as functions_on
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.test_functions import boxes, kink_delay
+from undertow.identification.estimation.test_functions import test_functions as functions_on
+from undertow.identification.estimation.weak_form import free_parameters, mean_square
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value
 

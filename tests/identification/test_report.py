@@ -11,9 +11,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from undertow.cli._outcome import _content
+from undertow.cli.diagnose import _content
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.diagnose import _with_doctor
+from undertow.identification.diagnose import _with_doctor
 from undertow.identification.diagnosis.result import (
     Diagnosis,
     Estimate,
@@ -24,9 +24,10 @@ from undertow.identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from undertow.identification.doctor import Examination
-from undertow.identification.doctor import Finding as Found
-from undertow.identification.report import (
+from undertow.identification.doctor.findings import Examination
+from undertow.identification.doctor.findings import Finding as Found
+from undertow.identification.figures import plain, save_png, svg, unit_text, with_unit
+from undertow.identification.report.data import (
     Budget,
     ErrorMap,
     Listing,
@@ -34,19 +35,18 @@ from undertow.identification.report import (
     ResidualCurve,
     RunTraces,
     Trace,
+)
+from undertow.identification.report.page import parameter_text, percent, quantity, render_report, with_error
+from undertow.identification.report.pictures import (
     error_map,
     falling_error,
     force_budget,
     measured_vs_simulated,
     ranking,
-    render_report,
-    report_data,
     residual_against,
-    save_png,
+    thinned,
 )
-from undertow.identification.report.pictures import thinned
-from undertow.identification.report.style import plain, svg, unit_text, with_unit
-from undertow.identification.report.words import parameter_text, percent, quantity, with_error
+from undertow.identification.report.tables import report_data
 
 EVIL = "<script>alert('1')</script>\"&$x_1$\n日本"
 SECTIONS = (
@@ -308,7 +308,7 @@ def test_a_page_of_many_long_runs_stays_small() -> None:
 
 def test_a_comparison_becomes_a_report() -> None:
     from undertow.identification.compare.comparison import compare
-    from undertow.identification.logs import Run
+    from undertow.identification.logs.run import Run
     from undertow.model.loading import load_vehicle
 
     t = np.arange(0.0, 60.0, 0.05)

@@ -12,8 +12,9 @@ import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import vehicle_of
-from undertow.identification import Mapping, read_log
-from undertow.identification.estimators import Estimator
+from undertow.identification.api import Estimator
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.reading import read_log
 from undertow.model.vehicle import Vehicle
 
 Columns = dict[str, np.ndarray]
@@ -110,7 +111,7 @@ FILES = {"CSV": csv, "CSV.gz": csv_gz, "Parquet": parquet}
 
 
 # --- the same fit ---------------------------------------------------------------------------------
-def written(columns: Columns, units: str, frames: str, file: str, folder: Path) -> tuple[Path, Mapping]:
+def written(columns: Columns, units: str, frames: str, file: str, folder: Path) -> tuple[Path, LogMapping]:
     """A run as a file, with the mapping that says how."""
     told, spec = FRAMES[frames](columns)
     unit, per_second = TIMES[units]
@@ -122,10 +123,10 @@ def written(columns: Columns, units: str, frames: str, file: str, folder: Path) 
             named[f"my {name}"] = {"channel": name, "unit": unit_of}
     mapping = {"columns": named, "frames": spec, "time": {"column": "clock", "unit": unit}}
     path = FILES[file](pl.DataFrame(table), folder / "run", mapping)
-    return path, Mapping.model_validate(mapping)
+    return path, LogMapping.model_validate(mapping)
 
 
-def fitted(vehicle: Vehicle, path: Path, mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
+def fitted(vehicle: Vehicle, path: Path, mapping: LogMapping) -> tuple[np.ndarray, np.ndarray]:
     """Values and standard errors of the free parameters by the weak form."""
     found = Estimator("weak").fit(vehicle, [read_log(path, mapping, vehicle.command_names)])
     names = found.model.free
@@ -139,7 +140,7 @@ def as_it_is(
     """The fit of the run in undertow's own channels, without a mapping."""
     path = tmp_path_factory.mktemp("plain") / "run.csv"
     pl.DataFrame(columns).write_csv(path)
-    return fitted(vehicle, path, Mapping())
+    return fitted(vehicle, path, LogMapping())
 
 
 @pytest.mark.parametrize(("units", "frames", "file"), [*product(UNITS, FRAMES, FILES)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from undertow.identification.diagnosis import rounds, search
-from undertow.identification.diagnosis.finding import Finding
+from undertow.identification.diagnosis.evidence import FoundEffect
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def test_a_plain_effect_is_looked_at_again_beside_one_with_many_parameters(
         trial = SimpleNamespace(
             score=score(error, 1), fit=fit, candidate=SimpleNamespace(parameters=own), id=name
         )
-        finding = Finding(trial, None, 1.0, 0.0, True)
+        finding = FoundEffect(trial, None, 1.0, 0.0, True)
         return SimpleNamespace(findings=(finding,), fit=fit, score=trial.score)
 
     tether, trim = chain("tether", 8, 1.06, 1.0), chain("trim", plain_size, 1.1, settled_error)

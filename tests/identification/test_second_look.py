@@ -10,14 +10,13 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification.diagnosis import second_look
+from undertow.identification.diagnosis import evidence
+from undertow.identification.diagnosis.evidence import explains_all, hidden_by_disturbance
 from undertow.identification.diagnosis.search import search
-from undertow.identification.diagnosis.second_look import explains_all, hidden_by_disturbance
 from undertow.identification.diagnosis.trial import Bench, only_noise, open_bench
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.residual import whitened
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
 
@@ -87,7 +86,7 @@ def test_when_it_is_worth_a_second_look(
     disturbance: float, left: float, expected: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not without a disturbance, not where noise is all there is, not where the model is far off."""
-    monkeypatch.setattr(second_look, "noise_ratio", lambda *_: np.array([1.0, left]))
-    monkeypatch.setattr(second_look, "only_noise", lambda *_: left < 2.0)
+    monkeypatch.setattr(evidence, "noise_ratio", lambda *_: np.array([1.0, left]))
+    monkeypatch.setattr(evidence, "only_noise", lambda *_: left < 2.0)
     bench = SimpleNamespace(base=SimpleNamespace(disturbance=np.array([disturbance])), test=None)
     assert hidden_by_disturbance(bench) is expected  # type: ignore[arg-type]

@@ -11,18 +11,15 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of, with_effect
 from undertow.codegen.functions import Functions
-from undertow.identification.compare.cutting import cut
-from undertow.identification.compare.predictor import reported_late
-from undertow.identification.compare.windows import predict
-from undertow.identification.logs import Run
-from undertow.identification.output_error import fit_output_error
-from undertow.identification.output_error.shooting import Shooting
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
-from undertow.identification.weak.lateness import interpolated, stencil
-from undertow.identification.weak.polynomial import smooth_rate
-from undertow.identification.weak.residual import WeakModel, whitened
-from undertow.identification.weak.testfunctions import test_functions as functions_on
+from undertow.identification.estimation.data import prepare, smooth_rate
+from undertow.identification.estimation.output_error import fit_output_error
+from undertow.identification.estimation.predictor import predict, reported_late
+from undertow.identification.estimation.residual import WeakModel, interpolated, stencil, whitened
+from undertow.identification.estimation.shooting import Shooting
+from undertow.identification.estimation.test_functions import test_functions as functions_on
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.estimation.windows import cut
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 STEP = 0.05

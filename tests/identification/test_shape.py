@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from undertow.errors import UndertowError
-from undertow.identification.shape import cylinder, ellipsoid, moved, prolate_spheroid, sphere, turned
+from undertow.shape.bodies import cylinder, ellipsoid, moved, prolate_spheroid, sphere, turned
 
 RHO = 1000.0
 

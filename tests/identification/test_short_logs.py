@@ -10,8 +10,8 @@ import pytest
 from tests.identification.long_surge import simulated, steps
 from tests.identification.surge import surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.estimators import Estimator, Method
-from undertow.identification.logs import Run
+from undertow.identification.api import Estimator, Method
+from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
 _NOISE = 0.005 * np.random.default_rng(0).standard_normal(60)

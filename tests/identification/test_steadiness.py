@@ -9,10 +9,10 @@ import pytest
 
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.steadiness import Sizes, sizes
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.diagnosis.validation import Sizes, sizes
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value
 

@@ -12,11 +12,12 @@ import pytest
 
 from tests.identification.surge import surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.least_squares import CASES, estimate, experiments
-from undertow.identification.least_squares.streaming import estimate_streaming
-from undertow.identification.logs import Mapping, read_log
+from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.logs.chunks import LongLog
-from undertow.identification.triangle import Triangle
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.reading import read_log
+from undertow.paper.least_squares import estimate, estimate_streaming, experiments
+from undertow.paper.regression import CASES
 
 VEHICLE = surge_vehicle()
 STEP = 0.2
@@ -51,7 +52,7 @@ def test_parts_give_the_answer_of_one_piece(tmp_path: Path, name: str) -> None:
     path = written(long_log(20_000, gaps=True), tmp_path / name)
     cases = list(CASES.values())
     (surge,) = experiments(VEHICLE, [read_log(path)])
-    ((_, found),) = estimate_streaming(VEHICLE, [LongLog(path, Mapping(), ("tau_X",))], cases, rows=3_000)
+    ((_, found),) = estimate_streaming(VEHICLE, [LongLog(path, LogMapping(), ("tau_X",))], cases, rows=3_000)
     for case, streamed in zip(cases, found, strict=True):
         whole = estimate(surge, case)
         assert streamed.samples == whole.samples
@@ -64,7 +65,7 @@ def test_parts_give_the_answer_of_one_piece(tmp_path: Path, name: str) -> None:
 def test_what_filters_do_at_the_ends_is_done_at_the_ends_only(tmp_path: Path, edges) -> None:
     path = written(long_log(4_000), tmp_path / "long.csv")
     (surge,) = experiments(VEHICLE, [read_log(path)])
-    log = LongLog(path, Mapping(), ("tau_X",), window=(50.0, 700.0))
+    log = LongLog(path, LogMapping(), ("tau_X",), window=(50.0, 700.0))
     whole = experiments(VEHICLE, [read_log(path, window=(50.0, 700.0))])[0]
     ((_, found),) = estimate_streaming(VEHICLE, [log], [CASES["11"]], edges, rows=700)
     np.testing.assert_allclose(found[0].theta, estimate(whole, CASES["11"], edges).theta, rtol=1e-10)
@@ -85,7 +86,7 @@ def thousand(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_window_may_begin_and_end_where_parts_overlap(thousand: Path, row: int, side: str) -> None:
     cases = [CASES["2"], CASES["11"]]
     window = (STEP * (row - 0.5), None) if side == "from" else (None, STEP * (row + 0.5))
-    log = LongLog(thousand, Mapping(), ("tau_X",), window=window)
+    log = LongLog(thousand, LogMapping(), ("tau_X",), window=window)
     (surge,) = experiments(VEHICLE, [read_log(thousand, window=window)])
     ((_, found),) = estimate_streaming(VEHICLE, [log], cases, rows=500)
     for case, streamed in zip(cases, found, strict=True):
@@ -108,7 +109,7 @@ def test_what_is_missing_for_long_is_missing_in_parts_too(
     values[first:stop] = np.nan
     path = written(frame.with_columns(pl.Series(channel, values, nan_to_null=True)), tmp_path / "long.csv")
     (surge,) = experiments(VEHICLE, [read_log(path, missing_commands=policy)])
-    log = LongLog(path, Mapping(), ("tau_X",), missing_commands=policy)
+    log = LongLog(path, LogMapping(), ("tau_X",), missing_commands=policy)
     ((_, (streamed,)),) = estimate_streaming(VEHICLE, [log], [CASES["11"]], rows=300)
     whole = estimate(surge, CASES["11"])
     assert streamed.samples == whole.samples
@@ -130,7 +131,7 @@ def test_what_a_log_in_parts_lacks_is_told_as_for_the_whole(tmp_path: Path) -> N
         (frame.rename({"t": "seconds"}), None, "has no time column 't'"),
         (lacking.slice(700), "hold", "none comes before t = 140 s to be held"),
     ):
-        log = LongLog(written(table, tmp_path / "long.csv"), Mapping(), ("tau_X",), missing_commands=fill)
+        log = LongLog(written(table, tmp_path / "long.csv"), LogMapping(), ("tau_X",), missing_commands=fill)
         with pytest.raises(UndertowError, match=said):
             estimate_streaming(VEHICLE, [log], [CASES["11"]], rows=300)
 
@@ -141,7 +142,7 @@ def test_two_hundred_thousand_rows_in_constant_memory(tmp_path: Path) -> None:
     peaks = []
     for count in (50_000, 200_000):
         path = written(frame.head(count), tmp_path / f"long{count}.csv")
-        log = LongLog(path, Mapping(), ("tau_X",))
+        log = LongLog(path, LogMapping(), ("tau_X",))
         tracemalloc.start()
         ((_, found),) = estimate_streaming(VEHICLE, [log], cases, rows=10_000)
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -171,10 +172,10 @@ def test_a_triangle_holds_no_more_than_its_factor() -> None:
 
 def test_what_cannot_be_done_in_parts_is_told(tmp_path: Path) -> None:
     path = written(long_log(100), tmp_path / "long.csv")
-    thinned = Mapping.model_validate({"time": {"every": 2}})
-    dated = Mapping.model_validate({"time": {"unit": "iso"}})
+    thinned = LogMapping.model_validate({"time": {"every": 2}})
+    dated = LogMapping.model_validate({"time": {"unit": "iso"}})
     for mapping, said in ((thinned, "need the whole log"), (dated, "its time is a date")):
         with pytest.raises(UndertowError, match=said):
             estimate_streaming(VEHICLE, [LongLog(path, mapping, ("tau_X",))], [CASES["2"]])
     with pytest.raises(UndertowError, match="does not exist"):
-        estimate_streaming(VEHICLE, [LongLog(tmp_path / "no.csv", Mapping(), ())], [CASES["2"]])
+        estimate_streaming(VEHICLE, [LongLog(tmp_path / "no.csv", LogMapping(), ())], [CASES["2"]])

@@ -9,16 +9,13 @@ import pytest
 
 from tests.identification.long_surge import simulated, steps
 from tests.identification.surge import surge_vehicle
-from undertow.identification.compare.cutting import cut
-from undertow.identification.diagnosis.level import simulates_to_noise
-from undertow.identification.diagnosis.referee import THOROUGH, Referee
-from undertow.identification.diagnosis.transfer import within_errors
-from undertow.identification.logs import Run
-from undertow.identification.output_error import OutputErrorFit, fit_output_error
-from undertow.identification.output_error.descent import channel_weights
-from undertow.identification.output_error.shooting import Shooting
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.fit import fit_weak
+from undertow.identification.diagnosis.validation import THOROUGH, Referee, simulates_to_noise, within_errors
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
+from undertow.identification.estimation.shooting import Shooting
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.estimation.windows import cut
+from undertow.identification.logs.run import Run
 
 NOISE = 2e-3  # m/s
 SLOW, FAST = 0.1, 0.4  # N

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from undertow.identification.diagnose import Story
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
-from undertow.identification.diagnosis.story import Story
 from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]

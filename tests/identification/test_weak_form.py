@@ -12,16 +12,14 @@ from benchmarks.hidden_effects import make_case, write_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
-from undertow.identification import read_log
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import disturbed
-from undertow.identification.weak.fit import fit_weak, free_parameters
-from undertow.identification.weak.held import shifted_mean
-from undertow.identification.weak.noise import white_noise
-from undertow.identification.weak.residual import WeakModel
-from undertow.identification.weak.step import at_bounds, prior_of
-from undertow.identification.weak.testfunctions import boxes
-from undertow.identification.weak.testfunctions import test_functions as functions_on
+from undertow.identification.estimation.data import prepare, white_noise
+from undertow.identification.estimation.inputs import shifted_mean
+from undertow.identification.estimation.residual import WeakModel
+from undertow.identification.estimation.step import at_bounds, prior_of
+from undertow.identification.estimation.test_functions import boxes
+from undertow.identification.estimation.test_functions import test_functions as functions_on
+from undertow.identification.estimation.weak_form import disturbed, fit_weak, free_parameters
+from undertow.identification.logs.reading import read_log
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value

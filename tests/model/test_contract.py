@@ -11,10 +11,9 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue, load_effects, merge
-from undertow.model.contract import check_effect
-from undertow.model.dimensions import dimension, dimension_of, require_unit, short_unit, unit_text
+from undertow.model.contract import check_effect, positive_semidefinite
 from undertow.model.effect import Effect
-from undertow.model.laws import positive_semidefinite
+from undertow.model.units import dimension, dimension_of, require_unit, short_unit, unit_text
 
 IDS_OF_ISSUE_2 = {
     *("rigid_body", "rigid_body_coriolis", "added_mass", "added_mass_coupling", "added_mass_coriolis"),

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.errors import UndertowError
-from undertow.identification.weak.drive import ActuatorStates
-from undertow.identification.weak.pointwise import Pointwise
+from undertow.identification.estimation.inputs import ActuatorStates
+from undertow.identification.estimation.pointwise import Pointwise
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Actuation, Effect, Measurement, kinds_of
 from undertow.model.symbols import DOFS, Signals, signals, symbol

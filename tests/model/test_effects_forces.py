@@ -16,7 +16,7 @@ from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import Moment, World, derivative, plain_world, quadratic_name
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import catalogue
-from undertow.model.statement import statement_of
+from undertow.model.composition import statement_of
 from undertow.model.symbols import DOFS, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 

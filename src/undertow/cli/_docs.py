@@ -6,8 +6,9 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from undertow.cli._lazy import commands, load
 from undertow.files import write_whole
+
+from .main import commands, load
 
 _HEAD = """\
 # Commands

@@ -1,12 +1,26 @@
-"""Standard streams that are there and take any text, and what Python itself says on them."""
+"""The terminal: streams, warnings, progress, tables and JSON, Ctrl-C."""
 
 from __future__ import annotations
 
 import codecs
+import json
+import logging
 import os
+import re
+import signal
 import sys
+import textwrap
+import threading
 import unicodedata
 import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Lock, Timer
+from types import FrameType
+from typing import Any
+
+import typer
 
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 _READABLE = "undertow.readable"
@@ -85,3 +99,375 @@ def _in_ascii(letter: str) -> str:
 
 
 codecs.register_error(_READABLE, _readable)
+
+
+# A blank that ties a sign or a comparison to its number.
+_TIED = "\u00a0"
+_TIES = re.compile(r"(?<=[<>=≤≥≻±]) (?=[-+\d.])|(?<=\+-) (?=\d)| (?=(?:±|\+-|[<>=≤≥≻]) [-+\d.])")
+# Between columns, and between cells that share a line without being columns.
+_GAP, _APART = "  ", "   "
+# In ASCII a subscript has its line, and what is tied to a number is as short as on paper.
+_NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """When a table that is too wide keeps its columns.
+
+    Attributes
+    ----------
+    prose : int
+        A column that is wider holds sentences, which may be wrapped; numbers are shorter.
+    least : int
+        Into fewer columns than this no sentence is wrapped: the cells of a row then stand below each other.
+    """
+
+    prose: int = 30
+    least: int = 24
+
+
+LAYOUT = Layout()
+
+
+def print_json(content: Any) -> None:
+    """Print plain data as JSON on stdout."""
+    typer.echo(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+class Printer:
+    """The terminal, or whatever stdout is at the moment: nothing is cut, and no number is broken."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._console = Console(highlight=False)
+
+    def print(self, content: Any = "", *, soft_wrap: bool = False) -> None:
+        """Print text, or a table.
+
+        Parameters
+        ----------
+        content
+            What `text` or `table` made, or something that rich can print.
+        soft_wrap
+            Whether the text stays one line in files.
+        """
+        from rich.text import Text
+
+        if isinstance(content, Text) and (self._console.is_terminal or not soft_wrap):
+            content = _joined(_wrapped_text(content, self._console.width))
+        self._console.print(content, no_wrap=True, overflow="ignore", crop=False)
+
+
+def console() -> Printer:
+    """The terminal, or whatever stdout is at the moment."""
+    return Printer()
+
+
+def text(content: str, style: str = "") -> Any:
+    """Text without markup; control characters out of files are shown and not sent to the terminal.
+
+    Where stdout cannot have a letter, its name stands there (lambda, iota), or its number.
+    """
+    from rich.text import Text
+
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in content)
+    return Text(_encodable(shown, _encoding()), style=style)
+
+
+def _encoding() -> str:
+    return getattr(sys.stdout, "encoding", None) or "utf-8"
+
+
+def _encodable(shown: str, encoding: str) -> str:
+    try:
+        shown.encode(encoding)
+    except UnicodeEncodeError:
+        for letter, name in _NAMES.items():
+            shown = shown.replace(letter, name)
+    return readable(shown, encoding)
+
+
+def wrapped(words: str, width: int) -> list[str]:
+    """Lines of at most so many columns, broken between words but not between a sign and its number."""
+    lines = textwrap.wrap(
+        _TIES.sub(_TIED, words), max(width, 1), break_long_words=False, break_on_hyphens=False
+    )
+    return [line.replace(_TIED, " ") for line in lines] or [""]
+
+
+def _wrapped_text(content: Any, width: int) -> list[Any]:
+    """The same for a `text`; further lines begin where the first does."""
+    if content.cell_len <= width:
+        return [content]
+    indent = " " * (len(content.plain) - len(content.plain.lstrip(" ")))
+    lines = wrapped(content.plain.strip(), width - len(indent))
+    return [text(indent + line, content.style) for line in lines]
+
+
+def _joined(lines: Iterable[Any]) -> Any:
+    from rich.text import Text
+
+    return Text("\n").join(lines)
+
+
+def section(title: str, content: Any = None) -> None:
+    """Print a heading, and what stands below it."""
+    out = console()
+    out.print()
+    out.print(text(title, "bold"))
+    if content is not None:
+        out.print(content)
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], indent: int = 2) -> Any:
+    """A table without lines; without a head where all columns are nameless.
+
+    Where it is wider than the terminal, a column of sentences is wrapped; if that is not enough, the cells of
+    each row stand below each other, each with its head.
+
+    Parameters
+    ----------
+    columns
+        Heads of the columns.
+    rows
+        Cells, as strings (taken as they stand) or as `text`.
+    indent
+        Blanks at the left.
+    """
+    cells = [[text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    return _Table(columns, cells, indent)
+
+
+class _Table:
+    """A table that is laid out for the terminal it is printed on."""
+
+    def __init__(self, columns: Sequence[str], rows: list[list[Any]], indent: int) -> None:
+        self._heads = [text(c, "dim") for c in columns]
+        self._rows, self._indent = rows, indent
+
+    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
+        room = options.max_width - self._indent
+        widths = self._widths(room)
+        lines = self._grid(widths) if widths else self._records(room)
+        yield from (_indented(line, self._indent) for line in lines)
+
+    def _shown(self) -> list[list[Any]]:
+        return [self._heads, *self._rows] if any(h.plain for h in self._heads) else self._rows
+
+    def _widths(self, room: int) -> list[int]:
+        """Width of each column; nothing where they do not fit, even with heads of several lines."""
+        cells = [max((row[i].cell_len for row in self._rows), default=0) for i in range(len(self._heads))]
+        widths = [max(cell, head.cell_len) for cell, head in zip(cells, self._heads, strict=True)]
+        gaps = len(_GAP) * (len(widths) - 1)
+        if sum(widths) + gaps <= room:
+            return widths
+        widths = [max(cell, _longest_word(head)) for cell, head in zip(cells, self._heads, strict=True)]
+        over = sum(widths) + gaps - room
+        if over <= 0:
+            return self._spread(widths, -over)
+        widest = widths.index(max(widths))
+        left = widths[widest] - over
+        if widths[widest] < LAYOUT.prose or left < LAYOUT.least:
+            return []
+        widths[widest] = left
+        return widths
+
+    def _spread(self, widths: list[int], spare: int) -> list[int]:
+        """Give what is left to the heads that need it, from the left."""
+        for i, head in enumerate(self._heads):
+            more = min(spare, max(0, head.cell_len - widths[i]))
+            widths[i], spare = widths[i] + more, spare - more
+        return widths
+
+    def _grid(self, widths: list[int]) -> Iterator[Any]:
+        for row in self._shown():
+            cells = [_wrapped_text(c, w) for c, w in zip(row, widths, strict=True)]
+            for k in range(max(map(len, cells), default=0)):
+                yield _side_by_side([c[k] if k < len(c) else text("") for c in cells], widths)
+
+    def _records(self, room: int) -> Iterator[Any]:
+        if self._heads and self._heads[0].plain:
+            yield from _wrapped_text(self._heads[0], room)
+        for row in self._rows:
+            yield from self._record(row, room)
+
+    def _record(self, row: list[Any], room: int) -> Iterator[Any]:
+        """A row as lines: its first cell, and below it the others with their heads, packed into lines."""
+        from rich.text import Text
+
+        first, *others = row
+        yield from _wrapped_text(first, room)
+        room -= len(_GAP)
+        line = Text()
+        for head, cell in zip(self._heads[1:], others, strict=True):
+            named = Text.assemble(f"{head.plain}: " if head.plain else "", cell)
+            if not cell.plain:
+                continue
+            if line.plain and line.cell_len + len(_APART) + named.cell_len > room:
+                yield from (_indented(part, len(_GAP)) for part in _wrapped_text(line, room))
+                line = Text()
+            line = Text(_APART).join([line, named]) if line.plain else named
+        yield from (_indented(part, len(_GAP)) for part in _wrapped_text(line, room) if line.plain)
+
+
+def _longest_word(content: Any) -> int:
+    return max(map(len, wrapped(content.plain, 1)))
+
+
+def _side_by_side(cells: Sequence[Any], widths: Sequence[int]) -> Any:
+    from rich.text import Text
+
+    padded = [Text.assemble(c, " " * (w - c.cell_len)) for c, w in zip(cells, widths, strict=True)]
+    line = Text(_GAP).join(padded)
+    line.rstrip()
+    return line
+
+
+def _indented(line: Any, by: int) -> Any:
+    from rich.text import Text
+
+    return Text.assemble(" " * by, line)
+
+
+Report = Callable[[float, str], None]
+"""What library code calls: how much is done (0 to `total`), and a few words on what is being done now."""
+
+DELAY = 2.0
+"""Seconds before a bar appears."""
+
+
+@contextmanager
+def progress(description: str, total: float = 1.0) -> Iterator[Report]:
+    """Show a bar on the terminal while the block runs, if that takes more than two seconds.
+
+    Nothing is printed for shorter work or when stderr is not a terminal. The bar disappears at the end.
+
+    Parameters
+    ----------
+    description
+        What is being done; shown until the first report.
+    total
+        The value reported when all is done.
+
+    Yields
+    ------
+    Callable[[float, str], None]
+        To be handed to library code as its progress callback.
+    """
+    if not sys.stderr.isatty():
+        yield _ignore
+        return
+    bar = _Bar(description, total)
+    timer = Timer(DELAY, bar.show)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield bar.report
+    finally:
+        timer.cancel()
+        bar.close()
+
+
+def _ignore(done: float, words: str) -> None:
+    """Nobody is looking."""
+
+
+class _Bar:
+    """The state of the work and, once another thread has called `show`, its picture."""
+
+    def __init__(self, description: str, total: float) -> None:
+        self._words, self._total, self._done = description, total, 0.0
+        self._picture: Any = None
+        self._closed = False
+        self._lock = Lock()
+
+    def report(self, done: float, words: str = "") -> None:
+        with self._lock:
+            self._done, self._words = done, words or self._words
+            self._draw()
+
+    def show(self, console: Any = None) -> None:
+        from rich.progress import Progress  # slow to import, and mostly not needed
+
+        with self._lock:
+            if self._closed:
+                return
+            self._picture = Progress(console=console or _terminal(), transient=True)
+            self._task = self._picture.add_task(self._words, total=self._total)
+            self._picture.start()
+            self._draw()
+
+    def close(self) -> None:
+        with self._lock:
+            self._closed = True
+            if self._picture is not None:
+                self._picture.stop()
+
+    def _draw(self) -> None:
+        if self._picture is not None:
+            from rich.markup import escape  # names out of files are not markup
+
+            self._picture.update(self._task, completed=self._done, description=escape(self._words))
+
+
+def _terminal() -> Any:
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+class _ToStderr(logging.Handler):
+    """Prints to the stderr of the moment, so that a progress bar on the terminal can step aside for it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        prefix = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
+        print(f"{prefix}{self.format(record)}", file=sys.stderr)
+
+
+def talk(verbose: bool) -> None:
+    """Send the log of undertow to stderr: warnings, with `verbose` also what is going on."""
+    logger = logging.getLogger("undertow")
+    for handler in [handler for handler in logger.handlers if isinstance(handler, _ToStderr)]:
+        logger.removeHandler(handler)
+    logger.addHandler(_ToStderr())
+    logger.setLevel(logging.INFO if verbose else logging.WARNING)
+    # It says in several lines where it keeps its list of fonts when the home cannot be written.
+    logging.getLogger("matplotlib").setLevel(logging.WARNING if verbose else logging.ERROR)
+
+
+# Seconds after which an interruption that came to nothing is repeated.
+_PATIENCE = 0.5
+
+
+@contextmanager
+def insisting() -> Iterator[None]:
+    """While the block runs, repeat KeyboardInterrupt after Ctrl-C until it has ended the block.
+
+    CasADi clears whatever is raised while it looks at the arguments of a call, an interruption as well: once
+    in ten times a diagnosis would otherwise go on to its end. Nothing is changed outside the main thread,
+    where signals are handled otherwise already, and on systems without timers.
+    """
+    if not _free():
+        yield
+        return
+    signal.signal(signal.SIGINT, _raise)
+    signal.signal(signal.SIGALRM, _raise)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _free() -> bool:
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
+        return False
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return usual and signal.getsignal(signal.SIGALRM) == signal.SIG_DFL
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
+    raise KeyboardInterrupt

@@ -12,11 +12,12 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._progress import Report, progress
+from ._terminal import Report, progress
 
 if TYPE_CHECKING:
-    from undertow.identification.logs import Mapping, Run
     from undertow.identification.logs.chunks import LongLog
+    from undertow.identification.logs.mapping import LogMapping
+    from undertow.identification.logs.run import Run
     from undertow.identification.logs.table import LogLimits
     from undertow.model.vehicle import Vehicle
 
@@ -130,11 +131,11 @@ def load(
         If a file cannot be read or does not fit the vehicle, a log is given twice, or a fit would be
         in vain.
     """
-    from undertow.identification.logs import Mapping, read_mapping
+    from undertow.identification.logs.mapping import LogMapping, read_mapping
     from undertow.model.loading import load_vehicle, resolve_vehicle
 
     model = load_vehicle(vehicle, effect_files=effects or ())
-    mapping = Mapping() if map is None else read_mapping(map)
+    mapping = LogMapping() if map is None else read_mapping(map)
     if in_any_order:
         mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
     paths = [*logs, *(holdout or ())]
@@ -170,12 +171,12 @@ def load_in_parts(
     UndertowError
         If a file cannot be read, or a log is given twice.
     """
-    from undertow.identification.logs import Mapping, read_mapping
     from undertow.identification.logs.chunks import LongLog
+    from undertow.identification.logs.mapping import LogMapping, read_mapping
     from undertow.model.loading import load_vehicle, resolve_vehicle
 
     model = load_vehicle(vehicle, effect_files=effects or ())
-    mapping = Mapping() if map is None else read_mapping(map)
+    mapping = LogMapping() if map is None else read_mapping(map)
     twice = [path for path, count in Counter(p.resolve() for p in logs).items() if count > 1]
     if twice:
         raise UndertowError(f"log {twice[0]} is given twice: give each once")
@@ -187,13 +188,14 @@ def _runs(
     paths: list[Path],
     one_motion: bool,
     vehicle: Vehicle,
-    mapping: Mapping,
+    mapping: LogMapping,
     window: Window,
     fill: Fill | None,
     most: int | None,
     report: Report,
 ) -> list[Run]:
-    from undertow.identification.logs import read_log, velocities_from_pose
+    from undertow.identification.logs.pose_velocity import velocities_from_pose
+    from undertow.identification.logs.reading import read_log
 
     needed, also = ((), vehicle.command_names) if one_motion else (vehicle.command_names, ())
     limits = _limits(most, mapping, window)
@@ -206,7 +208,7 @@ def _runs(
     return runs
 
 
-def _limits(most: int | None, mapping: Mapping, window: Window) -> LogLimits:
+def _limits(most: int | None, mapping: LogMapping, window: Window) -> LogLimits:
     """How large logs may be if so many samples of them can be taken; most of a longer one may be left out."""
     from undertow.identification.logs.table import WHOLE
 

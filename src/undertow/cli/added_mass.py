@@ -24,7 +24,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._shape import (
+from undertow.cli._vehicle_and_logs import InPlaceOption, OutOption
+
+from .vehicle import (
     Asked,
     AtOption,
     CreaseOption,
@@ -41,11 +43,10 @@ from undertow.cli._shape import (
     read,
     tell,
 )
-from undertow.cli._vehicle_and_logs import InPlaceOption, OutOption
 
 if TYPE_CHECKING:
-    from undertow.identification.shape import AddedMass
-    from undertow.identification.shape.panels import PanelResult
+    from undertow.shape.bodies import AddedMass
+    from undertow.shape.panels import PanelResult
 
     Body = Callable[[float], AddedMass | PanelResult]
 else:
@@ -107,7 +108,7 @@ def ellipsoid(
     c: Annotated[float, _metres("--c", "Semi-axis along z.")],
 ) -> Body:
     """An ellipsoid with three semi-axes (Lamb): exact in ideal fluid."""
-    from undertow.identification.shape import ellipsoid as body
+    from undertow.shape.bodies import ellipsoid as body
 
     return lambda rho: body(a, b, c, rho)
 
@@ -117,8 +118,8 @@ def sphere(
     diameter: Annotated[float, _DIAMETER],
 ) -> Body:
     """A sphere: half of what it displaces, in every direction."""
-    from undertow.identification.shape import sphere as body
-    from undertow.identification.shape.bodies import positive
+    from undertow.shape.bodies import positive
+    from undertow.shape.bodies import sphere as body
 
     positive(diameter=diameter)
     return lambda rho: body(diameter / 2, rho)
@@ -130,7 +131,7 @@ def spheroid(
     diameter: Annotated[float, _DIAMETER],
 ) -> Body:
     """A spheroid about x, such as the hull of a torpedo-shaped vehicle (Lamb): exact in ideal fluid."""
-    from undertow.identification.shape import prolate_spheroid as body
+    from undertow.shape.bodies import prolate_spheroid as body
 
     return lambda rho: body(length, diameter, rho)
 
@@ -141,7 +142,7 @@ def cylinder(
     diameter: Annotated[float, _DIAMETER],
 ) -> Body:
     """A slender circular cylinder along x (--turn for other directions), by strips."""
-    from undertow.identification.shape import cylinder as body
+    from undertow.shape.bodies import cylinder as body
 
     return lambda rho: body(length, diameter, rho)
 
@@ -153,7 +154,7 @@ def box(
     height: Annotated[float, _metres("--height", "Along z.")],
 ) -> Body:
     """A rectangular box, from a table of panel computations; no side more than 5.6 times the next one."""
-    from undertow.identification.shape import box as body
+    from undertow.shape.bodies import box as body
 
     return lambda rho: body(length, beam, height, rho)
 
@@ -173,8 +174,9 @@ def mesh(
     With --depth there is a free surface: the added mass is that of high frequency, and each --omega gives the
     radiation damping there. With --into, that at the first --omega is written as prior of the linear damping.
     """
-    from undertow.cli._progress import progress
-    from undertow.identification.shape.panels import added_mass_of_hull
+    from undertow.shape.panels import added_mass_of_hull
+
+    from ._terminal import progress
 
     surface = read(hull, unit, frame).mesh
 

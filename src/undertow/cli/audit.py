@@ -37,9 +37,10 @@ def audit(
 ) -> int:
     from dataclasses import asdict
 
-    from undertow.cli._show import console, print_json, section, text
-    from undertow.control.audit import audit_paper, audit_vehicle
     from undertow.model.loading import load_vehicle
+    from undertow.paper.equations import audit_paper, audit_vehicle
+
+    from ._terminal import console, print_json, section, text
 
     found = audit_vehicle(load_vehicle(vehicle, effect_files=effects or [])) if vehicle else audit_paper()
     wrong = sum(finding.kind == "wrong" for finding in found)

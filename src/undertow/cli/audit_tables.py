@@ -20,8 +20,9 @@ _JSON = typer.Option("--json", help="Print JSON instead of text.")
 def audit_tables(json: Annotated[bool, _JSON] = False) -> int:
     from dataclasses import asdict
 
-    from undertow.cli._show import console, print_json, section, text
-    from undertow.identification.published import KINDS, appendix, audit
+    from undertow.paper.tables import KINDS, appendix, audit
+
+    from ._terminal import console, print_json, section, text
 
     found = audit(appendix())
     if json:

@@ -24,7 +24,7 @@ from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Export, Report
-    from undertow.control.export import ControllerExport
+    from undertow.control.controller import ControllerExport
     from undertow.model.vehicle import Vehicle
 
 _OUT = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
@@ -60,8 +60,7 @@ def codegen(
 
 
 def _controller_export(gains: str, vehicle: Vehicle) -> ControllerExport:
-    from undertow.control.controller import Controller
-    from undertow.control.export import ControllerExport
+    from undertow.control.controller import Controller, ControllerExport
     from undertow.control.gains import load_gains
 
     export = ControllerExport(Controller(load_gains(gains, vehicle)))

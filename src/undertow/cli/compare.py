@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._progress import progress
 from undertow.cli._vehicle_and_logs import (
     EffectsOption,
     FillOption,
@@ -28,9 +27,10 @@ from undertow.cli._vehicle_and_logs import (
     load,
 )
 
+from ._terminal import progress
+
 if TYPE_CHECKING:
-    from undertow.identification.compare.comparison import Comparison
-    from undertow.identification.compare.result import ComparisonResult
+    from undertow.identification.compare.comparison import Comparison, ComparisonResult
 
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="How far ahead is predicted.", min=0.001)
 _JSON = typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
@@ -157,7 +157,7 @@ def _number(value: float | None, style: str = ".3g") -> str:
 # --- pictures ---------------------------------------------------------------------------------
 def _draw(comparison: Comparison, folder: Path) -> int:
     from undertow.files import make_folder
-    from undertow.identification.report.style import save_png
+    from undertow.identification.figures import save_png
 
     make_folder(folder)
     drawn = list(_pictures(comparison))
@@ -167,17 +167,16 @@ def _draw(comparison: Comparison, folder: Path) -> int:
 
 
 def _pictures(comparison: Comparison) -> Any:
-    from undertow.identification.compare import shown
-    from undertow.identification.report import pictures
+    from undertow.identification.report import pictures, tables
 
     names = (comparison.result.vehicle, "")
-    yield "error_map", pictures.error_map(shown.error_map(comparison), names)
-    yield "force_budget", pictures.force_budget(shown.budgets(comparison))
-    found = shown.curves(comparison)
+    yield "error_map", pictures.error_map(tables.error_map(comparison), names)
+    yield "force_budget", pictures.force_budget(tables.budgets(comparison))
+    found = tables.curves(comparison)
     for dof in comparison.result.degrees_of_freedom:
-        yield f"residual_{dof}", pictures.residual_against(shown.leading(found, dof), names)
+        yield f"residual_{dof}", pictures.residual_against(tables.leading(found, dof), names)
     for kind, free in (("ahead", False), ("free_run", True)):
-        for i, run in enumerate(shown.traces(comparison, free=free), start=1):
+        for i, run in enumerate(tables.traces(comparison, free=free), start=1):
             yield f"{kind}_{i}_{_safe(run.run)}", pictures.measured_vs_simulated(run, names)
 
 

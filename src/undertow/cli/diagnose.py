@@ -18,10 +18,14 @@ one.
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from undertow.cli._vehicle_and_logs import (
     EffectsOption,
@@ -34,6 +38,13 @@ from undertow.cli._vehicle_and_logs import (
     TrustOption,
     VehicleArgument,
 )
+
+from .doctor import show_finding
+
+if TYPE_CHECKING:
+    from undertow.identification.api import Diagnosed
+    from undertow.identification.diagnose import Outcome
+    from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
 
 def diagnose(
@@ -65,13 +76,13 @@ def diagnose(
         ),
     ] = None,
 ) -> None:
-    from undertow.cli._outcome import show, write_outcome
-    from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
-    from undertow.identification.diagnosis.diagnose import check_false_alarms
-    from undertow.identification.public import diagnose as run
+    from undertow.identification.api import diagnose as run
+    from undertow.identification.diagnose import check_false_alarms
     from undertow.model.catalogue import catalogue, load_effects, merge
+
+    from ._terminal import progress
 
     read: list[str | Path] = [vehicle, *logs, *(holdout or []), *(effects or []), *([map] if map else [])]
     check_false_alarms(false_alarms)
@@ -92,3 +103,138 @@ def diagnose(
         )
     show(outcome)
     write_outcome(outcome, loaded.path, json=json, report=report, apply=apply)
+
+
+_SHOWN = 6
+
+
+def show(outcome: Outcome, console: Console | None = None) -> None:
+    """Print verdict, ranking, the falling error and warnings."""
+    console = console or Console()
+    diagnosis = outcome.diagnosis
+    for finding in diagnosis.doctor:
+        if finding.severity == "mistake":
+            show_finding(finding, None, console)
+    console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
+    console.print(_ranking(diagnosis))
+    console.print(_steps(diagnosis))
+    for equals in diagnosis.indistinguishable:
+        if equals.separated_by:
+            console.print(f"to tell {' and '.join(equals.effects)} apart: {escape(equals.separated_by)}")
+    for left in diagnosis.remaining:
+        console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
+    if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
+        console.print("[dim]an effect made of it: undertow effects new ID --from (the file of --json)[/dim]")
+    shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
+    for warning in (w for w in diagnosis.warnings if w not in shown):
+        console.print(f"[yellow]warning[/yellow]: {escape(warning)}")
+    console.print(
+        f"[dim]{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms[/dim]"
+    )
+
+
+def _ranking(diagnosis: Diagnosis) -> Table:
+    from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
+
+    before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
+    model = "model with other values" if diagnosis.freed else "model as it is"
+    table = Table(
+        title=f"Candidates on kept-aside data (error of the {model} {before:.3g}, noise 1)",
+        title_justify="left",
+        caption_justify="left",
+    )
+    table.add_column("effect", no_wrap=True)
+    for name in ("error", "explains", "chance"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("sure", no_wrap=True)
+    table.add_column("parameters")
+    helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
+    for i, r in enumerate(helping):
+        most = 4 if i == 0 else 1
+        more = " ..." if len(r.parameters) > most else ""
+        text = ", ".join(_value(p) for p in r.parameters[:most]) + more
+        table.add_row(
+            r.effect, f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), r.sure, escape(text)
+        )
+    rest = len(diagnosis.ranking) - len(helping)
+    more = f"{rest} more effects were tried and do not help. " if rest else ""
+    partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
+    table.caption = f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}"
+    return table
+
+
+def _chance(p: float | None) -> str:
+    if p is None:
+        return ""
+    return "< 0.2%" if p < 0.002 else f"{p:.1%}"
+
+
+def _value(p: Estimate) -> str:
+    error = "" if p.standard_error is None else f" ± {p.standard_error:.1g}"
+    return f"{p.name} = {p.value:.4g}{error} {p.unit}".rstrip()
+
+
+def _steps(diagnosis: Diagnosis) -> Table:
+    horizons = list(dict.fromkeys(h for step in diagnosis.steps for h in step.ahead))
+    table = Table(
+        title="Error on kept-aside data against effects added (noise floor 1); error of predicted velocities",
+        title_justify="left",
+    )
+    table.add_column("model")
+    for name in ("error", "simulated", *horizons):
+        table.add_column(name, justify="right", no_wrap=True)
+    for step in diagnosis.steps:
+        simulated = "diverges" if step.simulation is None else f"{step.simulation:.3g}"
+        ahead = [f"{step.ahead[h]:.1%}" if h in step.ahead else "diverges" for h in horizons]
+        table.add_row(" + ".join(["model", *step.changes]), f"{step.error:.3g}", simulated, *ahead)
+    return table
+
+
+def write_outcome(
+    outcome: Diagnosed, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
+) -> None:
+    """Write what was asked for, each file whole, and say where it is."""
+    from undertow.files import together, write_whole
+
+    with together():
+        if json is not None:
+            write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
+        if report is not None:
+            outcome.report(report)
+        if apply is not None:
+            write_vehicle(outcome, template, apply, "undertow diagnose")
+    for written in filter(None, (json, report, apply)):
+        about = f": {_content(outcome.diagnosis)}" if written == apply else ""
+        Console().print(f"wrote {escape(str(written))}{about}", highlight=False)
+
+
+def _content(diagnosis: Diagnosis) -> str:
+    """What a vehicle file with the outcome of a diagnosis has that the given one had not."""
+    freed = f", {', '.join(diagnosis.freed)} among them, held fixed before" if diagnosis.freed else ""
+    if not diagnosis.effects:
+        return f"the same effects with refitted values{freed}; none was added, for none is named"
+    said = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
+    for equals in diagnosis.indistinguishable:
+        chosen = next((e for e in equals.effects if e in diagnosis.effects), None)
+        others = [e for e in equals.effects if e != chosen]
+        if chosen and others:
+            said += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
+    return said
+
+
+def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> None:
+    """Write the vehicle file with what was found, and how it came about."""
+    from undertow.model.saving import save_vehicle
+
+    d = outcome.diagnosis
+    free = outcome.fit.model.free
+    history = {
+        "command": command,
+        "date": date.today().isoformat(),
+        "added": d.effects,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": r.role} for r in d.runs],
+        "error_before": d.steps[0].error,
+        "error_after": d.last_step.error,
+        "covariance": {"parameters": list(free), "matrix": outcome.fit.covariance.tolist()},
+    }
+    save_vehicle(outcome.after, template, out, history=history)

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._show import console, print_json, section, table, text
 from undertow.cli._vehicle_and_logs import EffectsOption
+
+from ._terminal import console, print_json, section, table, text
 
 if TYPE_CHECKING:
     from undertow.model.contract import ContractCheck
@@ -102,7 +103,13 @@ def new(
     """
     from undertow.errors import UndertowError
     from undertow.files import check_writable, write_whole
-    from undertow.identification.scaffold import check_id, effect_file, example, read_diagnosis, suggested
+    from undertow.identification.report.scaffold import (
+        check_id,
+        effect_file,
+        example,
+        read_diagnosis,
+        suggested,
+    )
 
     check_id(id)
     target = out or Path(f"{id}.py")

@@ -24,11 +24,25 @@ the input.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
+from undertow.errors import UndertowError
+
+from ._terminal import Report as Tell
+from ._terminal import console, print_json, section, table, text
+
+if TYPE_CHECKING:
+    from undertow.control.conditions.repair import Repair, Single
+    from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
+
 
 _GAINS = typer.Argument(
     metavar="GAINS", help="Gain file (TOML), or a bundled set: paper-pd, paper-pid, paper-smc."
@@ -58,8 +72,7 @@ def gains(
     json: Annotated[bool, _JSON] = False,
     effects: EffectsOption = None,
 ) -> int:
-    from undertow.cli._gains import judge, show, show_json
-    from undertow.cli._progress import progress
+    from ._terminal import progress
 
     with progress("checking the gains") as tell:
         judged = judge(
@@ -67,3 +80,375 @@ def gains(
         )
     (show_json if json else show)(judged)
     return 0 if judged.report.ok else 1
+
+
+SCHEMA = "undertow/gain-report/1"
+"""Of what --json prints; docs/gains.md documents it."""
+_GREEN, _RED = "green", "red"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A report with the repairs that were asked for."""
+
+    report: Report
+    singles: list[Single]
+    repair: Repair | None
+
+
+def judge(
+    vehicle: str,
+    gains: str,
+    forms: Sequence[str],
+    iota: float | None,
+    confidence: float,
+    tilt: float,
+    kind: str | None,
+    effects: Sequence[Path],
+    tell: Tell,
+) -> Judged:
+    """Read both files and check them."""
+    from undertow.control.conditions.check import check
+    from undertow.control.conditions.problem import Problem, Uncertainty
+    from undertow.control.conditions.repair import repair, singles
+    from undertow.control.gains import load_gains
+    from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
+    from undertow.model.saving import last_covariance
+
+    if iota is not None and not 0 < iota < math.inf:
+        raise UndertowError(
+            f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
+        )
+    loaded = load_vehicle(vehicle, effect_files=effects)
+    history = read_vehicle_table(resolve_vehicle(vehicle)).history
+    chosen = load_gains(gains, loaded)
+    uncertainty = Uncertainty(loaded, confidence, last_covariance(history, loaded))
+    found = check(chosen, uncertainty, forms=forms, iota=iota, tilt=math.radians(tilt), tell=tell)
+    problem = Problem(chosen, math.radians(tilt))
+    return Judged(found, singles(problem), repair(problem, kind) if kind else None)
+
+
+# --- JSON -----------------------------------------------------------------------------------------
+def show_json(judged: Judged) -> None:
+    """Everything as JSON; roots as [real, imaginary], what has no end as null."""
+    content = {
+        "schema": SCHEMA,
+        "ok": judged.report.ok,
+        **asdict(judged.report),
+        "single_repairs": [asdict(s) for s in judged.singles],
+        "repair": asdict(judged.repair) if judged.repair else None,
+    }
+    print_json(_plain(content))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# --- text -----------------------------------------------------------------------------------------
+def show(judged: Judged) -> None:
+    """Print the report."""
+    from undertow.control.conditions.by_law import FORMS
+
+    report = judged.report
+    say(f"{report.gains} ({report.law}) on {report.vehicle}: {_headline(report)}")
+    for form in dict.fromkeys(r.form for r in report.rows):
+        own = [r for r in report.rows if r.form == form]
+        section(f"Conditions {FORMS[form]}")
+        _show_matrices([r for r in own if r.scope == "matrices"])
+        _show_channels([r for r in own if r.scope != "matrices"])
+        for agreement in (a for a in report.agreements if a.form == form):
+            told = f"{_bounds(agreement.iota)} 1/s" if agreement.iota else "there is none"
+            say(f"  one ι for all of them, in every set of parameters: {told}")
+        _explain(own)
+    _show_routh(report)
+    _show_lyapunov(report)
+    _show_region(report)
+    _show_uncertain(report)
+    _show_repairs(judged)
+    _show_rest(report)
+
+
+def _headline(report: Report) -> str:
+    if not report.conditions_hold:
+        unproved = any(r.verdict == "not proved" for r in report.rows)
+        refuted = any(r.verdict in ("fails", "no iota") for r in report.rows) or not unproved
+        return "some conditions fail" if refuted else "some conditions are not proved"
+    but = []
+    if report.left_out:
+        one = len(report.left_out) == 1
+        but.append(f"{', '.join(report.left_out)} {'is' if one else 'are'} not in them")
+    if report.alone:
+        fate = "comes to rest" if report.alone.stable else "does not come to rest"
+        but.append(f"{', '.join(report.alone.axes)} is left alone and {fate}")
+    elif report.region.kind == "none":
+        but.append("no region is certified")
+    if report.whole is not None and not report.whole.stable:
+        but.append(f"the whole loop is {report.whole.verdict}")
+    return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
+
+
+def say(line: str, style: str = "") -> None:
+    """Print a line that the terminal may wrap, and files may not."""
+    console().print(text(line, style), soft_wrap=True)
+
+
+def _show_matrices(rows: list[Row]) -> None:
+    """Each condition with its numbers, `λmin(K_V) > λmax(M_q): 0.005 > 10.088 fails`, and why it is so."""
+    if not rows:
+        return
+    places = list(dict.fromkeys(r.where for r in rows))
+    console().print(text("  as matrices", "dim"))
+    for r in rows:
+        signs = f"{r.signs}; " if r.signs else ""
+        line = f"  {r.statement}: {_with_numbers(r)} ({signs}see {places.index(r.where) + 1})"
+        console().print(text(line, _GREEN if r.verdict == "holds" else _RED))
+    for number, place in enumerate(places, 1):
+        say(f"  {number}: {place}")
+
+
+def _with_numbers(row: Row) -> str:
+    if row.verdict == "no iota":
+        return _verdict(row)
+    at = f" at ι = {row.at_iota:.4g}" if row.at_iota is not None else ""
+    if "λmax" in row.statement:
+        return f"{_apart(row.left, row.right)}{at} {_verdict(row)}"
+    return f"λmin {_number(row.margin)} > 0{at} {_verdict(row)}"
+
+
+def _apart(left: float, right: float) -> str:
+    """Both sides with as many digits as tell them apart, five at least."""
+    digits = next((n for n in range(5, 17) if f"{left:.{n}g}" != f"{right:.{n}g}"), 17)
+    return f"{left:.{digits}g} > {right:.{digits}g}"
+
+
+def _show_channels(rows: list[Row]) -> None:
+    """One line for each condition and set of parameters, one column for each channel."""
+    if not rows:
+        return
+    coordinates = list(dict.fromkeys(r.scope for r in rows))
+    lines = []
+    for condition in dict.fromkeys(r.condition for r in rows):
+        own = {(r.signs, r.scope): r for r in rows if r.condition == condition}
+        signs = [s for s in dict.fromkeys(s for s, _ in own) if s != "both"] or ["both"]
+        for sign in signs:
+            found = [own.get((sign, c)) or own[("both", c)] for c in coordinates]
+            shown = [text(_verdict(r), _GREEN if r.verdict == "holds" else _RED) for r in found]
+            lines.append((found[0].statement, sign, *shown))
+    console().print()
+    console().print(table(("channel by channel", "parameters", *coordinates), lines))
+
+
+def _verdict(row: Row) -> str:
+    if row.uses_iota:
+        return f"{row.verdict}; {_bounds(row.iota)}" if row.iota else "no ι"
+    reached = row.where if row.scope != "matrices" else ""
+    return f"{row.verdict}; {reached}" if reached else row.verdict
+
+
+def _bounds(span: tuple[float, float]) -> str:
+    low, high = span
+    if low == 0.0:
+        return "any ι" if math.isinf(high) else f"ι < {high:.6g}"
+    return f"ι > {low:.6g}" if math.isinf(high) else f"ι {low:.6g} to {high:.6g}"
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}" if abs(value) > 1e-300 else "0"
+
+
+def _explain(rows: list[Row]) -> None:
+    first = {r.condition: r for r in reversed(rows)}
+    for r in reversed(first.values()):
+        say(f"  {r.statement}: {r.about} ({r.source})", "dim")
+
+
+def _show_routh(report: Report) -> None:
+    if not report.channels:
+        return
+    section("Linearised channels at rest (Routh-Hurwitz)")
+    console().print(
+        table(
+            ("channel", "parameters", "first column", "roots, 1/s", ""),
+            (
+                (c.coordinate, c.signs, _listed(c.first_column), _roots(c.roots), _stability(c))
+                for c in report.channels
+            ),
+        )
+    )
+    for name, roots in report.coupled.items():
+        grows = roots[0].real > 1e-6
+        of = f", {name}" if name else ""
+        say(f"  all axes together{of}: {_roots(roots)}{'; UNSTABLE' if grows else ''}", _RED if grows else "")
+    if any(c.coordinate == "x heading east" for c in report.channels):
+        say("  gains of x and y differ: conditions channel by channel are for heading north", "dim")
+    for channel in report.channels:
+        if not channel.stable:
+            of = f" ({channel.signs})" if channel.signs else ""
+            say(f"  the loop in {channel.coordinate}{of} is linearly unstable: {_roots(channel.roots)}", _RED)
+
+
+def _stability(channel: Channel) -> Any:
+    return text("stable", _GREEN) if channel.stable else text("unstable", _RED)
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(_number(v) for v in values)
+
+
+def _roots(roots: Sequence[complex]) -> str:
+    """Complex pairs once, with both signs."""
+    shown = []
+    for root in roots:
+        if abs(root.imag) < 1e-12:
+            shown.append(f"{root.real:+.6f}")
+        elif root.imag > 0:
+            shown.append(f"{root.real:+.6f} +- {root.imag:.6f}i")
+    return ", ".join(shown)
+
+
+def _show_lyapunov(report: Report) -> None:
+    section("Lyapunov function")
+    told = report.lyapunov
+    rows = [
+        ("V", told.V),
+        ("V_dot", told.V_dot),
+        ("in the paper", told.equation),
+        ("checked", told.identity),
+        ("V_dot = 0", told.zero_set),
+        ("largest invariant subset", told.invariant),
+    ]
+    console().print(table(("", ""), rows))
+
+
+def _show_region(report: Report) -> None:
+    found = report.region
+    section("Certified region")
+    say(f"  {found.text}", _RED if found.kind == "none" and not report.alone else "")
+    if found.errors:
+        say(f"  starts at rest: {_with_units(found.starts)}, one error at a time")
+        say(f"  largest errors: {_with_units(found.errors)}")
+        say(f"  largest speeds: {_with_units(found.speeds)}")
+    for c in found.commands:
+        say(f"  {c.name}: {c.steady:.4g} at the set-point, at most {c.largest:.4g} of {c.limit:.4g} in it")
+    if found.commands:
+        say("  within it no command meets its limit, so that anti-windup never acts", "dim")
+    if report.left_out and found.kind != "none":
+        say(
+            f"  that is the loop without {', '.join(report.left_out)}; the one with it is judged below", "dim"
+        )
+
+
+def _with_units(values: Mapping[str, float]) -> str:
+    """Numbers with units; angles in degrees as well."""
+    return ", ".join(f"{name} {_with_unit(name, value)}" for name, value in values.items())
+
+
+def _with_unit(name: str, value: float) -> str:
+    if name in ("phi", "theta", "psi"):
+        return f"{math.degrees(value):.4g} deg" if value < math.pi else "any"
+    return f"{value:.4g} {dict(p='rad/s', q='rad/s', r='rad/s', u='m/s', v='m/s', w='m/s').get(name, 'm')}"
+
+
+def _show_uncertain(report: Report) -> None:
+    section(f"Over the uncertainty of the parameters ({report.uncertainty})")
+    told = list(_uncertain(report.rows))
+    settled = [r for r in report.rows if r.box is not None]
+    if not settled:
+        say("  no condition contains a parameter with a standard deviation")
+        return
+    sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
+    failing = sum(r.verdict == "fails" for r in settled)
+    without = sum(r.verdict == "no iota" for r in settled)
+    say(
+        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
+        f"the values of the file, {without} have no ι there, {len(settled) - sure - failing - without} in "
+        "between:"
+    )
+    if told:
+        console().print(
+            table(("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at"), told)
+        )
+
+
+def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    for row in rows:
+        if row.box is None or row.ellipsoid is None:
+            continue
+        known = row.verdict in ("fails", "no iota")
+        if known or row.box.verdict == row.ellipsoid.verdict == "holds for all":
+            continue
+        example = row.box.counterexample or row.ellipsoid.counterexample
+        shown = ", ".join(f"{n} = {v:.5g}" for n, v in example.items())
+        yield (
+            *(row.statement, row.scope, row.signs, _iota(row, row.box.verdict)),
+            *(row.ellipsoid.verdict, shown),
+        )
+
+
+def _iota(row: Row, verdict: str) -> str:
+    return f"{verdict} at ι = {row.at_iota:.4g}" if row.at_iota is not None else verdict
+
+
+# --- repairs --------------------------------------------------------------------------------------
+def _show_repairs(judged: Judged) -> None:
+    if judged.singles:
+        section("Repairs by one gain alone")
+        rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_wanted(s)}") for s in judged.singles)
+        console().print(table(("to satisfy", "parameters", "one of"), rows))
+    if judged.repair is None:
+        return
+    section(f"Smallest change of all gains together ({judged.repair.kind})")
+    if not judged.repair.found:
+        say("  none was found")
+        return
+    rows_of = [
+        (f"{name}_{c}", f"{value:.6g}", f"{judged.repair.factors[name][c]:.6g}")
+        for name, values in judged.repair.gains.items()
+        for c, value in values.items()
+    ]
+    if rows_of:
+        console().print(table(("gain", "new value", "times the old one"), rows_of))
+    else:
+        say("  nothing has to change for these conditions")
+    if judged.repair.iota is not None:
+        say(f"  with ι = {judged.repair.iota:.6g} 1/s")
+    say(f"  {judged.repair.method}", "dim")
+
+
+def _wanted(single: Single) -> str:
+    """The bound rounded to the side on which the condition holds."""
+    if single.bound is None:
+        return "alone never suffices"
+    way = ROUND_CEILING if single.above else ROUND_FLOOR
+    rounded = Context(prec=6, rounding=way).create_decimal_from_float(single.bound)
+    return f"{'>' if single.above else '<'} {float(rounded):.6g}"
+
+
+def _show_rest(report: Report) -> None:
+    if report.alone:
+        section("Axes that no thruster pushes")
+        say(f"  {report.alone.text}", "" if report.alone.stable else _RED)
+        say(f"  poles of their own motion: {_roots(report.alone.poles)} 1/s")
+    if report.left_out:
+        section("Not in the conditions")
+        console().print(table(("", ""), report.left_out.items()))
+    if report.whole is not None:
+        style = "" if report.whole.stable else _RED
+        say(f"  full loop linearised at rest: {_whole(report.whole)}", style)
+        if report.whole.simulated:
+            say(f"  full loop simulated: {report.whole.simulated}", style)
+
+
+def _whole(whole: WholeLoop) -> str:
+    if whole.pole is None or whole.verdict not in ("stable", "unstable"):
+        return whole.text
+    verdict = "stable" if whole.stable else "UNSTABLE"
+    at = f" ({whole.text})" if whole.text else ""
+    return f"{verdict}, slowest or growing pole {_roots([whole.pole])} 1/s{at}"

@@ -2,17 +2,193 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import pkgutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.machinery import PathFinder
+from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
-from undertow import __version__
-from undertow.cli._lazy import LazyCommand, commands
-from undertow.cli._run import run
+import undertow.cli as package
 from undertow.cli._terminal import keep_warnings_back, open_streams
+from undertow.errors import UndertowError
+from undertow.version import __version__
+
+from ._terminal import insisting
+
+_ENTRY = "main"
+_TAKING_SEVERAL = {"--holdout"}
+
+
+def commands() -> dict[str, str]:
+    """Name and first docstring line of every command, sorted by name (``a_b.py`` is the command ``a-b``)."""
+    names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
+    public = [name for name in names if name[0] != "_" and name != _ENTRY]
+    return {_command(name): _first_line(name) for name in public}
+
+
+def load(name: str) -> Any:
+    """Import the module of a command and build the command from it.
+
+    The module holds a ``typer.Typer`` called ``app`` (a command with sub-commands) or a function called like
+    the module. The module's docstring is the text of ``--help``; indented paragraphs of it keep their lines.
+    """
+    module = import_module(f"{package.__name__}.{_module(name)}")
+    command = _command_of(module, name)
+    command.name = name
+    command.help = _paragraphs(module.__doc__ or "")
+    return command
+
+
+class LazyCommand(TyperCommand):
+    """Stands for a command in the list; the real one takes over when a context is made for it."""
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        assert self.name is not None
+        return load(self.name).make_context(info_name, each_named(args), parent, **extra)
+
+
+def each_named(words: Sequence[str]) -> list[str]:
+    """``--holdout a b`` as ``--holdout a --holdout b``: no log may slip in among those to fit."""
+    result: list[str] = []
+    option = ""
+    for i, word in enumerate(words):
+        if word == "--":
+            return [*result, *words[i:]]
+        if word.startswith("-") and word != "-":
+            option = word if word in _TAKING_SEVERAL else ""
+        elif option and result[-1] != option:
+            result.append(option)
+        result.append(word)
+    return result
+
+
+def _command_of(module: ModuleType, name: str) -> Any:
+    app = getattr(module, "app", None)
+    if app is None:
+        app = typer.Typer(add_completion=False)
+        app.command()(getattr(module, _module(name)))
+    app.rich_markup_mode = None  # plain text everywhere: quick to import, readable in a log
+    return typer.main.get_group(app) if hasattr(module, "app") else typer.main.get_command(app)
+
+
+def _first_line(name: str) -> str:
+    spec = PathFinder.find_spec(f"{package.__name__}.{name}", package.__path__)
+    source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
+    text = ast.get_docstring(ast.parse(source)) or ""
+    return text.partition("\n")[0]
+
+
+def _command(module: str) -> str:
+    return module.replace("_", "-")
+
+
+def _module(command: str) -> str:
+    return command.replace("-", "_")
+
+
+def _paragraphs(text: str) -> str:
+    """Mark the indented paragraphs so that the help keeps their lines (Click's ``\\b``)."""
+    parts = text.strip().split("\n\n")
+    return "\n\n".join(f"\b\n{part}" if part.startswith(" ") else part for part in parts)
+
+
+INPUT_ERROR = 2
+INTERRUPTED = 130
+_BUG = 1
+
+
+def run(action: Callable[[], object]) -> int:
+    """Run a command line and turn what it raises into a message on stderr and an exit code.
+
+    Parameters
+    ----------
+    action
+        Runs the command; an int it returns is the exit code, anything else means 0.
+
+    Returns
+    -------
+    int
+        2 for a foreseeable failure (one line ``error: ...``), 130 for Ctrl-C, 1 for a bug (with traceback).
+    """
+    try:
+        with insisting():
+            answer = action()
+        code = _code(answer)
+        sys.stdout.flush()
+    except BrokenPipeError:  # `undertow effects | head`: the reader has seen enough
+        code = 1
+    except (Exception, KeyboardInterrupt) as failure:
+        code = _tell(failure)
+    _drop_unwritable_output()
+    return code
+
+
+def _code(answer: object) -> int:
+    code = answer if isinstance(answer, int) and not isinstance(answer, bool) else 0
+    if code == INTERRUPTED:  # typer has already turned Ctrl-C into this code
+        _line("interrupted")
+    return code
+
+
+def _tell(failure: BaseException) -> int:
+    if isinstance(failure, KeyboardInterrupt | typer.Abort):
+        return _line("interrupted", INTERRUPTED)
+    if isinstance(failure, UndertowError):
+        return _line(f"error: {_one_line(str(failure))}", INPUT_ERROR)
+    if isinstance(failure, typer.TyperException):
+        return _usage(failure)
+    if isinstance(failure, OSError) and failure.strerror:
+        return _line(_one_line(f"error: {_place(failure)}{failure.strerror.lower()}"), INPUT_ERROR)
+    return _bug(failure)
+
+
+def _usage(failure: typer.TyperException) -> int:
+    message = failure.format_message()
+    if not message.startswith("Usage:"):  # a bare group asks for its help to be shown
+        context = getattr(failure, "ctx", None)
+        path = context.command_path if context else "undertow"
+        message = f"error: {_one_line(message).rstrip('.')}; see {path} --help"
+    return _line(message, INPUT_ERROR)
+
+
+def _place(failure: OSError) -> str:
+    return f"'{failure.filename}': " if failure.filename else ""
+
+
+def _bug(failure: BaseException) -> int:
+    import platform
+    import traceback
+
+    traceback.print_exception(failure)
+    where = f"undertow {__version__}, Python {platform.python_version()}, {platform.system()}"
+    return _line(f"This is a bug in undertow: please report it with the lines above ({where}).", _BUG)
+
+
+def _one_line(text: str) -> str:
+    """Text in one line; control characters, which names in files may hold, do not reach the terminal."""
+    line = " ".join(text.split())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+
+
+def _line(text: str, code: int = 0) -> int:
+    print(text, file=sys.stderr)
+    return code
+
+
+def _drop_unwritable_output() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError:  # Python would flush once more at its end and complain a second time
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
 
 _ABOUT = "Shows where a model of a vehicle in water fails on real logs, names the missing effect and adds it."
 _VERBOSE = ("-v", "--verbose")
@@ -74,7 +250,7 @@ def _options(
     verbose: Annotated[bool, _VERBOSE_OPTION] = False,
     version: Annotated[bool, _VERSION_OPTION] = False,
 ) -> None:
-    from undertow.cli._talk import talk
+    from ._terminal import talk
 
     talk(verbose)
     if context.invoked_subcommand is None:

@@ -25,8 +25,11 @@ open loop from rest; each row is held until the next. The same --seed gives the 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, radians
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -39,6 +42,20 @@ from undertow.cli._vehicle_and_logs import (
     TrustOption,
     VehicleArgument,
 )
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.identification.planning.flight import Request
+from undertow.identification.planning.manoeuvres import MotionLimits
+from undertow.identification.planning.parameters import Planned, plan_parameters
+from undertow.identification.planning.rivals import NONE, RivalSpec
+from undertow.identification.planning.separation import plan_separation
+from undertow.model.vehicle import Vehicle
+
+from ._terminal import Report, console, section, table, text
+
+if TYPE_CHECKING:
+    from undertow.identification.planning.result import Known, Plan
+
 
 _LOGS = typer.Argument(metavar="LOG", help="Logs that exist already: CSV, CSV.gz or Parquet.")
 _GOAL = typer.Option("--goal", help="Determine parameters, or tell models apart.")
@@ -108,10 +125,10 @@ def plan(
     fill: FillOption = None,
     trust_log: TrustOption = False,
 ) -> None:
-    from undertow.cli._planning import Wish, asked_of, planned_for, show, write
-    from undertow.cli._progress import progress
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
+
+    from ._terminal import progress
 
     read: list[str | Path] = [vehicle, *(logs or []), *(effects or []), *filter(None, (map, diagnosis))]
     check_writable(out, picture, json, inputs=read)
@@ -126,3 +143,308 @@ def plan(
         done = planned_for(wish, loaded.vehicle, loaded.train, request, tell, trust_log=trust_log)
     show(done)
     write(done, out=out, picture=picture, json=json)
+
+
+_ANGULAR = ("rate", "tilt")
+_FAMILIES = 2
+_UNITS = {"speed": "m/s", "distance": "m", "rate": "deg/s", "tilt": "deg", "depth": "m"}
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a plan is for.
+
+    Attributes
+    ----------
+    goal : str, optional
+        "parameters" or "separate"; by default what the other fields say.
+    between, only : sequence of str
+        Words of the options of these names.
+    diagnosis : Path, optional
+        A diagnosis with rivals.
+    effects : sequence of Path
+        Files with effects of the user.
+    """
+
+    goal: str | None
+    between: Sequence[str]
+    diagnosis: Path | None
+    only: Sequence[str]
+    effects: Sequence[Path]
+
+    @property
+    def separates(self) -> bool:
+        """Whether models are to be told apart.
+
+        Raises
+        ------
+        UndertowError
+            If options contradict each other, or nothing says which models.
+        """
+        given = [n for n, v in (("--between", self.between), ("--diagnosis", self.diagnosis)) if v]
+        if len(given) == 2:
+            raise UndertowError(
+                "both --between and --diagnosis name the effects to tell apart: give one of them"
+            )
+        if self.goal == "parameters" and given:
+            raise UndertowError(f"{given[0]} goes with --goal separate: leave one of the two out")
+        if self.goal == "separate" and not given:
+            raise UndertowError(
+                "--goal separate needs to know the effects: give --between ID,ID or --diagnosis FILE"
+            )
+        if given and self.only:
+            raise UndertowError(f"--only goes with --goal parameters: leave it or {given[0]} out")
+        return bool(given)
+
+
+def asked_of(
+    largest: Mapping[str, float | None],
+    limit: Sequence[str],
+    noise: Sequence[str],
+    time: tuple[float, float],
+    rest: tuple[float | None, int, int | None],
+) -> Request:
+    """The request that options make; angles come in degrees.
+
+    Raises
+    ------
+    UndertowError
+        If a word is no number, or a limit is not positive.
+    """
+    for name, value in largest.items():
+        if value is not None and not value > 0:
+            option = "--max-depth-change" if name == "depth" else f"--max-{name}"
+            raise UndertowError(f"{option} {value:g} leaves no motion: give a positive value")
+    bounds = {n: radians(v) if n in _ANGULAR else v for n, v in largest.items() if v is not None}
+    depth, seed, tries = rest
+    return Request(
+        duration=time[0],
+        rate=time[1],
+        limits=_named("--limit", limit, whole=True),
+        noise=_named("--noise", noise, whole=False),
+        motion=MotionLimits(**bounds),
+        depth=depth,
+        seed=seed,
+        tries=tries,
+    )
+
+
+def _words(texts: Iterable[str]) -> list[str]:
+    return [word.strip() for one in texts for word in one.split(",") if word.strip()]
+
+
+def _named(option: str, texts: Sequence[str], *, whole: bool) -> dict[str, float]:
+    """``NAME=VALUE``, or ``VALUE`` alone (named "") where `whole` allows it."""
+    found: dict[str, float] = {}
+    for word in _words(texts):
+        name, mark, number = word.partition("=")
+        if not mark and not whole:
+            raise UndertowError(f"{option} {word}: write NAME=VALUE, for instance u=0.01")
+        found[name.strip() if mark else ""] = _number(option, number if mark else word)
+    return found
+
+
+def _number(option: str, word: str) -> float:
+    if option == "--noise" and word.strip().lower() == "none":
+        return inf
+    try:
+        value = float(word)
+    except ValueError:
+        raise UndertowError(f"{option}: '{word}' is no number") from None
+    if value != value:
+        raise UndertowError(f"{option}: '{word}' is no number")
+    return value
+
+
+def planned_for(
+    wish: Wish,
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    request: Request,
+    tell: Report,
+    *,
+    trust_log: bool = False,
+) -> Planned:
+    """Make the plan."""
+    from undertow.identification.planning.rivals import read_diagnosis, specs_of
+    from undertow.model.catalogue import catalogue, load_effects, merge
+
+    request = replace(request, report=tell)
+    if not wish.separates:
+        return plan_parameters(vehicle, runs, request, _words(wish.only), trust_log=trust_log)
+    known = merge(catalogue(), [cls for file in wish.effects for cls in load_effects(file)])
+    if wish.diagnosis is not None:
+        specs = specs_of(read_diagnosis(wish.diagnosis), vehicle, known)
+    else:
+        named = _words(wish.between)
+        specs = [RivalSpec(n, {}) for n in (named if len(named) > 1 else [*named, NONE])]
+    return plan_separation(vehicle, specs, runs, request, known=known, trust_log=trust_log)
+
+
+# --- what is printed --------------------------------------------------------------------------------------
+
+
+def show(done: Planned) -> None:
+    """Print the manoeuvre, what it would bring, and what to mind."""
+    plan, out = done.plan, console()
+    out.print(text(f"{plan.vehicle}: {plan.manoeuvre}, {plan.duration:g} s at {plan.rate:g} Hz", "bold"))
+    out.print(text(f"  best of {plan.tries} manoeuvres (seed {plan.seed}); {_best(plan)}"), soft_wrap=True)
+    out.print(text(f"  predicted: {_extremes(plan)}"), soft_wrap=True)
+    out.print(text(f"  noise: {_noise(plan)}"), soft_wrap=True)
+    section("Commands", _commands(plan))
+    if plan.parameters:
+        section("Standard errors, expected if the model is right", _errors(plan))
+    else:
+        section("Models and their values", _rivals(plan))
+        section("Distance of their predictions after refitting, standard deviations", _distances(plan))
+    for line in [*_undetermined(plan), *plan.remarks]:
+        out.print(text(f"  {line}", "yellow"), soft_wrap=True)
+
+
+def _best(plan: Plan) -> str:
+    """What the manoeuvre brings on average, and how far behind other kinds are."""
+    value = plan.families[plan.manoeuvre] or plan.criterion
+    behind = sorted((value / v, n) for n, v in plan.families.items() if v and n != plan.manoeuvre)
+    ratio = "errors {:.2g} times as large" if plan.goal == "parameters" else "{:.2g} times less"
+    others = "; ".join(f"{n} {ratio.format(r)}" for r, n in behind[:_FAMILIES])
+    return _gain(plan, value) + (f" (next: {others})" if others else "")
+
+
+def _gain(plan: Plan, value: float) -> str:
+    from math import exp, log
+
+    if plan.goal == "separate":
+        return f"{value:.3g} standard deviations between the models on average"
+    shares = [p.error_after / abs(p.value) for p in plan.parameters if p.error_after and p.value]
+    if not shares:
+        return f"standard errors fall by a factor of {value:.3g}"
+    mean = f"standard errors {100 * exp(sum(map(log, shares)) / len(shares)):.2g} % of the values on average"
+    known = all(p.error_now is not None for p in plan.parameters)
+    return f"{mean}, {value:.3g} times smaller than now" if known else mean
+
+
+def _extremes(plan: Plan) -> str:
+    return ", ".join(_extreme(plan, what, value) for what, value in plan.extremes.items())
+
+
+def _extreme(plan: Plan, what: str, value: float) -> str:
+    from math import degrees
+
+    name = {"depth": "change of depth", "distance": "distance", "rate": "angular rate"}.get(what, what)
+    factor = degrees(1.0) if what in _ANGULAR else 1.0
+    bound = plan.limits[what]
+    limit = "" if bound is None else f" of {factor * bound:.3g}"
+    return f"{name} {factor * value:.3g}{limit} {_UNITS[what]}"
+
+
+def _noise(plan: Plan) -> str:
+    from undertow.identification.logs.run import UNITS
+
+    measured = [c for c in plan.noise if c.sigma is not None]
+    sources = list(dict.fromkeys(c.source for c in measured))
+    parts = [
+        ", ".join(f"{c.name} {c.sigma:.2g} {UNITS[c.name]}" for c in measured if c.source == source)
+        + f" ({source})"
+        for source in sources
+    ]
+    missing = [c.name for c in plan.noise if c.sigma is None]
+    return "; ".join([*parts, *([f"not measured: {', '.join(missing)}"] if missing else [])])
+
+
+def _commands(plan: Plan) -> object:
+    rows = [
+        (
+            c.name,
+            f"{c.trim:.3g}",
+            f"{c.lowest:.3g}",
+            f"{c.highest:.3g}",
+            f"{c.limit:.3g}",
+            c.unit,
+            c.limit_from,
+        )
+        for c in plan.commands
+    ]
+    return table(("command", "at rest", "lowest", "highest", "limit", "", ""), rows)
+
+
+def _errors(plan: Plan) -> object:
+    from undertow.identification.figures import unit_text
+
+    rows = [
+        (
+            p.name,
+            f"{p.value:.4g}",
+            _error(p.error_now),
+            _error(p.error_after),
+            _share(p),
+            unit_text(p.unit),
+            p.verdict,
+        )
+        for p in plan.parameters
+    ]
+    return table(("parameter", "value", "now", "after", "", "", ""), rows)
+
+
+def _error(error: float | None) -> str:
+    return "not known" if error is None else f"± {error:.2g}"
+
+
+def _share(known: Known) -> str:
+    """Expected error as a share of the value."""
+    if known.error_after is None or not known.value:
+        return ""
+    share = 100 * known.error_after / abs(known.value)
+    return f"{share:.2g} %" if share < 99 else f"{share:.0f} %"
+
+
+def _rivals(plan: Plan) -> object:
+    rows = [
+        (r.name, ", ".join(f"{n} = {v:.3g} {r.units[n]}".rstrip() for n, v in r.values.items()), r.source)
+        for r in plan.rivals
+    ]
+    return table(("model", "values", ""), rows)
+
+
+def _distances(plan: Plan) -> object:
+    rows = [
+        (
+            " / ".join(p.pair),
+            "no logs" if p.deviations_now is None else f"{p.deviations_now:.3g}",
+            f"{p.deviations:.3g}",
+        )
+        for p in plan.separations
+    ]
+    return table(("models", "now", "after"), rows)
+
+
+def _undetermined(plan: Plan) -> list[str]:
+    return [
+        f"{group[0]}: no manoeuvre of these actuators determines it, nothing measured depends on it"
+        if len(group) == 1
+        else f"only a combination of {', '.join(group)} is determined, whatever the manoeuvre"
+        for group in plan.undetermined
+    ]
+
+
+# --- what is written --------------------------------------------------------------------------------------
+
+
+def write(done: Planned, *, out: Path | None, picture: Path | None, json: Path | None) -> None:
+    """Write what was asked for, each file whole, and say where it is."""
+    from undertow.files import together, write_whole
+    from undertow.identification.planning.picture import command_csv
+
+    with together():
+        if picture is not None:
+            from undertow.identification.figures import save_png
+            from undertow.identification.planning.picture import plan_picture
+
+            save_png(plan_picture(done), picture)
+        if out is not None:
+            write_whole(out, command_csv(done))
+        if json is not None:
+            write_whole(json, done.plan.model_dump_json(indent=1) + "\n")
+    for path in filter(None, (out, picture, json)):
+        console().print(text(f"wrote {path}"))
+    if out is None:
+        console().print(text("the commands were not written: --out OUT.csv does it"))

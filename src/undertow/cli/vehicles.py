@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._show import console, print_json, section, table, text
 from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
+
+from ._terminal import console, print_json, section, table, text
 
 if TYPE_CHECKING:
     from undertow.model.vehicle import Vehicle
@@ -42,8 +43,8 @@ def show(
     vehicle: VehicleArgument, json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
 ) -> None:
     """Show effects and parameters of a vehicle, where the numbers come from, and what is left open."""
-    from undertow.model.hints import hints
     from undertow.model.loading import load_vehicle, resolve_vehicle
+    from undertow.model.plausibility import hints
 
     loaded = load_vehicle(vehicle, effect_files=effects or [])
     content = _summary(resolve_vehicle(vehicle)) | _content(loaded) | {"hints": hints(loaded)}
@@ -54,7 +55,7 @@ def show(
 
 
 def _summary(path: Path) -> dict[str, Any]:
-    from undertow.model.vehicle_toml import read_vehicle_table
+    from undertow.model.loading import read_vehicle_table
 
     read = read_vehicle_table(path)
     keys = ("name", "description", "source", "degrees_of_freedom", "signs")
@@ -80,8 +81,8 @@ def _content(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _parameters(vehicle: Vehicle, effect: Any) -> Iterator[dict[str, Any]]:
-    from undertow.model.dimensions import short_unit
     from undertow.model.parameter import printed
+    from undertow.model.units import short_unit
 
     for p in effect.parameters:
         for way, value in vehicle.values_of(p).items():

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import casadi as ca
 
-import undertow
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, together, write_whole
 from undertow.model.vehicle import Vehicle
+from undertow.version import __version__
 
 from .compiler import find_compiler
 from .functions import Functions
@@ -156,7 +156,7 @@ class Export:
         manifest = self.manifest
         fields = {
             "TITLE": comment(manifest.vehicle),
-            "VERSION": undertow.__version__,
+            "VERSION": __version__,
             "LOWER": self._name,
             "UPPER": self._name.upper(),
             "NX": len(manifest.states),

@@ -13,10 +13,10 @@ from typing import Any
 import casadi as ca
 from pydantic import TypeAdapter
 
-import undertow
 from undertow.errors import UndertowError
+from undertow.model.loading import Printable
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
-from undertow.model.vehicle_schema import Printable
+from undertow.version import __version__
 
 from .functions import Functions
 
@@ -90,7 +90,7 @@ class Manifest:
             Compiler of this machine, for the record.
         """
         hashes = {name: sha256(text) for name, text in files.items()}
-        versions = {"undertow": undertow.__version__, "casadi": ca.__version__, "compiler": compiler}
+        versions = {"undertow": __version__, "casadi": ca.__version__, "compiler": compiler}
         content = {"schema": SCHEMA, **versions, "model": hashes["model.c"], **asdict(self), "files": hashes}
         return json.dumps(_in_json(content), indent=1, allow_nan=False) + "\n"
 

@@ -12,20 +12,20 @@ if TYPE_CHECKING:
     from .linear.design import lqg as lqg
     from .linear.design import lqr as lqr
     from .linear.family import family as family
-    from .linear.law_system import as_controller as as_controller
-    from .linear.loop import close_loop as close_loop
     from .linear.numeric import in_current as in_current
     from .linear.numeric import in_direction as in_direction
+    from .linear.systems import as_controller as as_controller
     from .linear.systems import as_nlsys as as_nlsys
+    from .linear.systems import close_loop as close_loop
     from .linear.systems import linearize as linearize
     from .linear.trim import Trim as Trim
     from .linear.trim import find_trim as find_trim
 
 _HOME_OF = {
     "Trim": "linear.trim",
-    "as_controller": "linear.law_system",
+    "as_controller": "linear.systems",
     "as_nlsys": "linear.systems",
-    "close_loop": "linear.loop",
+    "close_loop": "linear.systems",
     "family": "linear.family",
     "find_trim": "linear.trim",
     "in_current": "linear.numeric",

@@ -1,7 +1,9 @@
-"""Which files there are, and whose and which day's log each is."""
+"""Which files there are, whose and which day's log each is, and their fingerprints."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -13,11 +15,18 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from undertow.errors import UndertowError
+from undertow.files import sha256_of
+from undertow.identification.estimation.residual import WeakModel
+from undertow.identification.estimation.step import bounds_of, prior_of, reach_of
+from undertow.model.composition import Composition
+from undertow.model.loading import resolve_vehicle
+from undertow.version import __version__
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from undertow.identification.logs import Mapping
+    from undertow.identification.logs.mapping import LogMapping
+
 
 _KEY = re.compile(r"(vehicle|day)=(.*)")
 _DATE = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
@@ -77,7 +86,7 @@ def _pattern(said: str) -> str:
     return escape(said) if path.is_file() else said
 
 
-def partition_of(path: Path, mapping: Mapping) -> Partition:
+def partition_of(path: Path, mapping: LogMapping) -> Partition:
     """Whose and which day's log a file is.
 
     The path says so (`vehicle=V/day=D/part.parquet`), or columns `vehicle` and `day` do, or the folder (the
@@ -101,7 +110,7 @@ def partition_of(path: Path, mapping: Mapping) -> Partition:
     return Partition(str(vehicle), _day(path, keys.get("day"), head), path)
 
 
-def _clock(time: Any, mapping: Mapping) -> Any:
+def _clock(time: Any, mapping: LogMapping) -> Any:
     """A number of a clock in seconds; anything else as it is."""
     from undertow.model.units import scale_offset
 
@@ -110,10 +119,10 @@ def _clock(time: Any, mapping: Mapping) -> Any:
     return scale_offset(mapping.time.unit, "s", of=f"time unit {mapping.time.unit!r}")[0] * time
 
 
-def _said_inside(path: Path, mapping: Mapping) -> dict[str, Any]:
+def _said_inside(path: Path, mapping: LogMapping) -> dict[str, Any]:
     import polars as pl
 
-    from undertow.identification.logs.parquet import flat_table
+    from undertow.identification.logs.table import flat_table
 
     table = flat_table(path, str(path))
     try:
@@ -179,3 +188,42 @@ def twins(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]
         first.setdefault(sha256, partition)
     count = Counter(sha256 for _, sha256 in pairs)
     return {p: first[h] for p, h in pairs if count[h] > 1 and first[h] != p}
+
+
+def digest(content: Any) -> str:
+    """SHA-256 of plain data, and of the version of undertow."""
+    return hashlib.sha256(json.dumps([__version__, content], sort_keys=True).encode()).hexdigest()
+
+
+def files_digest(vehicle: str, effects: Sequence[str]) -> str:
+    """Hash of the bytes of a vehicle file and of files with effects.
+
+    Raises
+    ------
+    UndertowError
+        If one of them is not there.
+    """
+    return digest([sha256_of(resolve_vehicle(vehicle)), *map(sha256_of, effects)])
+
+
+def content_of(model: WeakModel) -> list[Any]:
+    """All of a model that its residual, and a step from where it is, follow from; plain data."""
+    functions = model.functions
+    names = functions.parameter_names
+    limits = (*bounds_of(model), *prior_of(model), reach_of(model))
+    return [
+        _equations(functions.vehicle.composition),
+        [[n, *_exact([v])] for n, v in zip(names, functions.values(), strict=True)],
+        [*model.free],
+        [_exact(values) for values in limits],
+    ]
+
+
+def _equations(of: Composition) -> list[str]:
+    """Everything that parameters may occur in: wrenches, the chain from commands to thrust, and sensors."""
+    motion = (of.residual, of.wrench_states, of.pose_rate)
+    return [str(part) for part in (*motion, *of.chain, of.dead_time, *of.reported, of.report_age)]
+
+
+def _exact(values: Iterable[float]) -> list[str]:
+    return [float(v).hex() for v in values]

@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
-from undertow.identification.compare.cutting import Windows, cut
-from undertow.identification.compare.predictor import Predictor
-from undertow.identification.doctor import refuse_impossible
-from undertow.identification.logs import Mapping, read_log, velocities_from_pose
-from undertow.identification.logs.mapping import CommandPolicy
-from undertow.identification.weak.residual import WeakModel
+from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.predictor import Predictor
+from undertow.identification.estimation.residual import WeakModel
+from undertow.identification.estimation.windows import Windows, cut
+from undertow.identification.logs.mapping import CommandPolicy, LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .engine import Engine, Failure
-from .fingerprint import files_digest
+from .partitions import files_digest
 
 # Standard deviation of a start, in that of the sensors: a parabola through five samples has 0.70.
 _START = 0.7
@@ -238,7 +239,7 @@ def _predictor(vehicle: str, effects: tuple[str, ...], files: str) -> Predictor:
 @lru_cache(maxsize=4)
 def _cut(flights: Flights, source: Source) -> Windows:
     vehicle = _predictor(flights.vehicle, flights.effects, flights.files).functions.vehicle
-    mapping = Mapping.model_validate_json(flights.mapping)
+    mapping = LogMapping.model_validate_json(flights.mapping)
     run = read_log(source.log, mapping, vehicle.command_names, missing_commands=flights.fill)
     if run.sha256 != source.sha256:
         raise UndertowError(

@@ -8,14 +8,13 @@ import inspect
 import pkgutil
 import sys
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from zlib import crc32
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 
 from . import effects
 from .effect import Effect
@@ -123,9 +122,3 @@ def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
             f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"
         )
     return known[effect_id]
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Text ' (did you mean ...?)' for a mistyped word, or nothing."""
-    close = get_close_matches(word, list(known), n=1, cutoff=0.5)
-    return f" (did you mean '{close[0]}'?)" if close else ""

@@ -1,21 +1,409 @@
-"""The contract of effects: everything that must be true of one before a model is built from it."""
+"""Everything that must be true of an effect before a model is built from it, tried at random points."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from random import Random
+
+import sympy as sm
 
 from undertow.errors import UndertowError
 
-from . import laws
 from .catalogue import Catalogue, catalogue
-from .dimensions import dimension
+from .composition import Statement, function_of, statement_of
 from .effect import KINDS, Effect, Wrench
+from .kinematics import failing_pivot, pose_jacobian
 from .parameter import WAYS, Parameter
-from .statement import Statement, statement_of
-from .symbols import signal_units, signals
+from .symbols import DOFS, POSE, VELOCITY, signal_units, signals, symbol
+from .units import dimension, require_unit
+
+Point = dict[sm.Symbol, float]
+
+_SEED = 20210405
+_TOLERANCE = 1e-9
+# Far apart in size, so that a kink or a saturation is met on both sides.
+_DECADES = (-2.0, 1.0)
+_PARAMETER_DECADES = (-2.0, 2.0)
+
+
+class Probe:
+    """Draws points for the symbols of a statement: signals of every size, parameters within their bounds.
+
+    Parameters
+    ----------
+    statement : Statement
+        Whose symbols to draw.
+    seed : int
+        The same seed draws the same points.
+    """
+
+    def __init__(self, statement: Statement, seed: int = _SEED) -> None:
+        self._random = Random(seed)
+        self._inputs = statement.inputs
+        self._parameters = statement.parameters
+
+    def point(self) -> Point:
+        """A value for every symbol."""
+        return {x: self.draw(x) for x in (*self._inputs, *self._parameters)}
+
+    def moved(self, point: Point, symbols: Iterable[sm.Symbol]) -> Point:
+        """The point with new values for some symbols."""
+        return point | {x: self.draw(x) for x in symbols}
+
+    def draw(self, x: sm.Symbol) -> float:
+        """A value for one symbol."""
+        if x in self._parameters:
+            return self._within(self._parameters[x])
+        unit, name = self._inputs[x], str(x)
+        if name in ("rho", "g"):
+            return 1000.0 if name == "rho" else 9.81
+        if unit == "rad":  # clear of the singularity of the Euler angles
+            return self._random.uniform(-1.4, 1.4)
+        return abs(self._any_size(_DECADES)) if unit == "s" else self._any_size(_DECADES)
+
+    def _any_size(self, decades: tuple[float, float]) -> float:
+        return self._random.choice((-1.0, 1.0)) * 10 ** self._random.uniform(*decades)
+
+    def _within(self, parameter: Parameter) -> float:
+        low, high = parameter.bounds
+        step = self._any_size(_PARAMETER_DECADES)
+        if math.isinf(low) and math.isinf(high):
+            return step
+        if math.isinf(high):
+            return low + abs(step)
+        if math.isinf(low):
+            return high - abs(step)
+        # Bounds may be far wider than any value of interest: half of the draws are of ordinary size.
+        ordinary = self._random.random() < 0.5 and low <= step <= high
+        return step if ordinary else self._random.uniform(low, high)
+
+
+def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, float]], list[float]]:
+    """A function from a point to the values of expressions; NaN where they are not defined."""
+    rows = [sm.sympify(e, strict=True) for e in expressions]
+    names = sorted({x for e in rows for x in e.free_symbols}, key=str)
+    function = function_of(names, rows)
+
+    def values(point: Mapping[sm.Symbol, float]) -> list[float]:
+        try:
+            return [float(v) for v in function(*(point[x] for x in names))]
+        except (ArithmeticError, ValueError):
+            return [math.nan] * len(rows)
+
+    return values
+
+
+def nonzero_row(matrix: sm.Matrix, statement: Statement, trials: int = 12) -> int | None:
+    """Index of the first row that is not identically zero, or None.
+
+    Expansion proves most identities; what it leaves is tried at random points.
+    """
+    for i, row in enumerate(matrix):
+        expanded = sm.expand(row)
+        if expanded != 0 and not _vanishes(expanded, statement, trials):
+            return i
+    return None
+
+
+def _vanishes(expression: sm.Expr, statement: Statement, trials: int) -> bool:
+    values = compiled([expression, *sm.Add.make_args(expression)])
+    probe = Probe(statement)
+    for _ in range(trials):
+        whole, *terms = values(probe.point())
+        if not math.isnan(whole) and abs(whole) > _TOLERANCE * sum(map(abs, terms)):
+            return False
+    return True
+
+
+def bent_row(
+    matrix: sm.Matrix, along: Sequence[sm.Symbol], statement: Statement, trials: int = 40
+) -> int | None:
+    """Index of the first row that is not affine in the symbols `along` taken together, or None.
+
+    Affine means that the value half-way between any two points is the mean of the values there, so
+    that a kink (dead band, dry friction) counts as bent although its second derivative is zero.
+    """
+    values, probe = compiled(list(matrix)), Probe(statement)
+    for _ in range(trials):
+        start = probe.point()
+        end = probe.moved(start, along)
+        middle = start | {x: (start[x] + end[x]) / 2 for x in along}
+        for i, (a, b, half) in enumerate(zip(*map(values, (start, end, middle)), strict=True)):
+            if abs(half - (a + b) / 2) > _TOLERANCE * (abs(a) + abs(b) + abs(half)):
+                return i
+    return None
+
+
+_TRIALS = 200
+_ROUNDING = 1e-9
+
+
+# --- symbols and units ------------------------------------------------------------------------
+def only_known_symbols(s: Statement) -> Iterator[str]:
+    """No symbol but signals that the part may use, parameters, own states and numbers of the hardware."""
+    common = {*s.parameters, *s.effect.state_symbols, *s.effect.constants}
+    for part in s.parts:
+        for x in sorted(part.matrix.free_symbols - common - part.usable, key=str):
+            if x in s.inputs:
+                yield f"{part.name}() uses the signal '{x}', which does not exist at that place of the model"
+            else:
+                yield (
+                    f"{part.name}() uses '{x}', neither a signal nor a parameter: declare it, or name "
+                    f"the effect that has it in requires"
+                )
+
+
+def parameters_used(s: Statement) -> Iterator[str]:
+    """Every declared parameter occurs in the statement."""
+    for p in s.own:
+        if symbol(p.name) not in s.free_symbols:
+            yield f"parameter '{p.name}' does not occur in the physics: use it or remove it"
+
+
+def units_fit(s: Statement) -> Iterator[str]:
+    """Dimensional analysis of every row."""
+    for part in s.parts:
+        for row, expression, unit in zip(part.rows, part.matrix, part.units, strict=True):
+            try:
+                require_unit(expression, unit, s.units)
+            except UndertowError as error:
+                yield f"{row}: {error}"
+
+
+# --- what is left when the parameters say that the effect is absent -----------------------------
+def absent_at_neutral(s: Statement) -> Iterator[str]:
+    """With its parameters at their neutral values the effect changes nothing."""
+    neutral = _neutral_values(s)
+    resting = dict(zip(s.effect.state_symbols, _rest_states(s), strict=True))
+    for part in s.parts:
+        if part.absent is None:
+            continue
+        left = (part.matrix - part.absent).xreplace(resting).subs(neutral)
+        if left.has(sm.nan, sm.zoo, sm.oo):
+            yield (
+                f"{part.name}() is not defined {_settings(neutral)}: declare the neutral value of the "
+                f"parameter in question (neutral=None if it cannot switch the effect off)"
+            )
+            continue
+        row = nonzero_row(left, s)
+        if row is not None:
+            yield f"{part.rows[row]} does not vanish {_settings(neutral)}: {_short(left[row])} is left"
+
+
+def _neutral_values(s: Statement) -> dict[sm.Symbol, sm.Expr]:
+    parameters = s.own or s.shared
+    values = {symbol(p.name): _exact(p.neutral) for p in parameters if p.neutral is not None}
+    if s.effect.built_in:  # hardware hands on what the log holds: nothing in, nothing out
+        values |= dict.fromkeys(s.signals.generalised_force, sm.Integer(0))
+    return values
+
+
+def _exact(number: float) -> sm.Expr:
+    return sm.oo * int(math.copysign(1, number)) if math.isinf(number) else sm.Rational(number)
+
+
+def _settings(values: dict[sm.Symbol, sm.Expr]) -> str:
+    listed = [f"{x} = {v}" for x, v in values.items()]
+    if not listed:
+        return "although no parameter can switch the effect off"
+    more = f" and {len(listed) - 3} more are neutral" if len(listed) > 3 else ""
+    return f"where {', '.join(listed[:3])}{more}"
+
+
+def _rest_states(s: Statement) -> Sequence[sm.Expr]:
+    """A step of the actuation chain may be slow; what counts is what it does to a command that is held."""
+    return s.part("rest_state") if "actuation" in s.kinds else s.effect.state_symbols
+
+
+def rests_at_rest(s: Statement) -> Iterator[str]:
+    """States at their declared rest values do not move."""
+    resting = dict(zip(s.effect.state_symbols, s.part("rest_state"), strict=True))
+    row = nonzero_row(s.part("rates").xreplace(resting), s)
+    if row is not None:
+        yield f"state '{s.effect.states[row]}' still moves at the value that rest_state() gives it"
+
+
+# --- linearity --------------------------------------------------------------------------------
+def linearity_as_declared(s: Statement) -> Iterator[str]:
+    """Parameters declared linear are regressor columns, together; the others are not."""
+    own = [p for p in s.own if symbol(p.name) in s.free_symbols]
+    linear = [p for p in own if p.linear]
+    moved = [kind for kind in s.kinds if kind in ("flow", "measurement")]
+    if moved:
+        for p in linear:
+            yield f"parameter '{p.name}' of a {moved[0]} effect is no regressor column: declare linear=False"
+        return
+    main = s.parts[0].matrix
+    hidden = {x for part in s.parts[1:] for x in part.matrix.free_symbols}
+    found = [complaint for p in linear for complaint in _not_linear(p, main, hidden, s)]
+    yield from found
+    together = [symbol(p.name) for p in linear]
+    if not found and bent_row(main, together, s) is not None:
+        yield f"the linear parameters {_names(linear)} multiply each other: declare all but one linear=False"
+    for p in own:
+        if (
+            not p.linear
+            and symbol(p.name) not in hidden
+            and bent_row(main, [*together, symbol(p.name)], s) is None
+        ):
+            yield f"parameter '{p.name}' enters linearly although declared linear=False: declare linear=True"
+
+
+def _not_linear(p: Parameter, main: sm.Matrix, hidden: set[sm.Symbol], s: Statement) -> Iterator[str]:
+    if symbol(p.name) in hidden:
+        yield f"parameter '{p.name}' acts through a state or a delay, so not linearly: declare linear=False"
+    elif (row := bent_row(main, [symbol(p.name)], s)) is not None:
+        yield f"{s.parts[0].rows[row]} is not linear in '{p.name}', as it is declared: declare linear=False"
+
+
+def _names(parameters: Sequence[Parameter]) -> str:
+    return ", ".join(f"'{p.name}'" for p in parameters)
+
+
+def affine_in_motion(s: Statement) -> Iterator[str]:
+    """Reported attitude is affine in the attitude, all else in position and velocity at a given attitude."""
+    place, attitude = [*s.signals.eta[:3], *s.signals.nu], list(s.signals.eta[3:])
+    pose, velocity = s.part("reported pose"), s.part("reported velocity")
+    turned = pose[3:, :]
+    for matrix, names, along in (
+        (pose[:3, :], POSE[:3], place),
+        (turned, POSE[3:], attitude),
+        (velocity, VELOCITY, place),
+    ):
+        row = bent_row(matrix, along, s)
+        if row is not None:
+            what = "attitude" if along is attitude else "position and velocity"
+            yield f"reported {names[row]} is not affine in {what}: {_short(matrix[row])}"
+    for name, angle in zip(POSE[3:], turned, strict=True):
+        if angle.free_symbols & set(place):
+            yield f"reported {name} depends on more than the attitude: {_short(angle)}"
+
+
+def dead_time_positive(s: Statement) -> Iterator[str]:
+    """Nothing acts or is reported before its time, for parameters within bounds."""
+    parts = [p for p in s.parts if p.name in ("dead_time", "age")]
+    rows = [(name, seconds) for p in parts for name, seconds in zip(p.rows, p.matrix, strict=True)]
+    values, probe = compiled([seconds for _, seconds in rows]), Probe(s)
+    for _ in range(_TRIALS):
+        early = [row for row, seconds in zip(rows, values(probe.point()), strict=True) if seconds < 0]
+        if early:
+            yield f"{early[0][0]} can be negative within the bounds: {_short(early[0][1])}"
+            return
+
+
+# --- inertia ------------------------------------------------------------------------------------
+def inertia_of(s: Statement) -> sm.Matrix:
+    """The effect's own part of the mass matrix, shape (6, 6)."""
+    return -s.in_still_water(s.part("wrench")).jacobian(s.signals.nu_dot)
+
+
+def inertia_symmetric(s: Statement) -> Iterator[str]:
+    """M = M', and the wrench is linear in the acceleration."""
+    inertia = inertia_of(s)
+    if inertia.free_symbols & set(s.signals.nu_dot):
+        yield "the wrench is not linear in the acceleration, so it has no mass matrix"
+        return
+    for i in range(6):
+        for j in range(i):
+            difference = sm.Matrix([inertia[i, j] - inertia[j, i]])
+            if nonzero_row(difference, s) is not None:
+                yield (
+                    f"inertia is not symmetric: M[{DOFS[i]}, {DOFS[j]}] = {_short(inertia[i, j])} but "
+                    f"M[{DOFS[j]}, {DOFS[i]}] = {_short(inertia[j, i])}"
+                )
+
+
+def inertia_positive(s: Statement) -> Iterator[str]:
+    """M is positive semidefinite for parameters within bounds; pure couplings are left at zero.
+
+    Couplings (products of inertia, static moments) have no bounds of their own: how large they may be depends
+    on the diagonal. Loading a vehicle checks the whole matrix at its values.
+    """
+    inertia = inertia_of(s)
+    diagonal = inertia.diagonal().free_symbols
+    couplings = {x: sm.Integer(0) for x in s.parameters if x not in diagonal}
+    entries, probe = compiled(list(inertia.subs(couplings))), Probe(s)
+    for _ in range(_TRIALS):
+        values = entries(probe.point())
+        rows = [values[6 * i : 6 * i + 6] for i in range(6)]
+        for i in range(6):
+            if rows[i][i] < 0:
+                yield f"inertia in {DOFS[i]} can be negative within the bounds: M = {_short(inertia[i, i])}"
+                return
+        if not positive_semidefinite(rows):
+            yield "its mass matrix is not positive semidefinite for all parameters within their bounds"
+            return
+
+
+def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _ROUNDING) -> bool:
+    """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
+    trace = sum(abs(rows[i][i]) for i in range(len(rows)))
+    return failing_pivot(rows, margin * trace or margin) is None
+
+
+# --- energy -------------------------------------------------------------------------------------
+def power_terms(s: Statement) -> list[sm.Expr]:
+    """Power of each row of the wrench in still water, W."""
+    wrench = s.in_still_water(s.part("wrench"))
+    return [v * f for v, f in zip(s.signals.nu, wrench, strict=True)]
+
+
+def no_work(s: Statement) -> Iterator[str]:
+    """nu' tau = 0 identically."""
+    power = sm.Matrix([sum(power_terms(s))])
+    if nonzero_row(power, s) is not None:
+        yield f"declared workless, but its power is {_short(sm.expand(power[0]))}"
+
+
+def never_feeds(s: Statement) -> Iterator[str]:
+    """nu' tau <= 0 at every point tried."""
+    terms, probe = compiled(power_terms(s)), Probe(s)
+    for _ in range(_TRIALS):
+        point = probe.point()
+        powers = terms(point)
+        if sum(powers) > _ROUNDING * sum(map(abs, powers)):
+            speeds = ", ".join(
+                f"{n} = {point[symbol(n)]:.3g}" for n, p in zip(VELOCITY, powers, strict=True) if p > 0
+            )
+            yield f"declared dissipative, but it feeds {sum(powers):.3g} W into the vehicle at {speeds}"
+            return
+
+
+# --- flow -----------------------------------------------------------------------------------------
+def rate_is_derivative(s: Statement) -> Iterator[str]:
+    """acceleration() is the time derivative of velocity() along the vehicle's path."""
+    velocity, eta = s.part("velocity"), s.signals.eta
+    along = velocity.jacobian(eta) * pose_jacobian(eta) * s.signals.nu + velocity.diff(s.signals.t)
+    row = nonzero_row(s.part("acceleration") - along, s)
+    if row is not None:
+        yield f"acceleration() is not the rate of velocity() in row {row + 1}: return {_short(along[row])}"
+
+
+def accelerates(s: Statement) -> bool:
+    """Whether the effect has a part in the mass matrix."""
+    return "wrench" in s.kinds and bool(
+        s.in_still_water(s.part("wrench")).free_symbols & set(s.signals.nu_dot)
+    )
+
+
+def has_own_inertia(s: Statement) -> bool:
+    """Whether the effect has inertia of its own, and not only couplings."""
+    inertia = inertia_of(s) if accelerates(s) else sm.zeros(6)
+    return any(inertia.diagonal()) and not inertia.free_symbols & set(s.signals.nu_dot)
+
+
+def claims(s: Statement, what: str) -> bool:
+    """Whether the effect makes a claim about its power."""
+    return isinstance(s.effect, Wrench) and bool(getattr(s.effect, what))
+
+
+def _short(e: sm.Basic) -> str:
+    text = str(e)
+    return text if len(text) <= 90 else f"{text[:90]}..."
+
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 # Where a vehicle may have been, to see what an effect makes of it; one that only turns has been nowhere.
@@ -57,32 +445,30 @@ _LAWS = (
     _Law(
         "symbols",
         "stated in signals, own and shared parameters, and own states only",
-        laws.only_known_symbols,
+        only_known_symbols,
     ),
-    _Law("parameters", "every parameter occurs in the physics", laws.parameters_used),
-    _Law("units", "every term of every row has the right unit", laws.units_fit),
-    _Law("zero", "changes nothing where its parameters are neutral", laws.absent_at_neutral),
-    _Law("rest", "states are at rest where rest_state() says so", laws.rests_at_rest, _is("actuation")),
-    _Law(
-        "linearity", "linear parameters are linear together, the others are not", laws.linearity_as_declared
-    ),
+    _Law("parameters", "every parameter occurs in the physics", parameters_used),
+    _Law("units", "every term of every row has the right unit", units_fit),
+    _Law("zero", "changes nothing where its parameters are neutral", absent_at_neutral),
+    _Law("rest", "states are at rest where rest_state() says so", rests_at_rest, _is("actuation")),
+    _Law("linearity", "linear parameters are linear together, the others are not", linearity_as_declared),
     _Law(
         "affine",
         "what is reported is affine in the motion at a given attitude",
-        laws.affine_in_motion,
+        affine_in_motion,
         _is("measurement"),
     ),
     _Law(
         "dead_time",
         "no dead time can be negative",
-        laws.dead_time_positive,
+        dead_time_positive,
         _is("actuation", "measurement"),
     ),
-    _Law("rate", "acceleration is the derivative of velocity", laws.rate_is_derivative, _is("flow")),
-    _Law("symmetry", "its part of the mass matrix is symmetric", laws.inertia_symmetric, laws.accelerates),
-    _Law("inertia", "its part of the mass matrix is positive", laws.inertia_positive, laws.has_own_inertia),
-    _Law("workless", "its power is identically zero", laws.no_work, lambda s: laws.claims(s, "workless")),
-    _Law("dissipative", "it never feeds power in", laws.never_feeds, lambda s: laws.claims(s, "dissipative")),
+    _Law("rate", "acceleration is the derivative of velocity", rate_is_derivative, _is("flow")),
+    _Law("symmetry", "its part of the mass matrix is symmetric", inertia_symmetric, accelerates),
+    _Law("inertia", "its part of the mass matrix is positive", inertia_positive, has_own_inertia),
+    _Law("workless", "its power is identically zero", no_work, lambda s: claims(s, "workless")),
+    _Law("dissipative", "it never feeds power in", never_feeds, lambda s: claims(s, "dissipative")),
 )
 
 
@@ -200,7 +586,7 @@ def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     specimen = cls.specimen()
-    names = _names(specimen)
+    names = _contract_names(specimen)
     taken = _taken_names(cls, known)
     for name in names:
         if not _NAME.fullmatch(name):
@@ -215,7 +601,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"
 
 
-def _names(specimen: Effect) -> list[str]:
+def _contract_names(specimen: Effect) -> list[str]:
     """Names of parameters, with both directions of those that may differ, and of states."""
     parameters = specimen.parameters
     sides = (f"{p.name}_{way}" for p in parameters for way in WAYS if p.motion is not None)
@@ -227,7 +613,7 @@ def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
     for other in known.values():
         if other is not cls and other.id != getattr(cls, "id", None):
             specimen = other.specimen()
-            taken |= dict.fromkeys(_names(specimen), f"effect '{other.id}'")
+            taken |= dict.fromkeys(_contract_names(specimen), f"effect '{other.id}'")
     return taken
 
 

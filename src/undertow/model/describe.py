@@ -13,11 +13,11 @@ import sympy as sm
 from sympy.printing.str import StrPrinter
 
 from .catalogue import Catalogue, catalogue
-from .dimensions import short_unit
+from .composition import Part, Statement, statement_of
 from .effect import Effect
 from .parameter import Parameter, PerThruster, declared
-from .statement import Part, Statement, statement_of
 from .symbols import FORCE, VELOCITY
+from .units import short_unit
 
 _GREEK = ("phi", "theta", "psi", "tau", "rho", "eta", "nu")
 

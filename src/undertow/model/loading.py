@@ -1,26 +1,328 @@
-"""From a vehicle file to a vehicle: units, sign convention, physical bounds."""
+"""From a vehicle file to a vehicle: reading, keys and types, units, sign convention, what is stated once."""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
+from math import inf, isclose
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from undertow.errors import UndertowError
+import sympy as sm
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    StrictStr,
+    ValidationError,
+)
 
-from .catalogue import Catalogue, catalogue, load_effects, lookup, merge, nearest
+from undertow.errors import UndertowError, nearest
+from undertow.files import read_toml
+
+from .catalogue import Catalogue, catalogue, load_effects, lookup, merge
 from .effect import Effect
-from .parameter import Parameter, printed
+from .parameter import Parameter, Taken, printed
 from .plausibility import check_vehicle
-from .symbols import DOFS
-from .taken import Statements
+from .symbols import DOFS, symbol
 from .units import si_of
 from .vehicle import Thruster, Value, Vehicle
-from .vehicle_schema import ParameterTable, ThrusterTable, VehicleTable
-from .vehicle_toml import read_vehicle_table
+
+SCHEMA = "undertow/vehicle/1"
+Quantity = StrictFloat | StrictInt | StrictStr
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
+
+
+def _identifier(name: object) -> object:
+    if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name):
+        raise ValueError("a name must be a letter, then up to 39 letters, digits or underscores")
+    return name
+
+
+def _printable(text: object) -> object:
+    if isinstance(text, str) and not text.isprintable():
+        raise ValueError("a name must be printable, without line breaks and control characters")
+    return text
+
+
+Identifier = Annotated[StrictStr, BeforeValidator(_identifier)]
+Printable = Annotated[StrictStr, BeforeValidator(_printable)]
+
+
+class FileTable(BaseModel):
+    """A table of the file; keys that it does not know are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ParameterTable(FileTable):
+    """A parameter with what is known of it."""
+
+    value: Quantity | None = None
+    forward: Quantity | None = None
+    backward: Quantity | None = None
+    estimate: StrictBool = False
+    sigma: Quantity | None = None
+    sigma_forward: Quantity | None = None
+    sigma_backward: Quantity | None = None
+    source: StrictStr = ""
+    assumed: StrictBool = False
+    allow_sign: StrictBool = False
+    override: StrictBool = False
+
+    def one_way(self, way: str) -> ParameterTable:
+        """What the table says about the value `forward` or `backward`; its sigma may be its own."""
+        own = getattr(self, f"sigma_{way}")
+        return self.model_copy(update={"sigma": self.sigma if own is None else own})
+
+
+class ThrusterTable(FileTable):
+    """A thruster: where it is and which way it pushes, or its wrench per newton."""
+
+    name: Identifier
+    position: tuple[Quantity, Quantity, Quantity] | None = None
+    direction: tuple[StrictFloat | StrictInt, StrictFloat | StrictInt, StrictFloat | StrictInt] | None = None
+    wrench: Annotated[list[StrictFloat | StrictInt], Field(min_length=6, max_length=6)] | None = None
+    thrust_per_command: Quantity | ParameterTable = 1.0
+    limit: Quantity | None = None
+    source: StrictStr = ""
+
+
+class VehicleTable(FileTable):
+    """The whole file."""
+
+    schema_: Annotated[Literal["undertow/vehicle/1"], Field(alias="schema")]
+    name: Annotated[Printable, Field(min_length=1, max_length=80)]
+    description: StrictStr = ""
+    source: StrictStr = ""
+    degrees_of_freedom: Annotated[list[Literal[DOFS]], Field(min_length=1)]  # type: ignore[valid-type]
+    signs: Literal["sname", "magnitudes"]
+    water_density: Quantity = 1000.0
+    gravity: Quantity = 9.81
+    effects_from: list[StrictStr] = []
+    generalised_forces: list[Literal["tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N"]] = []
+    effects: dict[str, dict[str, Quantity | ParameterTable]]
+    thrusters: list[ThrusterTable] = []
+    history: list[dict[str, object]] = []
+
+
+Content = TypeVar("Content", bound=BaseModel)
+_UNION_MEMBERS = ("ParameterTable", "float", "int", "str")
+_NO_QUANTITY = ("float_type", "int_type", "string_type", "model_type", "float_parsing", "int_parsing")
+
+
+def read_vehicle_table(path: Path) -> VehicleTable:
+    """Read and validate a vehicle file.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
+    """
+    return read_table(path, VehicleTable, "vehicle file")
+
+
+def read_table(path: Path, model: type[Content], kind: str) -> Content:
+    """Read a TOML file of a given kind and validate it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    model : type of BaseModel
+        What it has to hold.
+    kind : str
+        What it is called in messages, such as "vehicle file".
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
+    """
+    content = read_toml(path, kind)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise UndertowError(f"{path}: {_first_complaint(error, model)}") from error
+
+
+def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
+    """One line for what pydantic found first, with the nearest known key."""
+    # Members of a union complain each for itself; a key that is too much is the more telling complaint.
+    complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    first = complaints[0]
+    place, kind, found = _place(first["loc"]), first["type"], _shown(first["input"])
+    if kind == "extra_forbidden":
+        keys = _keys_at(first["loc"], model)
+        hint = nearest(str(first["loc"][-1]), keys)
+        return f"key '{place}' is not known{hint}; known are {', '.join(keys)}"
+    if kind == "missing":
+        return f"'{place}' is missing: add it"
+    if kind in _NO_QUANTITY and any(str(part) in _UNION_MEMBERS for part in first["loc"]):
+        return f"'{place}' = {found} is no quantity: write a number in SI or a text such as '1.5 kg'"
+    expected = str(first.get("ctx", {}).get("expected", ""))
+    hint = nearest(str(first["input"]), re.findall(r"'([^']*)'", expected))
+    return f"'{place}': {first['msg'].removeprefix('Value error, ')}, found {found}{hint}"
+
+
+def _place(loc: tuple[int | str, ...]) -> str:
+    parts = [f"#{p + 1}" if isinstance(p, int) else p for p in loc if p not in _UNION_MEMBERS]
+    return ".".join(parts).replace("schema_", "schema")
+
+
+def _keys_at(loc: tuple[int | str, ...], table: type[BaseModel]) -> list[str]:
+    """Keys that the table may have in which something is too much."""
+    for part in loc[:-1]:
+        fields = {f.alias or name: f.annotation for name, f in table.model_fields.items()}
+        table = next(_tables_in(fields.get(str(part))), table)
+    return [f.alias or name for name, f in table.model_fields.items()]
+
+
+def _tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Tables that a type is made of, such as the one in a list of tables."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _tables_in(inner)
+
+
+def _shown(value: object) -> str:
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # deeply nested, or an integer of thousands of digits
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+# Below this, m or N, two numbers that should be zero are.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True)
+class Statements:
+    """The numbers that the effect tables of a vehicle file state.
+
+    Attributes
+    ----------
+    effects : sequence of Effect
+        The effects of the file.
+    tables : mapping
+        Their tables by id, as they stand in the file.
+    environment : mapping
+        `rho`, kg/m^3, and `g`, m/s^2.
+    signs : str
+        Convention of the file.
+    """
+
+    effects: Sequence[Effect]
+    tables: Mapping[str, Mapping[str, Any]]
+    environment: Mapping[str, float]
+    signs: str
+
+    @cached_property
+    def _own(self) -> dict[str, dict[str, float]]:
+        """Numbers that hold for the whole vehicle, SI and SNAME signs, by effect and key."""
+        return {e.id: self._numbers(e) for e in self.effects if e.id in self.tables}
+
+    def _numbers(self, effect: Effect) -> dict[str, float]:
+        parameters = {p.name: p for p in effect.parameters}
+        units = {n: p.unit for n, p in parameters.items()} | effect.file_units()
+        found = {}
+        for key, entry in self.tables[effect.id].items():
+            raw = field_of(entry, "value")
+            if key in units and raw is not None and not field_of(entry, "override"):
+                number = si_of(f"[effects.{effect.id}] {key}", raw, units[key])
+                found[key] = printed(parameters[key], number, self.signs) if key in parameters else number
+        return found
+
+    def taken(self, effect: Effect) -> dict[str, float]:
+        """What other tables tell of an effect and its own leaves open, by key, SI."""
+        own = self.tables.get(effect.id, {})
+        told = {t.key: self._told(t) for t in effect.taken if not {t.key, *t.unless} & own.keys()}
+        return {k: v for k, v in told.items() if v is not None}
+
+    def completed(self) -> dict[str, dict[str, Any]]:
+        """The tables with what each takes from others."""
+        return {e.id: {**self.tables[e.id], **self._entries(e)} for e in self.effects}
+
+    def _entries(self, effect: Effect) -> dict[str, ParameterTable]:
+        owners = {t.key: t.owner for t in effect.taken}
+        return {
+            key: ParameterTable(value=value, source=f"taken from [effects.{owners[key]}]")
+            for key, value in self.taken(effect).items()
+        }
+
+    def _told(self, taken: Taken) -> float | None:
+        stated = self._own.get(taken.owner)
+        if stated is None:
+            return None
+        known = {symbol(n): sm.Float(v) for n, v in {**self.environment, **stated}.items()}
+        for formula in taken.formulas:
+            if formula.free_symbols <= known.keys():
+                return float(formula.subs(known))
+        return None
+
+    def differing(self) -> Iterator[str]:
+        """One line for every value that another table tells otherwise, unless it says that it overrides.
+
+        Raises
+        ------
+        UndertowError
+            If two differ by more than can be, or an override has nothing to override.
+        """
+        for effect in self.effects:
+            for key, entry in self.tables[effect.id].items():
+                yield from self._difference(effect, key, entry)
+
+    def _difference(self, effect: Effect, key: str, entry: Any) -> Iterator[str]:
+        place = f"[effects.{effect.id}] {key}"
+        taken = next((t for t in effect.taken if t.key == key), None)
+        meant = bool(field_of(entry, "override"))
+        if taken is None or taken.only_where_silent:
+            if meant:
+                raise UndertowError(f"{place} overrides nothing, no other table tells it: remove 'override'")
+            return
+        told, raw = self._told(taken), field_of(entry, "value")
+        if meant or told is None or raw is None:
+            return
+        value = si_of(place, raw, taken.unit)
+        if not isclose(value, told, rel_tol=taken.rounding, abs_tol=_NOTHING):
+            fitted = bool(field_of(entry, "estimate")) or self._fitted(taken)
+            yield _differs(place, value, told, taken, most=inf if fitted else taken.most)
+
+    def _fitted(self, taken: Taken) -> bool:
+        """Whether a fit may have moved what the owner tells; what it found must fit into a file."""
+        names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
+        owner = self.tables.get(taken.owner, {})
+        return any(field_of(owner[n], "estimate") for n in names & owner.keys())
+
+
+def _differs(place: str, value: float, told: float, taken: Taken, most: float) -> str:
+    other = f"{taken.words or taken.key} = {told:g} {taken.unit} by [effects.{taken.owner}]"
+    line = f"{place} = {value:g} {taken.unit}, but {other}"
+    how = "remove it to use the latter, or write { value = ..., override = true } if both are meant"
+    if max(abs(value), abs(told)) > most * min(abs(value), abs(told)):
+        raise UndertowError(f"{line}: no vehicle has both (limit: a factor of {most:g}); {how}")
+    return f"{line}: {how}"
+
+
+def field_of(entry: Any, name: str) -> Any:
+    """A field of a parameter's entry, which is a quantity or a table; a plain quantity is its value."""
+    if isinstance(entry, ParameterTable):
+        return getattr(entry, name)
+    if isinstance(entry, Mapping):
+        return entry.get(name)
+    return entry if name == "value" else None
+
 
 _LOG = logging.getLogger(__name__)
 

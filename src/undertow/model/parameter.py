@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import sympy as sm
 
 from .symbols import DOFS, FORCE, VELOCITY, symbol
-
-if TYPE_CHECKING:
-    from .effect import Effect
-
 
 Range = tuple[float, float]
 
@@ -119,7 +115,7 @@ class Parameter:
         if not self.name:
             object.__setattr__(self, "name", name)
 
-    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+    def __get__(self, effect: Any, owner: type | None = None) -> Any:
         return self if effect is None else symbol(self.name)
 
     def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
@@ -147,7 +143,7 @@ class Parameter:
 class PerThruster(Parameter):
     """A parameter that every thruster has for itself; reads as a column of symbols."""
 
-    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+    def __get__(self, effect: Any, owner: type | None = None) -> Any:
         if effect is None:
             return self
         names = [p.name for p in self.expand(effect.thrusters)]
@@ -195,7 +191,7 @@ class DerivativeMatrix:
     symmetric: bool = False
     directional: bool = False
 
-    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+    def __get__(self, effect: Any, owner: type | None = None) -> Any:
         if effect is None:
             return self
         matrix = sm.zeros(6)
@@ -252,7 +248,7 @@ class Place:
     axes: str
     farthest: float
 
-    def __get__(self, effect: Effect | None, owner: type | None = None) -> Any:
+    def __get__(self, effect: Any, owner: type | None = None) -> Any:
         return self if effect is None else sm.Matrix([symbol(f"{axis}_{self.name}") for axis in "xyz"])
 
     def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:

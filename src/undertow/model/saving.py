@@ -1,33 +1,374 @@
-"""From a vehicle back to its file: what has changed is rewritten, all else stays as the user wrote it."""
+"""From a vehicle back to its file: what has changed is rewritten, all else stays as it was."""
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import replace
-from math import inf, isclose
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isclose, isfinite
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import InlineTable
+from tomlkit.items import AoT, InlineTable, Table, Whitespace
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
 from .effect import Effect
-from .entries import Wanted, stated, update_entry
-from .history import append_history, fit_source, source_before
-from .loading import resolve_vehicle, vehicle_from_table
+from .loading import Statements, VehicleTable, read_vehicle_table, resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
-from .taken import Statements
-from .tomltext import append, append_table
-from .units import si_of
+from .units import si_of, si_unit, unit_of
 from .vehicle import Value, Vehicle
-from .vehicle_schema import VehicleTable
-from .vehicle_toml import read_vehicle_table
+
+
+def safe(value: Any) -> Any:
+    """A value that can be written: what is no text in any encoding becomes a question mark."""
+    if isinstance(value, str):
+        return str(value).encode("utf-8", "replace").decode("utf-8")
+    return value
+
+
+def append(table: Any, key: str, item: Any) -> None:
+    """Add a key at the end of a table, before the comment that belongs to what follows the table."""
+    tail = _cut(table)
+    table.append(key, item)
+    _paste(table, tail)
+
+
+def append_table(document: Any, parent: str, key: str, table: Any) -> None:
+    """Add a table ``[parent.key]`` after the last one of its kind."""
+    parents = document[parent]
+    if isinstance(parents, InlineTable):
+        parents.append(key, table)
+    elif isinstance(parents, Table):
+        tail = _cut(_last(parents))
+        parents.append(key, table)
+        _paste(table, tail or [(None, Whitespace("\n"))])
+    else:  # several places of the file add to it
+        outer = tomlkit.table(is_super_table=True)
+        outer.append(key, table)
+        document.append(parent, outer)
+
+
+def _last(table: Any) -> Any:
+    """The table that stands last inside a table, or the table itself."""
+    inner = [v for _, v in table.value.body if isinstance(v, Table)]
+    return _last(inner[-1]) if inner else table
+
+
+def _cut(table: Any) -> list[Any]:
+    """Take off what stands after the first blank line behind the last key."""
+    if not isinstance(table, Table):
+        return []
+    body = table.value.body
+    end = max((i + 1 for i, (key, _) in enumerate(body) if key is not None), default=0)
+    blank = next((i for i in range(end, len(body)) if isinstance(body[i][1], Whitespace)), len(body))
+    tail = body[blank:]
+    del body[blank:]
+    return tail
+
+
+def _paste(table: Any, tail: list[Any]) -> None:
+    if isinstance(table, Table):
+        table.value.body.extend(tail)
+
+
+def array_of_tables(document: Any, key: str) -> Any:
+    """The array ``[[key]]`` of a document, made at its end where there is none."""
+    if key not in document:
+        document.append(None, Whitespace("\n"))
+        document.append(key, AoT([]))
+    return document[key]
+
+
+# Ten significant digits are written, which is half of this at worst.
+_SAME = 1e-9
+_ORDER = (
+    *("value", "forward", "backward", "assumed", "estimate"),
+    *("sigma", "sigma_forward", "sigma_backward", "allow_sign", "override", "source"),
+)
+# Files say "kg m^2" where an effect declares "N m/((rad/s)^2)".
+_RADIANS = re.compile(r"/rad(\^\d)?")
+_QUANTITIES = ("value", "forward", "backward", "sigma", "sigma_forward", "sigma_backward")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What an entry is to say, SI and in the signs of the file.
+
+    Attributes
+    ----------
+    numbers : mapping
+        The value by its key: "value", or "forward" and "backward".
+    sigmas : mapping
+        Standard deviations by the same keys.
+    unit : str
+        SI unit of the parameter.
+    override : bool
+        Whether it has to say that another table tells something else.
+    """
+
+    numbers: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    unit: str
+    estimate: bool = False
+    assumed: bool = False
+    override: bool = False
+    source: str = ""
+
+    def fitted(self, source: str) -> Wanted:
+        """The same with a new source, which is no assumption."""
+        return replace(self, source=source, assumed=False)
+
+    def quantities(self) -> dict[str, float]:
+        """Numbers and standard deviations by their keys in the file."""
+        if len({*self.sigmas.values()}) == 1 and len(self.sigmas) == len(self.numbers):
+            return {**self.numbers, "sigma": next(iter(self.sigmas.values()))}
+        own = {"sigma" if key == "value" else f"sigma_{key}": v for key, v in self.sigmas.items()}
+        return {**self.numbers, **own}
+
+    def differs(self, raw: Any, place: str) -> bool:
+        """Whether an entry of the file says other numbers."""
+        old, new = _fields(raw), self.quantities()
+        present = {k for k in _QUANTITIES if k in old}
+        return present != set(new) or not all(_same(old[k], new[k], self.unit, place) for k in new)
+
+
+def update_entry(raw: Any, wanted: Wanted, place: str) -> Any:
+    """The new entry for what stands in the file (None: nothing stands there), or None where it can stay.
+
+    A table is changed in place and keeps whatever else it says.
+    """
+    old, changed = _fields(raw), wanted.differs(raw, place)
+    fields = _changed_fields(old, wanted, place) if changed else {}
+    if wanted.estimate != bool(old.get("estimate", False)):
+        fields["estimate"] = wanted.estimate or None
+    if raw is not None and not fields:
+        return None
+    if isinstance(raw, Mapping):
+        return _updated(raw, fields)
+    fields = {k: v for k, v in (old | fields).items() if v is not None}
+    return fields["value"] if set(fields) == {"value"} else _inline(fields)
+
+
+def _changed_fields(old: Mapping[str, Any], wanted: Wanted, place: str) -> dict[str, Any]:
+    """Keys with their new values, None for those that go."""
+    like = _like(old, wanted.unit)
+    new = wanted.quantities()
+    gone = {k: None for k in _QUANTITIES if k in old and k not in new}
+    written = {
+        k: stated(number, wanted.unit, old.get(k, like))
+        for k, number in new.items()
+        if k not in old or not _same(old[k], number, wanted.unit, place)
+    }
+    numbers = {k: v for k, v in written.items() if k in wanted.numbers}
+    told = {"estimate": True} if wanted.estimate else {}
+    sigmas = {k: v for k, v in written.items() if k not in numbers}
+    source = {"source": wanted.source} if wanted.source else {}
+    assumed = {"assumed": True if wanted.assumed else None} if wanted.assumed or "assumed" in old else {}
+    override = {"override": True} if wanted.override else {}
+    return gone | numbers | told | sigmas | source | assumed | override
+
+
+def _fields(raw: Any) -> dict[str, Any]:
+    if raw is None:
+        return {}
+    return dict(raw) if isinstance(raw, Mapping) else {"value": raw}
+
+
+def _same(raw: Any, number: float, unit: str, place: str) -> bool:
+    return isclose(si_of(place, raw, unit), number, rel_tol=_SAME / 2)
+
+
+def _like(old: Mapping[str, Any], unit: str) -> Any:
+    """A quantity whose style a new one follows: one of the same entry, or the SI unit."""
+    first = next((old[k] for k in _QUANTITIES if k in old), None)
+    if first is not None:
+        return first
+    if unit == "1" or "command" in unit:
+        return 1.0
+    return f"1 {_RADIANS.sub('', si_unit(unit)).replace('*', ' ') if '(' in unit else unit}"
+
+
+def stated(number: float, unit: str, like: Any) -> str | float:
+    """A number in the SI unit `unit` with ten digits, as the quantity `like` is written.
+
+    Parameters
+    ----------
+    number : float
+        The value in `unit`.
+    unit : str
+        Unit of the parameter.
+    like : str or float
+        ``"120 g"`` asks for grams and for text, a plain number for a plain number in `unit`.
+    """
+    if not isinstance(like, str):
+        return float(f"{number:.10g}")
+    found = unit_of(like)
+    return f"{number / si_of(like, f'1{found}', unit):.10g}{found}"
+
+
+def _updated(entry: Any, fields: Mapping[str, Any]) -> Any:
+    if isinstance(entry, InlineTable):  # made anew: taking keys out of one leaves its spaces behind
+        return _inline({k: v for k, v in {**entry, **fields}.items() if v is not None})
+    for key, value in fields.items():
+        if value is not None:
+            entry[key] = safe(value)
+        elif key in entry:
+            entry.remove(key)
+    return entry
+
+
+def _inline(fields: Mapping[str, Any]) -> Any:
+    ordered = sorted(fields, key=lambda k: _ORDER.index(k) if k in _ORDER else len(_ORDER))
+    return tomlkit.value("{ " + ", ".join(f"{k} = {_text(fields[k])}" for k in ordered) + " }")
+
+
+def _text(value: Any) -> str:
+    return tomlkit.item(safe(value)).as_string()
+
+
+_BEFORE = "; before: "
+_FITTED = re.compile(r"(fit to .* on \S+|fitted)", re.DOTALL)
+_SHOWN_LOGS = 3
+_COVARIANCE_DIGITS = 6
+_NO_COVARIANCE = (
+    "the covariance in [[history]] is not a square matrix of finite numbers for parameters of the vehicle: "
+    "correct or remove it"
+)
+
+
+def fit_source(history: Mapping[str, object] | None, before: str) -> str:
+    """What a fitted value gives as its source: logs and date, and where the value before came from."""
+    told = "fitted"
+    if history and history.get("logs"):
+        told = f"fit to {_log_names(history)} on {history.get('date', 'an unknown date')}"
+    return f"{told}{_BEFORE}{before}" if before else told
+
+
+def source_before(source: str) -> str:
+    """The source of the value that was there before any fit."""
+    fitted, mark, before = source.partition(_BEFORE)
+    if not _FITTED.fullmatch(fitted):
+        return source
+    return before if mark else ""
+
+
+def _log_names(history: Mapping[str, object]) -> str:
+    logs = history["logs"]
+    assert isinstance(logs, Sequence)
+    used = [log for log in logs if not isinstance(log, Mapping) or log.get("role") != "holdout"]
+    names = [str(log["name"] if isinstance(log, Mapping) else log) for log in used]
+    more = f" and {len(names) - _SHOWN_LOGS} more" if len(names) > _SHOWN_LOGS else ""
+    return ", ".join(names[:_SHOWN_LOGS]) + more
+
+
+def append_history(document: Any, vehicle: Vehicle, entry: Mapping[str, object], signs: str) -> None:
+    """Append a ``[[history]]`` table; see `save_vehicle` for what it may hold."""
+    entry = dict(entry)
+    covariance = entry.get("covariance")
+    plain = _plain(entry)
+    if isinstance(covariance, Mapping) and {"parameters", "matrix"} <= covariance.keys():
+        plain["covariance"] = _covariance(vehicle, covariance, signs)
+    histories = array_of_tables(document, "history")
+    if isinstance(histories, AoT):
+        table = _table(plain)
+        table.trivia.indent = "\n" if len(histories) else ""
+        histories.append(table)
+    else:
+        histories.append(plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(safe(str(k))): _plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, bool | int | str):
+        return safe(value)
+    return float(f"{value:.10g}") if isinstance(value, float) else safe(str(value))
+
+
+def _item(value: Any) -> Any:
+    """Lists of lists or tables get one line for each row."""
+    if isinstance(value, list) and any(isinstance(v, list | dict) for v in value):
+        rows = tomlkit.array().multiline(True)
+        rows.extend(_row(v) for v in value)
+        return rows
+    if isinstance(value, dict):
+        return _table(value)
+    return tomlkit.item(value)
+
+
+def _table(content: Mapping[str, Any]) -> Any:
+    table = tomlkit.table()
+    for key, value in content.items():
+        table.append(key, _item(value))
+    return table
+
+
+def _row(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return tomlkit.item(value)
+    row = tomlkit.inline_table()
+    row.update(value)
+    return row
+
+
+def _covariance(vehicle: Vehicle, told: Mapping[str, Any], signs: str) -> dict[str, Any]:
+    names = [str(n) for n in told["parameters"]]
+    turn = [_turn(vehicle, name, signs) for name in names]
+    rows = [
+        [float(f"{turn[i] * turn[j] * float(v):.{_COVARIANCE_DIGITS}g}") for j, v in enumerate(row)]
+        for i, row in enumerate(told["matrix"])
+    ]
+    return {"parameters": names, "matrix": rows}
+
+
+def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
+    return printed(vehicle.declaration(name), 1.0, signs)
+
+
+def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:
+    """Parameters of the last covariance that a file's history holds, and the matrix, SI and SNAME signs.
+
+    Parameters
+    ----------
+    history : sequence of mapping
+        The ``[[history]]`` tables.
+    vehicle : Vehicle
+        The vehicle of the file.
+
+    Returns
+    -------
+    list of str, list of list of float
+        Empty where the file has none.
+
+    Raises
+    ------
+    UndertowError
+        If it is no square matrix of finite numbers for parameters that the vehicle has.
+    """
+    told = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
+    if told is None:
+        return [], []
+    try:
+        names = [str(n) for n in told["parameters"]]
+        rows = [[float(v) for v in row] for row in told["matrix"]]
+        signs = [_turn(vehicle, n, vehicle.signs) for n in names]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UndertowError(_NO_COVARIANCE) from error
+    if {len(rows), *map(len, rows)} != {len(names)} or not all(isfinite(v) for row in rows for v in row):
+        raise UndertowError(_NO_COVARIANCE)
+    turned = [
+        [a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)
+    ]
+    return names, turned
+
 
 _ROUND_TRIP = 1e-9
 
@@ -66,7 +407,7 @@ def save_vehicle(
         raise UndertowError(
             f"'{out}' is the file {path} itself: choose another name, or give that path to replace it"
         )
-    text = _text(vehicle, path, history)
+    text = _saving_text(vehicle, path, history)
     _check(text, vehicle, path)
     write_whole(out, text)
 
@@ -84,7 +425,7 @@ def _settled(vehicle: Vehicle, path: Path) -> Vehicle:
     return vehicle
 
 
-def _text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None) -> str:
+def _saving_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None) -> str:
     signs = read_vehicle_table(path).signs  # also: nothing is changed in a file that is not understood
     try:
         document = tomlkit.parse(path.read_bytes().decode("utf-8-sig"))

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from undertow.errors import UndertowError
-from undertow.model.catalogue import nearest
+from undertow.errors import UndertowError, nearest
+from undertow.model.loading import Quantity
 from undertow.model.symbols import FASTEST, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.units import to_si
-from undertow.model.vehicle_schema import Quantity
 
 MOST_SAMPLES = 50_000_000
 _POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")

@@ -13,10 +13,9 @@ import numpy as np
 from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.codegen.lanes import in_threads, shares
 from undertow.control.controller import Controller
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import GainSet, load_gains
-from undertow.errors import UndertowError
-from undertow.model.catalogue import catalogue, nearest
+from undertow.control.gains import GainSet, GainTable, load_gains
+from undertow.errors import UndertowError, nearest
+from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Progress
 

@@ -10,21 +10,30 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
+from undertow.typing import Array, Flags
 
 from .attitude import Certificate
-from .case import SignSet
-from .condition import Condition
-from .feasible import Span, inside, peak_of
+from .by_law import Condition
+from .channels import channel_polynomial, coupled_roots, reaching, roots, routh_array
 from .lyapunov import equilibria_without_thrust, lyapunov
-from .problem import Problem
-from .reaching import reaching
+from .problem import (
+    ALL,
+    NO_IOTA_THERE,
+    NOMINAL,
+    OPEN,
+    SAMPLED,
+    Problem,
+    Range,
+    SignSet,
+    Span,
+    Uncertainty,
+    inside,
+    peak_of,
+)
 from .region import region
 from .result import FAILS, HOLDS, NO_IOTA, UNPROVED, Agreement, Channel, Region, Report, Row
-from .routh import channel_polynomial, coupled_roots, roots, routh_array
-from .uncertain import ALL, NO_IOTA_THERE, NOMINAL, OPEN, SAMPLED, Range, Uncertainty
 from .whole import left_alone, whole_loop
 
-Array = np.ndarray
 Tell = Callable[[float, str], None]
 _MATRICES, _DERIVED = "matrices", "derived"
 
@@ -268,7 +277,7 @@ class _Place:
             self.condition.margin(self.problem.channel_signs(one, i, iota, theta)), len(theta)
         )
 
-    def _features(self, one: SignSet) -> tuple[Array, Array]:
+    def _features(self, one: SignSet) -> tuple[Flags, Array]:
         """Which parameters the margin depends on, and through which combinations of them."""
         used = self.condition.uses
         parts = [m for name, m in (("M", one.M), ("D", one.D)) if name in used]
@@ -356,4 +365,37 @@ def _coupled(problem: Problem) -> dict[str, list[complex]]:
         roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
         of = "" if not problem.heading_counts else f"worst of {len(tried)} headings: {degrees:.0f} deg"
         found[", ".join(filter(None, (one.name, of)))] = roots_there
+    return found
+
+
+_CERTIFIED_DERIVED = "derived"
+
+
+def checked(gains: GainSet) -> Report:
+    """The conditions on a gain set with the stated parameters of its vehicle."""
+    return check(gains, Uncertainty(gains.plant.vehicle))
+
+
+def certified(gains: GainSet) -> bool:
+    """Whether every condition that is derived from the model holds, with one iota for all."""
+    report = check(gains, Uncertainty(gains.plant.vehicle), forms=[_CERTIFIED_DERIVED], whole=False)
+    rows = all(r.verdict == HOLDS for r in report.rows)
+    return rows and all(a.verdict == HOLDS for a in report.agreements)
+
+
+def told(gains: GainSet) -> dict[str, tuple[str, float | None]]:
+    """Verdict and margin by condition; the margin only of what is derived from the model."""
+    report = checked(gains)
+    found: dict[str, tuple[str, float | None]] = {}
+    for r in report.rows:
+        where = " ".join(filter(None, (r.scope, r.signs)))
+        found[f"{r.form} condition {r.condition}, {where}"] = (
+            r.verdict,
+            r.margin if r.form == _CERTIFIED_DERIVED else None,
+        )
+    for a in report.agreements:
+        found[f"{a.form} conditions with one iota"] = (a.verdict, None)
+    found["certified region"] = (report.region.kind, report.region.level)
+    if report.whole is not None:
+        found["whole loop"] = (report.whole.verdict, None)
     return found

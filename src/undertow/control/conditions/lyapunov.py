@@ -11,7 +11,7 @@ import sympy as sm
 
 from undertow.control.laws import Law, LawSignals
 from undertow.control.plant import Plant
-from undertow.model.evaluation import function_of
+from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 
 from .result import Lyapunov

@@ -1,23 +1,203 @@
-"""A gain set on its vehicle, in numbers that conditions can be evaluated on."""
+"""A gain set on its vehicle, in numbers that conditions can be evaluated on, uncertainty included."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
+import sympy as sm
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import chdtri, ndtri
 
 from undertow.control.gains import GainSet
+from undertow.control.plant import Plant
 from undertow.errors import UndertowError
+from undertow.model.parameter import printed
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Flags
 
 from .attitude import Attitudes, Certificate, least
-from .case import SignSet, sign_sets
-from .condition import Condition, Signs
-from .declared import CONDITIONS
-from .feasible import Span, where_positive
+from .by_law import CONDITIONS, Condition, Signs
 
-Array = np.ndarray
+
+@dataclass(frozen=True)
+class Affine:
+    """A matrix that depends on parameters: constant + sum of theta_j slopes_j.
+
+    Attributes
+    ----------
+    constant : array, shape (n, n)
+        The part without parameters.
+    slopes : array, shape (n_parameters, n, n)
+        Derivative in each parameter.
+    """
+
+    constant: Array
+    slopes: Array
+
+    def at(self, theta: Array) -> Array:
+        """The matrix for parameters of shape (..., n_parameters)."""
+        return self.constant + np.tensordot(theta, self.slopes, axes=1)
+
+
+@dataclass(frozen=True)
+class SignSet:
+    """The plant at rest while every velocity that switches parameters keeps one sign.
+
+    Attributes
+    ----------
+    name : str
+        "forward", "backward", or the signs of the velocities where they are mixed.
+    way : mapping
+        1 or -1 by velocity.
+    names : tuple of str
+        Parameters that M and D depend on here.
+    theta : array, shape (n_parameters,)
+        Their values, SI, SNAME signs.
+    M, D : Affine
+        Inertia and damping at rest, body frame, shape (n, n).
+    """
+
+    name: str
+    way: Mapping[sm.Symbol, int]
+    names: tuple[str, ...]
+    theta: Array
+    M: Affine
+    D: Affine
+
+    @property
+    def inertia(self) -> Array:
+        """M with the values of the file."""
+        return self.M.at(self.theta)
+
+    @property
+    def damping(self) -> Array:
+        """D at rest with the values of the file."""
+        return self.D.at(self.theta)
+
+
+def sign_sets(plant: Plant) -> list[SignSet]:
+    """All sign sets of a plant: all forward and all backward first, then the mixed ones.
+
+    Raises
+    ------
+    UndertowError
+        If M is not positive definite, or D is not finite at rest.
+    """
+    ways = [dict(zip(plant.reversing, w, strict=True)) for w in product((1, -1), repeat=len(plant.reversing))]
+    ways.sort(key=lambda way: len(set(way.values())) > 1)
+    found = [_sign_set(plant, way) for way in ways]
+    for one in found:
+        _check(one, plant)
+    return found
+
+
+def _sign_set(plant: Plant, way: Mapping[sm.Symbol, int]) -> SignSet:
+    rest = dict.fromkeys(plant.nu, sm.Integer(0))
+    M, D = (plant.one_way(m, way).xreplace(rest).applyfunc(sm.expand) for m in (plant.M, plant.D))
+    symbols = sorted((M.free_symbols | D.free_symbols) & set(plant.numbers), key=str)
+    theta = np.array([float(plant.numbers[x]) for x in symbols])
+    names = tuple(map(str, symbols))
+    return SignSet(
+        _name(way), way, names, theta, _affine(M, symbols, plant.numbers), _affine(D, symbols, plant.numbers)
+    )
+
+
+def _name(way: Mapping[sm.Symbol, int]) -> str:
+    signs = set(way.values())
+    if len(signs) > 1:
+        return ", ".join(f"{v} {'>' if s > 0 else '<'} 0" for v, s in way.items())
+    return {1: "forward", -1: "backward"}.get(next(iter(signs), 0), "")
+
+
+def _affine(matrix: sm.Matrix, symbols: list[sm.Symbol], numbers: Mapping[sm.Symbol, sm.Expr]) -> Affine:
+    """Slopes at the values of the file; parameters enter linearly nearly always, else this is the tangent."""
+    slopes = [_numbers(matrix.diff(x), numbers) for x in symbols]
+    value = _numbers(matrix, numbers)
+    theta = [float(numbers[x]) for x in symbols]
+    constant = value - sum((t * s for t, s in zip(theta, slopes, strict=True)), np.zeros_like(value))
+    return Affine(constant, np.array(slopes).reshape(len(symbols), *value.shape))
+
+
+def _numbers(matrix: sm.Matrix, numbers: Mapping[sm.Symbol, sm.Expr]) -> Array:
+    filled = matrix.xreplace(numbers)
+    if filled.free_symbols:
+        names = ", ".join(sorted(map(str, filled.free_symbols)))
+        raise UndertowError(f"inertia or damping at rest depends on {names}: conditions need constant ones")
+    return np.array(filled.evalf().tolist(), dtype=float)
+
+
+def _check(one: SignSet, plant: Plant) -> None:
+    of = f" ({one.name})" if one.name else ""
+    dofs = plant.vehicle.degrees_of_freedom
+    if not np.isfinite(one.damping).all():
+        raise UndertowError(f"damping at rest{of} is not finite: conditions need it; check [effects]")
+    values, vectors = np.linalg.eigh(one.inertia)
+    if values[0] <= 1e-12 * max(values[-1], 1e-300):
+        worst = dofs[int(np.argmax(np.abs(vectors[:, 0])))]
+        raise UndertowError(
+            f"the mass matrix of '{plant.vehicle.name}'{of} is singular or not positive definite, about "
+            f"{worst}: give {worst} inertia in [effects.rigid_body] or leave it out"
+        )
+
+
+Span = tuple[float, float]
+_LOW, _HIGH, _POINTS = 1e-9, 1e9, 181
+
+
+def where_positive(margin: Callable[[float], float], low: float = _LOW, high: float = _HIGH) -> Span | None:
+    """The interval on which a margin of one positive number is positive, or None.
+
+    Parameters
+    ----------
+    margin : callable
+        Rises and then falls (either part may be missing); conditions are concave in iota and in each gain.
+    low, high : float
+        Where to look; an interval that reaches an end is open there, and 0 or infinity is returned for it.
+    """
+    peak = _peak(margin, math.log(low), math.log(high))
+    if not margin(math.exp(peak)) > 0:
+        return None
+    return _edge(margin, peak, math.log(low), 0.0), _edge(margin, peak, math.log(high), math.inf)
+
+
+def peak_of(margin: Callable[[float], float], low: float = _LOW, high: float = _HIGH) -> float:
+    """Where such a margin is largest."""
+    return math.exp(_peak(margin, math.log(low), math.log(high)))
+
+
+def _peak(margin: Callable[[float], float], low: float, high: float) -> float:
+    grid = np.linspace(low, high, _POINTS)
+    values = [margin(math.exp(x)) for x in grid]
+    best = int(np.argmax(values))
+    around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _POINTS - 1)])
+    found = minimize_scalar(
+        lambda x: -margin(math.exp(x)), bounds=around, method="bounded", options={"xatol": 1e-10}
+    )
+    return float(found.x) if -found.fun > values[best] else float(grid[best])
+
+
+def _edge(margin: Callable[[float], float], peak: float, end: float, beyond: float) -> float:
+    if margin(math.exp(end)) > 0:
+        return beyond
+    return math.exp(brentq(lambda x: margin(math.exp(x)), end, peak, xtol=1e-14, rtol=1e-14))
+
+
+def inside(span: Span) -> float:
+    """A number well within an interval."""
+    low, high = span
+    if low == 0.0 and math.isinf(high):
+        return 1.0
+    if low == 0.0:
+        return high / 2
+    return 2 * low if math.isinf(high) else math.sqrt(low * high)
+
+
 # Every 30 degrees of heading, every 20 of roll and pitch as they are unless stated.
 _HEADINGS, _TILTS = 13, 7
 
@@ -97,9 +277,9 @@ class Problem:
     def headings(self) -> list[tuple[float, Array]]:
         """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
         if not self.heading_counts:
-            return [(0.0, np.linalg.inv(self.attitudes.at({})))]
+            return [(0.0, inverse_of(self.attitudes.at({})))]
         degrees = map(float, range(0, 180, 10))
-        return [(d, np.linalg.inv(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
+        return [(d, inverse_of(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
 
     @property
     def channels(self) -> list[tuple[int, int, str]]:
@@ -197,3 +377,192 @@ class Problem:
             return min(self.channel_margin(c, one, channel, iota) for c in conditions for one in sets)
 
         return where_positive(together)
+
+
+def inverse_of(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=float)
+
+
+Margins = Callable[[Array], Array]
+"""From parameters of shape (k, n_parameters) to margins of shape (k,), concave in them."""
+
+ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "not settled"
+SAMPLED, NO_IOTA_THERE = "not settled (attitudes sampled)", "no iota at the values of the file"
+_MOST_CORNERS = 12
+_SIDES = 96
+
+
+@dataclass(frozen=True)
+class Range:
+    """A verdict over a set of parameter values.
+
+    Attributes
+    ----------
+    verdict : str
+        `ALL`, `SOME`, `NOMINAL`, `NO_IOTA_THERE`, or `OPEN` or `SAMPLED` (neither proved nor refuted).
+    margin : float
+        Least margin found at a point of the set.
+    counterexample : dict of float
+        Values that the condition fails with, SI, in the sign convention of the vehicle file.
+    """
+
+    verdict: str
+    margin: float
+    counterexample: dict[str, float]
+
+
+class Uncertainty:
+    """How far the parameters of a vehicle are known.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle, with standard deviations where they are known.
+    confidence : float
+        Probability of the interval of each parameter, and of the ellipsoid of all of them.
+    covariance : (names, matrix)
+        Covariance of an identification, SI, SNAME signs; standard deviations alone where it has none.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, confidence: float = 0.95, covariance: tuple[Sequence[str], Any] = ((), ())
+    ) -> None:
+        self.vehicle, self.confidence = vehicle, confidence
+        self._names, self._matrix = list(covariance[0]), np.array(covariance[1], dtype=float)
+
+    @property
+    def source(self) -> str:
+        """Where the uncertainty is from."""
+        return "covariance of the last fit" if self._names else "standard deviations of the vehicle file"
+
+    def covariance(self, names: Sequence[str]) -> Array:
+        """Covariance of some parameters, shape (n, n)."""
+        spread = [self.vehicle.value_of(n).sigma or 0.0 for n in names]
+        result = np.diag(np.square(spread))
+        known = [i for i, n in enumerate(names) if n in self._names]
+        places = [self._names.index(names[i]) for i in known]
+        if known:
+            result[np.ix_(known, known)] = self._matrix[np.ix_(places, places)]
+        return result
+
+    def over_box(self, margins: Margins, one: SignSet, matters: Flags) -> Range:
+        """Over every value within its own interval and its physical bounds.
+
+        Parameters
+        ----------
+        margins : callable
+            The margin of a condition.
+        one : SignSet
+            Whose parameters.
+        matters : array of bool
+            The parameters that the margin depends on.
+        """
+        if np.count_nonzero(matters) > _MOST_CORNERS:
+            return self._range(margins(one.theta[None]), one.theta[None], one, settled=False)
+        corners = self._corners(one, matters, float(ndtri(0.5 + self.confidence / 2)))
+        return self._range(margins(corners), corners, one, margins(one.theta[None])[0])
+
+    def over_ellipsoid(self, margins: Margins, one: SignSet, features: Array) -> Range:
+        """Over the ellipsoid of all uncertain parameters together.
+
+        Parameters
+        ----------
+        margins : callable
+            The margin of a condition.
+        one : SignSet
+            Whose parameters.
+        features : array, shape (m, n_parameters)
+            Linear combinations of parameters that the margin depends on; with two of them the verdict is
+            practically exact, with more the bound is that of a box around the ellipsoid.
+        """
+        covariance = self.covariance(one.names)
+        count = int(np.count_nonzero(np.diag(covariance)))
+        if count == 0:
+            return self._range(margins(one.theta[None]), one.theta[None], one)
+        reach = float(np.sqrt(chdtri(count, 1 - self.confidence)))
+        seen = features @ covariance @ features.T
+        values, vectors = np.linalg.eigh(seen)
+        kept = values > 1e-14 * max(values[-1], 1e-300)
+        # Columns: how the parameters move along each axis of the ellipse of the features.
+        axes = reach * (covariance @ features.T @ vectors[:, kept]) / np.sqrt(values[kept])
+        around, on = _around(axes.shape[1])
+        if around is None:
+            return self._range(margins(one.theta + on @ axes.T), one.theta + on @ axes.T, one, settled=False)
+        points = np.concatenate([one.theta[None], one.theta + on @ axes.T])
+        physical = self._within(points, covariance, reach, one)
+        found = self._range(margins(physical), physical, one)
+        if found.verdict != ALL:
+            return found
+        # Concave margins are least at a corner of any polytope around the set: of two, either will do.
+        for corners in (
+            one.theta + around @ axes.T,
+            self._corners(one, np.any(features != 0, axis=0), reach),
+        ):
+            if float(margins(corners).min()) > 0:
+                return found
+        return Range(OPEN, found.margin, {})
+
+    def _within(self, points: Array, covariance: Array, reach: float, one: SignSet) -> Array:
+        """Points moved to physical values, those of them that are still in the ellipsoid."""
+        bounds = self._all_bounds(one)
+        moved = np.clip(points, bounds[:, 0], bounds[:, 1])
+        away = moved - one.theta
+        distance = np.einsum("ij,jk,ik->i", away, np.linalg.pinv(covariance, hermitian=True), away)
+        return moved[distance <= reach**2 * (1 + 1e-9)]
+
+    def _corners(self, one: SignSet, matters: Flags, reach: float) -> Array:
+        """Corners of the box of all physical values within `reach` standard deviations."""
+        low, high = self._intervals(one, reach)
+        free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
+        corners = np.tile(one.theta, (2 ** len(free), 1))
+        for row, choice in zip(corners, product(*[(low[j], high[j]) for j in free]), strict=True):
+            row[free] = choice
+        return corners
+
+    def _intervals(self, one: SignSet, reach: float) -> tuple[Array, Array]:
+        spread = reach * np.sqrt(np.diag(self.covariance(one.names)))
+        bounds = self._all_bounds(one)
+        return np.maximum(one.theta - spread, bounds[:, 0]), np.minimum(one.theta + spread, bounds[:, 1])
+
+    def _all_bounds(self, one: SignSet) -> Array:
+        return np.array([self._bounds(n) for n in one.names]).reshape(-1, 2)
+
+    def _bounds(self, name: str) -> tuple[float, float]:
+        parameter = self.vehicle.parameter_of(name)
+        return parameter.bounds if parameter else (-np.inf, np.inf)
+
+    def _range(
+        self, values: Array, points: Array, one: SignSet, nominal: float | None = None, settled: bool = True
+    ) -> Range:
+        worst = int(np.argmin(values))
+        least = float(values[worst])
+        if least > 0:
+            return Range(ALL if settled else OPEN, least, {})
+        if nominal is not None and nominal <= 0:
+            return Range(NOMINAL, least, {})
+        return Range(SOME, least, self._stated(points[worst], one))
+
+    def _stated(self, theta: Array, one: SignSet) -> dict[str, float]:
+        """The parameters that differ from the file's, as the file would write them."""
+        signs = self.vehicle.signs
+        told = {}
+        for name, value, own in zip(one.names, theta, one.theta, strict=True):
+            if abs(value - own) > 1e-9 * max(abs(own), 1e-9):
+                told[name] = printed(self.vehicle.declaration(name), float(value), signs)
+        return told
+
+
+def _around(size: int) -> tuple[Array | None, Array]:
+    """Corners of a polytope around the unit ball, and points on the ball, shape (k, size)."""
+    if size == 1:
+        ends = np.array([[-1.0], [1.0]])
+        return ends, ends
+    if size == 2:
+        turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
+        circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        return circle / np.cos(np.pi / _SIDES), circle
+    on = np.concatenate([np.eye(size), -np.eye(size)])
+    if size > _MOST_CORNERS:
+        return None, on
+    corners = np.array(list(product((-1.0, 1.0), repeat=size)))
+    return corners, np.concatenate([on, corners / np.sqrt(size)])

@@ -13,26 +13,24 @@ from scipy.optimize import brentq
 
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
-from undertow.model.evaluation import function_of
+from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
+from undertow.typing import Array
 
-from .attitude import least
-from .case import SignSet
+from .attitude import least, least_eigenvalue
 from .commands import (
     Commands,
+    FastDamping,
     SlidingCommands,
     dampings,
+    fast_damping,
     inertias,
     pd_commands,
     per_root_of_level,
 )
-from .fast import FastDamping, fast_damping
-from .feasible import Span, inside
-from .interval import least_eigenvalue
-from .problem import Problem
+from .problem import Problem, SignSet, Span, inside, inverse_of
 from .result import SETTINGS, Region
 
-Array = np.ndarray
 _SMALL = 1e-12
 _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
@@ -284,7 +282,8 @@ class _Places:
         self._speeds = np.max([np.sqrt(np.diag(np.linalg.inv(p.mass))) for p in self._places], axis=0)
         self._bent = any(d.falls or d.depends_on_speed for d in damping)
         self._moves = np.max(
-            [per_root_of_level(commands, p.form, np.linalg.inv(p.inverse)) for p in self._places], axis=0
+            [per_root_of_level(commands, p.form, inverse_of(p.inverse)) for p in self._places],
+            axis=0,
         )
 
     def weights(self, level: float) -> tuple[Array, float]:

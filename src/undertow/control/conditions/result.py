@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from html import escape
 
-from .feasible import Span
-from .uncertain import Range
+from .problem import Range, Span
 
 HOLDS, FAILS, UNPROVED, NO_IOTA = "holds", "fails", "not proved", "no iota"
 

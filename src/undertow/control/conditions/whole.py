@@ -9,22 +9,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undertow.control.allocation import allocation_of
+from undertow.control.controller import allocation_of
 from undertow.control.gains import GainSet
-from undertow.control.laws import LAWS
-from undertow.control.laws.sliding_mode import LAMBDA
+from undertow.control.laws import LAMBDA, LAWS
 from undertow.errors import UndertowError
-from undertow.model.evaluation import function_of
+from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-from .case import sign_sets
-from .problem import Problem
+from .problem import Problem, sign_sets
 from .result import SETTINGS, LeftAlone, Region, WholeLoop
 
 if TYPE_CHECKING:
-    from undertow.control.linear.loop import LinearLoop
+    from undertow.control.linear.systems import LinearLoop
 
-Array = np.ndarray
 _ANGLES = ("phi", "theta", "psi")
 _PADE = 4
 _JUMPING = ("sliding-mode", "super-twisting")
@@ -77,9 +75,8 @@ class _Case:
 
 
 def _loops(gains: GainSet) -> Iterator[tuple[_Case, LinearLoop]]:
-    from undertow.control.linear.loop import LinearLoop, law_for
     from undertow.control.linear.numeric import Numeric, in_direction, reversing
-    from undertow.control.linear.systems import linear_with_delays
+    from undertow.control.linear.systems import LinearLoop, law_for, linear_with_delays
     from undertow.control.linear.trim import find_trim
 
     smooth, vehicle = _without_jump(gains), _with_limits(gains)

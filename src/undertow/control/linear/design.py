@@ -9,18 +9,15 @@ import control as ct
 import numpy as np
 
 from undertow.codegen import Functions
-from undertow.control.gain_schema import GainTable
-from undertow.control.gains import GainSet, gains_from_table
+from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .analysis import Mode, controllability, modes, observability
-from .failures import told
-from .loop import LinearLoop, close_loop, with_forces
-from .numeric import with_ideal_thrust
-from .systems import linearize, named
+from .numeric import told, with_ideal_thrust
+from .systems import LinearLoop, close_loop, linearize, named, with_forces
 from .trim import Trim, find_trim
 
 # Time over which an integral is to remove an error, beside the time constant of the loop without it.

@@ -12,18 +12,15 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
-from undertow.model.history import last_covariance
-from undertow.model.loading import resolve_vehicle
+from undertow.model.loading import read_vehicle_table, resolve_vehicle
+from undertow.model.saving import last_covariance
 from undertow.model.vehicle import Vehicle
-from undertow.model.vehicle_toml import read_vehicle_table
 from undertow.typing import Array
 
 from .analysis import Mode, modes
-from .balance import Balance, at_parameters
-from .loop import LinearLoop, law_for
 from .numeric import Numeric, in_direction, motion_of
-from .systems import linear_at
-from .trim import Trim, find_trim
+from .systems import LinearLoop, law_for, linear_at
+from .trim import Balance, Trim, at_parameters, find_trim
 
 CORNER = 2.0
 """Standard deviations that a corner is away from the stated values."""

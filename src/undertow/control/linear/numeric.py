@@ -1,12 +1,14 @@
-"""A vehicle's equations as functions of NumPy arrays, and vehicles made ready for linear analysis."""
+"""A vehicle in numbers: functions of its model, and what fails in them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
+import control as ct
 import numpy as np
 
 from undertow.codegen import Compiled, Functions
@@ -177,3 +179,30 @@ def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
     """
     check_current(north, east)
     return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
+
+
+_LOOK = "look for a value in the vehicle, the gains or the options that is off by powers of ten"
+
+
+@contextmanager
+def told(
+    what: str = "linear algebra fails on these numbers", remedy: str = _LOOK, *more: type[Exception]
+) -> Iterator[None]:
+    """Tell failures of NumPy, SciPy and python-control as one of the input.
+
+    Parameters
+    ----------
+    what, remedy : str
+        Beginning and end of the line.
+    more : type
+        Exceptions that count, too.
+
+    Raises
+    ------
+    UndertowError
+        If something fails.
+    """
+    try:
+        yield
+    except (np.linalg.LinAlgError, ct.ControlArgument, *more) as failure:
+        raise UndertowError(f"{what}: {str(failure).rstrip('.')}; {remedy}") from failure

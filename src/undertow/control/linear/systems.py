@@ -1,17 +1,25 @@
-"""Vehicles as systems of python-control: linear at a trim, and nonlinear."""
+"""The vehicle as a system of python-control, and a control law closed around it."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 
+import casadi as ca
 import control as ct
 import numpy as np
 
+from undertow.control.controller import Controller
+from undertow.control.gains import GainSet
+from undertow.control.laws import SlidingMode, SuperTwisting
+from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .analysis import Margins, margins, minimal
 from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
@@ -161,4 +169,278 @@ def named(
         inputs=list(inputs),
         outputs=list(outputs),
         name=name,
+    )
+
+
+_ROUNDS = 20
+_OPEN = 1.0
+
+
+class LawSystem:
+    """A gain set as it is in continuous time, its gate passed.
+
+    Parameters
+    ----------
+    gains : GainSet
+        The law with its numbers and the model that it knows.
+
+    Attributes
+    ----------
+    references, measured, states, forces : list of str
+        Names of set-points, of pose and velocity, of the law's own states, and of the forces it asks for.
+    acting : tuple of int
+        Places of the degrees of freedom that commands push in.
+    share : ndarray, shape (nu, n)
+        Commands for a unit of each force, without limits.
+    """
+
+    def __init__(self, gains: GainSet) -> None:
+        self.gains, self._controller = gains, Controller(gains)
+        vehicle = gains.plant.vehicle
+        self.references = [f"{name}_ref" for name in vehicle.pose_names]
+        self.measured = [*vehicle.pose_names, *vehicle.velocity_names]
+        self.states = list(self._controller.state_names[:-1])
+        self.forces = [f"force_{name}" for name in vehicle.degrees_of_freedom]
+        allocation = self._controller.allocation
+        self.acting = allocation.rows
+        self.share = np.zeros((len(vehicle.command_names), len(self.forces)))
+        self.share[:, list(self.acting)] = allocation.pseudo_inverse
+        self._k = self._controller.gain_values()
+
+    def asked(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        """Commands, rates of the law's states, and the forces it asks for."""
+        u, rates, force = self._controller.continuous(y, ref, [*z, _OPEN], self._k)
+        return u.full().ravel(), rates.full().ravel()[:-1], force.full().ravel()
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        n = len(self.references)
+        ref, y, z = ca.SX.sym("ref", n), ca.SX.sym("y", 2 * n), ca.SX.sym("z", len(self.states))
+        _, rates, force = self._controller.continuous(y, ref, ca.vertcat(z, _OPEN), self._k)
+        slope = ca.jacobian(ca.vertcat(force, rates), ca.vertcat(ref, y, z))
+        return ca.Function("law_slopes", [ref, y, z], [ca.densify(slope)])
+
+    # --- systems ------------------------------------------------------------------------------
+    def nonlinear(self) -> ct.NonlinearIOSystem:
+        """References, pose and velocity to commands."""
+        n = len(self.references)
+
+        def rate(t: float, z: Array, inputs: Array, params: object) -> Array:
+            return self.asked(inputs[:n], inputs[n:], z)[1]
+
+        def commands(t: float, z: Array, inputs: Array, params: object) -> Array:
+            return self.asked(inputs[:n], inputs[n:], z)[0]
+
+        return ct.nlsys(
+            rate if self.states else None,
+            commands,
+            states=self.states or None,
+            inputs=[*self.references, *self.measured],
+            outputs=list(self._controller.command_names),
+            name="law",
+        )
+
+    def linear(self, trim: Trim) -> ct.StateSpace:
+        """The law at a trim that it keeps: references, pose and velocity to forces."""
+        n, nz = len(self.references), len(self.states)
+        slope = self._slopes(*self.keeping(trim)).full()
+        force, rates = slope[:n], slope[n : n + nz]  # the last row is the gate's
+        return ct.ss(
+            rates[:, 3 * n :].reshape(nz, nz),
+            rates[:, : 3 * n].reshape(nz, 3 * n),
+            force[:, 3 * n :].reshape(n, nz),
+            force[:, : 3 * n],
+            states=self.states,
+            inputs=[*self.references, *self.measured],
+            outputs=self.forces,
+            name="law",
+        )
+
+    def keeping(self, trim: Trim) -> tuple[Array, Array, Array]:
+        """Reference, reported motion and law states for which the law asks for the forces of a trim.
+
+        Integrals carry what the trim needs; a law without them keeps it with an error that stays.
+        """
+        self._check(trim)
+        n = len(self.references)
+        y = trim.y
+        ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.acting)
+        target = self._controller.allocation.acting @ trim.u
+        for _ in range(_ROUNDS):
+            lacking = target - self.asked(ref, y, z)[2][rows]
+            slope = self._slopes(ref, y, z).full()[rows]
+            if self.states:
+                z = z + np.linalg.pinv(slope[:, 3 * n :]) @ lacking
+            else:
+                ref = ref + np.linalg.pinv(slope[:, :n]) @ lacking
+        return ref, y, z
+
+    def _check(self, trim: Trim) -> None:
+        law = self.gains.law
+        if isinstance(law, SlidingMode | SuperTwisting):
+            raise UndertowError(
+                f"law '{law.id}' of '{self.gains.name}' jumps at its set-point, so it has no linear form "
+                "there: take 'sliding-mode-boundary-layer', or simulate it"
+            )
+        if trim.turning:
+            raise UndertowError(
+                f"'{self.gains.name}' holds a pose and cannot keep a turn: take a trim without r"
+            )
+
+
+def as_controller(gains: GainSet) -> ct.NonlinearIOSystem:
+    """A gain set as a nonlinear system: references (x_ref ...), pose and velocity to commands.
+
+    Its signals are named so that ``control.interconnect([as_nlsys(vehicle), as_controller(gains)], ...)``
+    closes the loop by itself. It is the law in continuous time with its allocation and limits; a gate in its
+    schedule counts as passed.
+    """
+    return LawSystem(gains).nonlinear()
+
+
+def forces_of(vehicle: Vehicle) -> tuple[list[str], Array]:
+    """Names of the body-frame forces that commands give, and commands for a unit of each, shape (nu, k)."""
+    plant = Plant(vehicle)
+    matrix = np.array(plant.B.xreplace(plant.numbers).tolist(), dtype=float).reshape(plant.B.shape)
+    rows = [i for i, row in enumerate(matrix) if np.any(row)]
+    inverse = np.linalg.pinv(matrix[rows], rcond=1e-10)
+    return [f"force_{vehicle.degrees_of_freedom[i]}" for i in rows], inverse
+
+
+def close_loop(
+    vehicle: Vehicle,
+    gains: GainSet,
+    trim: Trim | Mapping[str, float] | None = None,
+    *,
+    pade: int = 0,
+    nominal: Vehicle | None = None,
+) -> LinearLoop:
+    """A law that keeps a vehicle at a trim, as linear systems.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    gains : GainSet
+        The law; it knows the same vehicle unless `nominal` says otherwise.
+    trim : Trim or mapping
+        The steady motion, or what it holds (see `find_trim`).
+    pade : int
+        Order of the approximation of a dead time between command and thrust.
+    nominal : Vehicle, optional
+        What the law takes for the vehicle.
+
+    Raises
+    ------
+    UndertowError
+        If there is no such trim, or the law has no linear form there.
+    """
+    found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
+    law = law_for(gains, nominal or vehicle, found.direction)
+    return LinearLoop(linearize(vehicle, found, pade=pade), law, found)
+
+
+def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:
+    """A law that knows a vehicle, with the set of parameters of a direction of motion."""
+    return LawSystem(replace(gains, plant=Plant(in_direction(vehicle, direction))))
+
+
+class LinearLoop:
+    """A law that keeps a vehicle at a trim, linear; `close_loop` makes it.
+
+    Attributes
+    ----------
+    trim : Trim
+        The steady motion.
+    plant, law : StateSpace
+        Commands to reported pose and velocity; references, pose and velocity to forces.
+    """
+
+    def __init__(self, plant: ct.StateSpace, system: LawSystem, trim: Trim) -> None:
+        self.plant, self._system, self.trim = plant, system, trim
+        self.law = system.linear(trim)
+
+    @cached_property
+    def _kept(self) -> tuple[np.ndarray, np.ndarray]:
+        """The set-point that the law keeps this trim for, and the pose that it is told."""
+        ref, y, _ = self._system.keeping(self.trim)
+        return ref, y[: len(ref)]
+
+    @property
+    def offset(self) -> dict[str, float]:
+        """Set-point less reported pose at the trim, m and rad: what a law without integrals leaves."""
+        ref, told = self._kept
+        return dict(zip(self._system.measured, map(float, ref - told), strict=False))
+
+    @property
+    def rest(self) -> dict[str, float]:
+        """True pose at the trim less the set-point, m and rad."""
+        ref, _ = self._kept
+        return dict(zip(self._system.measured, map(float, self.trim.x[: len(ref)] - ref), strict=False))
+
+    @property
+    def references(self) -> list[str]:
+        """Names of the set-points of the coordinates that commands push."""
+        return [self._system.references[i] for i in self._system.acting]
+
+    @property
+    def forces(self) -> list[str]:
+        """Names of the forces that commands give."""
+        return [self._system.forces[i] for i in self._system.acting]
+
+    @cached_property
+    def closed(self) -> ct.StateSpace:
+        """References to pose, velocity and commands."""
+        to_commands = self._system.share
+        law = ct.ss(self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D)
+        whole = _closed(self.plant, law)
+        names = (*self.plant.state_labels, *self.law.state_labels)
+        outputs = [*self.plant.output_labels, *self.plant.input_labels]
+        return named(whole, names, self._system.references, outputs, "closed")
+
+    @cached_property
+    def opened(self) -> ct.StateSpace:
+        """The loop cut at the forces: forces to minus the forces that the law answers with."""
+        n = len(self._system.references)
+        plant, by_force, names = self.plant, self._system.share, self._system.forces
+        pushed = ct.ss(plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
+        answer = ct.ss(self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
+        return named(answer, answer.state_labels, names, names, "opened")
+
+    def cut(self, force: str) -> ct.StateSpace:
+        """The loop of one force with the others closed, minimal."""
+        i = self._system.forces.index(force)
+        others = np.eye(len(self._system.forces))
+        others[i, i] = 0.0
+        rest = ct.feedback(self.opened, ct.ss([], [], [], others))
+        return minimal(ct.ss(rest.A, rest.B[:, [i]], rest.C[[i]], rest.D[[i]][:, [i]]))
+
+    @cached_property
+    def margins(self) -> dict[str, Margins]:
+        """Margins of the loop of each force that commands give, with the others closed."""
+        return {force: margins(self.cut(force)) for force in self.forces}
+
+
+def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:
+    """References to (outputs, commands), by elimination: the plant passes no command straight through."""
+    ny = plant.noutputs
+    n = law.ninputs - ny
+    b_ref, b_y = law.B[:, :n], law.B[:, n:]
+    d_ref, d_y = law.D[:, :n], law.D[:, n:]
+    a = np.block([[plant.A + plant.B @ d_y @ plant.C, plant.B @ law.C], [b_y @ plant.C, law.A]])
+    b = np.vstack([plant.B @ d_ref, b_ref])
+    c = np.block([[plant.C, np.zeros((ny, law.nstates))], [d_y @ plant.C, law.C]])
+    d = np.vstack([np.zeros((ny, n)), d_ref])
+    return ct.ss(a, b, c, d)
+
+
+def with_forces(vehicle: Vehicle, plant: ct.StateSpace) -> ct.StateSpace:
+    """The linear vehicle with body-frame forces as inputs, shared among the commands."""
+    inputs, by_force = forces_of(vehicle)
+    return named(
+        ct.ss(plant.A, plant.B @ by_force, plant.C, plant.D @ by_force),
+        plant.state_labels,
+        inputs,
+        plant.output_labels,
+        plant.name,
     )

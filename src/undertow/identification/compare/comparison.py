@@ -3,42 +3,366 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 from scipy.special import chdtrc
 
-from undertow import __version__
 from undertow.codegen.functions import Functions
-from undertow.identification.logs import Run
-from undertow.identification.logs.run import UNITS
+from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.predictor import Predictor, predict
+from undertow.identification.estimation.windows import Prediction, cut, prediction_error
+from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Progress
+from undertow.typing import Array, Flags, Progress
+from undertow.version import __version__
 
-from ..doctor import refuse_impossible
-from ..weak.data import WeakData, prepare
 from .forces import Forces, residual_forces
-from .profiles import CORRELATED, Profile, profiles
-from .regimes import Regime, regimes
-from .result import (
-    BudgetShare,
-    Cell,
-    ChannelResult,
-    ComparedRun,
-    ComparisonResult,
-    DofResult,
-    finite,
-)
-from .windows import Prediction, Predictor, cut, predict, prediction_error
+
+SCHEMA = "undertow/comparison/1"
+
+
+class Table(BaseModel):
+    """A table of the result; numbers that do not exist (a simulation that diverged) are null."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class ComparedRun(Table):
+    """A log and what was done with it."""
+
+    name: str
+    source: str
+    sha256: str
+    samples: int
+    duration: float
+    notes: list[str]
+
+
+class ChannelResult(Table):
+    """One measured channel: error of the prediction over the horizon and of the free run.
+
+    `normalised` is the error over the noise, `relative` (velocities only) over the rms of the measurement,
+    and `fit` the share in % of the variation that is predicted (NRMSE; 100 is perfect, below 0 is worse than
+    a mean).
+    """
+
+    channel: str
+    unit: str
+    noise: float
+    ahead_rms: float | None
+    ahead_normalised: float | None
+    ahead_relative: float | None
+    free_run_rms: float | None
+    free_run_fit: float | None
+
+
+class DofResult(Table):
+    """One degree of freedom: the force that the model lacks, N or N m.
+
+    `explained_by_noise` is the share of its mean square that the noise of the channels accounts for,
+    `normalised` its rms over that of the noise; `inputs` holds its correlation with every command.
+    """
+
+    degree_of_freedom: str
+    unit: str
+    residual_rms: float
+    noise_rms: float
+    explained_by_noise: float
+    normalised: float | None
+    autocorrelation: list[float]
+    ljung_box: float
+    p_value: float
+    inputs: dict[str, float]
+
+
+class Cell(Table):
+    """One field of the error map; without numbers where there are too few samples."""
+
+    degree_of_freedom: str
+    group: str
+    regime: str
+    phrase: str
+    samples: int
+    residual_rms: float | None = None
+    noise_rms: float | None = None
+    explained_by_noise: float | None = None
+    normalised: float | None = None
+
+
+class BudgetShare(Table):
+    """Part of one effect in the forces of one degree of freedom: rms along the logs, and share of all."""
+
+    degree_of_freedom: str
+    effect: str
+    rms: float
+    share: float
+
+
+class ComparisonResult(Table):
+    """Outcome of `undertow compare`."""
+
+    schema_id: str = SCHEMA
+    undertow: str
+    vehicle: str
+    degrees_of_freedom: list[str]
+    runs: list[ComparedRun]
+    horizon: float
+    headline: str
+    prediction_error: float | None
+    windows: int
+    diverged: int
+    channels: list[ChannelResult]
+    dofs: list[DofResult]
+    cells: list[Cell]
+    worst: Cell | None
+    budget: list[BudgetShare]
+    seconds: float
+
+
+def finite(value: float | None) -> float | None:
+    """The number, or None where it is none."""
+    return float(value) if value is not None and isfinite(value) else None
+
+
+# Share of the largest command below which a command counts as none.
+_NO_COMMAND = 0.01
+# Test functions after the first command that count as starting up: four make one width of a function.
+_STARTING = 8
+_FAST_TURN = 0.7
+# A velocity counts as reversed when it passes this many standard deviations of its noise on both sides.
+_CLEAR = 3.0
+
+
+@dataclass(frozen=True)
+class Regime:
+    """One part of the logs.
+
+    Attributes
+    ----------
+    group : str
+        What it is one part of: speed, reversal, turning, depth, thrust, commands, time.
+    name : str
+        Its name.
+    phrase : str
+        How a sentence names it: "when turning".
+    inside : (K, n) array of bool
+        Test functions that belong to it, for each degree of freedom.
+    """
+
+    group: str
+    name: str
+    phrase: str
+    inside: Flags
+
+
+def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
+    """All regimes that the degrees of freedom and the commands of a vehicle let one tell apart.
+
+    Parameters
+    ----------
+    forces : Forces
+        Averages over test functions.
+    vehicle : Vehicle
+        Whose degrees of freedom are meant.
+    sigma : (2n,) array
+        Noise of pose and velocity.
+    """
+    size = len(vehicle.dof_indices)
+    parts = [_speeds, _reversal, _turning, _depths, _thrust, _commands, _thirds]
+    found = [r for part in parts for r in part(forces, vehicle, sigma)]
+    return [
+        Regime(g, n, phrase, np.broadcast_to(m if m.ndim == 2 else m[:, None], (len(forces), size)))
+        for g, n, phrase, m in found
+    ]
+
+
+_Found = Iterator[tuple[str, str, str, Flags]]
+
+
+def _speeds(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    linear = [i for i, dof in enumerate(vehicle.dof_indices) if dof < 3]
+    chosen = linear or list(range(len(vehicle.dof_indices)))
+    speed = np.linalg.norm(forces.velocity[:, chosen], axis=1)
+    names = ("slow", "medium", "fast")
+    phrases = ("at low speed", "at medium speed", "at high speed")
+    yield from _bands("speed", names, phrases, speed)
+
+
+def _bands(group: str, names: tuple[str, ...], phrases: tuple[str, ...], value: Array) -> _Found:
+    """Parts of a variable with equally many test functions each."""
+    limits = np.quantile(value, np.linspace(0, 1, len(names) + 1)[1:-1])
+    band = np.searchsorted(limits, value, side="right")
+    for i, (name, phrase) in enumerate(zip(names, phrases, strict=True)):
+        yield group, name, phrase, band == i
+
+
+def _reversal(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    clear = _CLEAR * sigma[len(vehicle.dof_indices) :]
+    low, high = forces.velocity.copy(), forces.velocity.copy()
+    for step in (1, 2):
+        for ahead, behind in (
+            (slice(step, None), slice(None, -step)),
+            (slice(None, -step), slice(step, None)),
+        ):
+            near = (forces.segment[ahead] == forces.segment[behind])[:, None]
+            other = forces.velocity[behind]
+            low[ahead] = np.where(near, np.minimum(low[ahead], other), low[ahead])
+            high[ahead] = np.where(near, np.maximum(high[ahead], other), high[ahead])
+    yield "reversal", "reversing", "when the motion reverses", (low < -clear) & (high > clear)
+
+
+def _turning(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    if "r" not in vehicle.velocity_names:
+        return
+    rate = np.abs(forces.velocity[:, vehicle.velocity_names.index("r")])
+    fast = rate > max(np.quantile(rate, _FAST_TURN), _CLEAR * sigma[-1])
+    yield "turning", "turning", "when turning", fast
+    yield "turning", "straight", "when going straight", rate <= np.quantile(rate, 1 - _FAST_TURN)
+
+
+def _depths(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    if "z" not in vehicle.pose_names:
+        return
+    place = vehicle.pose_names.index("z")
+    depth = forces.pose[:, place]
+    if np.ptp(depth) > 2 * _CLEAR * sigma[place]:
+        phrases = ("near its least depth", "at middle depth", "near its greatest depth")
+        yield from _bands("depth", ("shallow", "middle", "deep"), phrases, depth)
+
+
+def _thrust(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    drive = forces.drive
+    least = _NO_COMMAND * np.max(np.abs(drive), axis=0, initial=0.0)
+    for name, side in (("positive", drive > least), ("negative", drive < -least)):
+        if side.any():
+            yield "thrust", f"thrust {name}", f"under {name} thrust", side
+
+
+def _commands(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    if forces.commands.size == 0:
+        return
+    largest = np.max(np.abs(forces.commands), axis=0)
+    idle = np.all(np.abs(forces.commands) <= _NO_COMMAND * largest, axis=1)
+    woken = np.zeros(len(idle), dtype=bool)
+    for step in range(1, _STARTING + 1):
+        woken[step:] |= idle[:-step] & (forces.segment[step:] == forces.segment[:-step])
+    yield "commands", "start-up", "when starting up", woken & ~idle
+    yield "commands", "coasting", "when coasting", idle
+
+
+def _thirds(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    third = np.zeros(len(forces), dtype=int)
+    for run in np.unique(forces.run):
+        inside = forces.run == run
+        first, last = forces.t[inside].min(), forces.t[inside].max()
+        third[inside] = np.clip(3 * (forces.t[inside] - first) / max(last - first, 1e-12), 0, 2)
+    for i, name in enumerate(("first", "middle", "last")):
+        yield "time", f"{name} third", f"in the {name} third of the runs", third == i
+
+
+BINS = 12
+_FEWEST = 12
+# Sum of the correlations between test functions under a white disturbance.
+CORRELATED = 2.1
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Mean residual force over bins of one variable.
+
+    Attributes
+    ----------
+    degree_of_freedom, variable, unit : str
+        What is plotted against what; `unit` is the variable's.
+    centre : (bins,) array
+        Mean of the variable in each bin.
+    force, error : (bins,) array
+        Mean residual force and its standard error, N or N m.
+    count : (bins,) array
+        Test functions in each bin.
+    """
+
+    degree_of_freedom: str
+    variable: str
+    unit: str
+    centre: Array
+    force: Array
+    error: Array
+    count: NDArray[np.intp]
+
+
+def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -> list[Profile]:
+    """Residual force of every degree of freedom against every variable that varies.
+
+    Parameters
+    ----------
+    forces : Forces
+        Averages over test functions.
+    vehicle : Vehicle
+        Whose degrees of freedom are meant.
+    measured_pose : tuple of str
+        Pose channels that the logs have.
+    """
+    known = list(_variables(forces, vehicle, measured_pose))
+    return [
+        _profile(dof, name, unit, forces.missing[:, i], value)
+        for i, dof in enumerate(vehicle.degrees_of_freedom)
+        for name, unit, value in known
+        if len(value) >= _FEWEST and np.ptp(value) > 0
+    ]
+
+
+def _variables(
+    forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]
+) -> Iterator[tuple[str, str, Array]]:
+    for i, name in enumerate(vehicle.velocity_names):
+        yield name, UNITS[name], forces.velocity[:, i]
+    for i, name in enumerate(vehicle.pose_names):
+        if name in measured_pose and name not in ("x", "y"):
+            yield (
+                name,
+                UNITS[name],
+                _principal(forces.pose[:, i]) if UNITS[name] == "rad" else forces.pose[:, i],
+            )
+    for i, name in enumerate(vehicle.command_names):
+        yield name, UNITS.get(name, "command"), forces.commands[:, i]
+    yield "t", "s", forces.t
+
+
+def _principal(angle: Array) -> Array:
+    """The angle between -pi and pi: a force depends on the heading, not on how often it went round."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _profile(dof: str, name: str, unit: str, force: Array, value: Array) -> Profile:
+    bins = min(BINS, len(value) // _FEWEST)
+    limits = np.unique(np.quantile(value, np.linspace(0, 1, bins + 1)[1:-1]))
+    band = np.searchsorted(limits, value, side="right")
+    groups = [np.flatnonzero(band == i) for i in range(len(limits) + 1)]
+    groups = [g for g in groups if len(g) > 1]
+    return Profile(
+        dof,
+        name,
+        unit,
+        np.array([value[g].mean() for g in groups]),
+        np.array([force[g].mean() for g in groups]),
+        np.array([force[g].std(ddof=1) * np.sqrt(CORRELATED / len(g)) for g in groups]),
+        np.array([len(g) for g in groups], dtype=np.intp),
+    )
+
 
 HORIZON = 5.0
 # Test functions that a field of the error map needs.
-_FEWEST = 20
+_COMPARISON_FEWEST = 20
 # Standard deviations by which the mean square of a field must exceed that of noise to be called a failure.
-_CLEAR = 4.0
+_COMPARISON_CLEAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -223,7 +547,7 @@ def _cell(forces: Forces, vehicle: Vehicle, i: int, regime: Regime) -> Cell:
         phrase=regime.phrase,
         samples=int(inside.sum()),
     )
-    if cell.samples < _FEWEST:
+    if cell.samples < _COMPARISON_FEWEST:
         return cell
     missing, noise = _rms(forces.missing[inside, i]), _rms(forces.noise[inside, i])
     numbers = {
@@ -250,7 +574,7 @@ def headline(worst: Cell | None) -> str:
     told = "under 1" if percent < 1 else f"{percent:.0f}"
     share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {told} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
-    if worst.normalised**2 < 1.0 + _CLEAR * np.sqrt(2 * CORRELATED / worst.samples):
+    if worst.normalised**2 < 1.0 + _COMPARISON_CLEAR * np.sqrt(2 * CORRELATED / worst.samples):
         return f"nothing stands out from the noise; the most is {place}: {share}"
     return f"fails most {place}: {share}"
 

@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
 from undertow.codegen.functions import Functions
-from undertow.identification.logs import Run
+from undertow.codegen.tape import mapped
+from undertow.identification.estimation.data import Segment, WeakData, prepare
+from undertow.identification.estimation.inputs import ActuatorStates, Memory
+from undertow.identification.estimation.pointwise import Pointwise
+from undertow.identification.estimation.residual import Lateness, WeakModel, whitened
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
-
-from ..weak.data import Segment, WeakData, prepare
-from ..weak.drive import ActuatorStates, Memory
-from ..weak.lateness import Lateness
-from ..weak.mapping import mapped
-from ..weak.pointwise import Pointwise
-from ..weak.residual import WeakModel, whitened
 
 
 @dataclass(frozen=True)

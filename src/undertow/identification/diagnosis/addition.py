@@ -9,17 +9,9 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.compare.cutting import cut
-from undertow.identification.compare.windows import Windows, predict, prediction_error
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.diagnose import HORIZON
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
-from undertow.identification.diagnosis.excitation import check_excitation
-from undertow.identification.diagnosis.final import last_fit
-from undertow.identification.diagnosis.referee import Referee
 from undertow.identification.diagnosis.result import Step
-from undertow.identification.diagnosis.scouting import begun, scout, scouts
-from undertow.identification.diagnosis.split import keep_blocks_aside
 from undertow.identification.diagnosis.trial import (
     FALSE_ALARM_RATE,
     Bench,
@@ -28,17 +20,22 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
-from undertow.identification.doctor import refuse_impossible
-from undertow.identification.fitted import Fitted
-from undertow.identification.logs import Run
-from undertow.identification.weak.data import prepare
-from undertow.identification.weak.disturbance import mean_square
-from undertow.identification.weak.fit import WeakFit
-from undertow.identification.weak.noise import Whitening
-from undertow.identification.weak.residual import Linearised, WeakModel, whitened
+from undertow.identification.diagnosis.validation import DECIDING, check_excitation, keep_blocks_aside
+from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.data import Whitening, prepare
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.predictor import predict
+from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
+from undertow.identification.estimation.weak_form import WeakFit, mean_square
+from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
 from undertow.model.vehicle import Vehicle
+
+from .search import last_fit
+from .trial import begun, scout, scouts
+from .validation import Referee
 
 
 @dataclass(frozen=True)
@@ -136,7 +133,7 @@ def lay_ground(
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(HORIZON, 0.9 * longest))
+    windows = cut(test_runs, vehicle, min(DECIDING, 0.9 * longest))
     referee = Referee(vehicle, train_runs, test_runs, train.sigma)
     return Ground(vehicle, train_runs, test_runs, bench, windows, referee)
 

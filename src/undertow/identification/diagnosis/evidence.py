@@ -1,17 +1,24 @@
-"""How strong the evidence is: paired comparison of two models over blocks of kept-aside data."""
+"""How strong the evidence is: paired comparison over blocks, and the null distribution of the best."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
+from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.residual import Linearised, whitened
+from undertow.identification.estimation.step import inverse_of, prior_of
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from ..weak.data import WeakData
-from .trial import Score
+from .trial import Bench, Score, Trial, noise_ratio, only_noise, told_apart
 
 # A fall of the mean square, in units of the noise, that is hidden in the noise.
 SMALLEST_FALL = 0.05
@@ -82,3 +89,312 @@ def as_good(best: Score, other: Score, data: WeakData) -> bool:
     """Whether kept-aside data leave open which of two models is the better one."""
     gap = compare_scores(other, best, data)
     return gap.p_value > _SURE or gap.mean < SMALLEST_FALL
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """A candidate with the evidence for it.
+
+    Attributes
+    ----------
+    trial : Trial
+        The candidate after its fit.
+    evidence : Comparison
+        Fall of the kept-aside error, block by block.
+    explained : float
+        Share of what exceeds the noise that it takes away.
+    p_value : float
+        Chance that the best of all candidates lowers the error as much when nothing is missing.
+    significant : bool
+        Whether it is held to be there.
+    inclusion : float
+        How often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
+    """
+
+    trial: Trial
+    evidence: Comparison
+    explained: float
+    p_value: float
+    significant: bool
+    inclusion: float = float("nan")
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Parameters that its fit brings into the model."""
+        free = self.trial.fit.model.free
+        return tuple(p.name for p in self.trial.candidate.parameters if p.name in free)
+
+    @property
+    def id(self) -> str:
+        """Id of the effect."""
+        return self.trial.id
+
+
+Quiet = Callable[[WeakFit, WeakData], bool]
+# Share of what exceeds the noise that effects must take away beside leaving only noise: a model that is just
+# above the limit of noise may get below it by chance.
+_MOST = 0.5
+# Mean square in units of the sensors' noise from which no second look is worth its time: what is so far off
+# hardly comes down to noise by what the first look has not found.
+_FAR_OFF = 1000.0
+
+
+def hidden_by_disturbance(bench: Bench) -> bool:
+    """Whether a model leaves a little more than noise, which its noise model takes for a disturbance.
+
+    By the weak form, also where the simulation of windows finds nothing but noise: their estimated starts
+    take up part of a small steady force. Whether what is found is needed is for the simulation to say again.
+
+    Parameters
+    ----------
+    bench : Bench
+        Data, noise model and the model.
+    """
+    if not np.any(bench.base.disturbance) or only_noise(bench.base, bench.test):
+        return False
+    return bool(np.nanmax(noise_ratio(bench.base, bench.test)) < _FAR_OFF)
+
+
+def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
+    """Whether nothing but noise is left with effects that were found without room for a disturbance.
+
+    Parameters
+    ----------
+    bare : Bench
+        Data, the noise of the sensors and the model without the effects.
+    fit : WeakFit
+        The model with them.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    share = explained(*told_apart(bare.base_score, bare.judge(fit), bare.test), bare.noise_level)
+    return share >= _MOST and quiet(fit, bare.test)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Products of the columns of a linearised model, block by block.
+
+    The whitened residual of the model is r + shift + J delta: r is that of the model without the candidate,
+    shift what the candidate changes at the point of linearisation, J its derivative there.
+
+    Attributes
+    ----------
+    table : (B, k + 2, k + 2) array
+        Gram matrices of the columns of J (k of them), shift and r, one for each block.
+    rows : int
+        Entries of the residual in all blocks.
+    """
+
+    table: Array
+    rows: int
+
+    @classmethod
+    def of(cls, J: Array, shift: Array, r: Array, block: NDArray[np.intp]) -> Blocks:
+        """Tables from the whitened columns and the block of every row."""
+        columns = np.column_stack([J, shift, r])
+        order = np.argsort(block, kind="stable")
+        edges = np.flatnonzero(np.diff(block[order])) + 1
+        parts = np.split(columns[order], edges)
+        return cls(np.stack([part.T @ part for part in parts]), len(r))
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return len(self.table)
+
+    @cached_property
+    def gram(self) -> Array:
+        """J' J over all blocks, shape (k, k)."""
+        return np.asarray(self.table[:, :-2, :-2].sum(axis=0))
+
+    def slope(self, signs: Array) -> Array:
+        """J' (signs r + shift), shape (draws, k), for signs of the blocks of shape (draws, B)."""
+        return np.asarray(signs @ self.table[:, :-2, -1] + self.table[:, :-2, -2].sum(axis=0))
+
+    def squares(self, signs: Array, delta: Array) -> Array:
+        """|signs r + shift + J delta|^2, shape (draws,), for delta of shape (draws, k)."""
+        own = self.table[:, -2:, -2:].sum(axis=0)
+        constant = own[0, 0] + own[1, 1] + 2 * signs @ self.table[:, -2, -1]
+        return np.asarray(
+            constant
+            + 2 * np.einsum("dk,dk->d", delta, self.slope(signs))
+            + np.einsum("dk,kl,dl->d", delta, self.gram, delta)
+        )
+
+    def without(self, dropped: int) -> Blocks:
+        """The model without the shift and the last `dropped` columns of J: the one without the candidate."""
+        size = self.table.shape[1]
+        kept = [*range(size - 2 - dropped), size - 2, size - 1]
+        table = self.table[:, kept][:, :, kept].copy()
+        table[:, -2, :] = table[:, :, -2] = 0.0
+        return Blocks(table, self.rows)
+
+
+DRAWS = 1000
+_RESAMPLES = 200
+_SEED = 20150518
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A candidate linearised where it was fitted, on the data for the fit and on those kept aside.
+
+    Attributes
+    ----------
+    train, test : Blocks
+        The model's own parameters first, the candidate's last.
+    own : int
+        How many of the columns belong to the candidate.
+    stiffness : (k,) array
+        Weight of the stated priors.
+    """
+
+    train: Blocks
+    test: Blocks
+    own: int
+    stiffness: Array
+
+    def falls(self, train_signs: Array, test_signs: Array) -> Array:
+        """Fall of the kept-aside mean square by the candidate when both models are refitted, (draws,)."""
+        without = Linear(
+            self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
+        )
+        before = without._squares(train_signs, test_signs)
+        return np.asarray((before - self._squares(train_signs, test_signs)) / self.test.rows)
+
+    def _squares(self, train_signs: Array, test_signs: Array) -> Array:
+        delta = -self.train.slope(train_signs) @ _inverse(self.train.gram, self.stiffness)
+        return self.test.squares(test_signs, delta)
+
+    def resampled(self, train_weight: Array, test_weight: Array) -> Array:
+        """Kept-aside sum of squares after a refit to weighted blocks, shape (draws,)."""
+        return np.array(
+            [self._weighted(a, b) for a, b in zip(train_weight, test_weight, strict=True)], dtype=float
+        )
+
+    def _weighted(self, train: Array, test: Array) -> float:
+        fitted, judged = (np.tensordot(w, b.table, 1) for w, b in ((train, self.train), (test, self.test)))
+        k = len(self.stiffness)
+        ones = np.ones(2)
+        slope = fitted[:k, k:] @ ones
+        delta = -_inverse(fitted[:k, :k], self.stiffness) @ slope
+        whole = np.concatenate([delta, ones])
+        return float(whole @ judged @ whole)
+
+
+def _inverse(gram: Array, stiffness: Array) -> Array:
+    """Inverse of the information; a parameter that the data do not feel at all stays where it is."""
+    felt = np.diag(gram) > 0.0
+    inverse = np.zeros_like(gram)
+    inverse[np.ix_(felt, felt)] = inverse_of((gram + np.diag(stiffness**2))[np.ix_(felt, felt)])
+    return inverse
+
+
+def best_by_chance(candidates: Sequence[Linear]) -> Array:
+    """Largest fall of the kept-aside error over all candidates in draws where nothing is missing, (DRAWS,).
+
+    The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
+    of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
+    """
+    if not candidates:
+        return np.zeros(DRAWS)
+    rng = np.random.default_rng(_SEED)
+    first = candidates[0]
+    train, test = (rng.choice([-1.0, 1.0], (DRAWS, b.count)) for b in (first.train, first.test))
+    return np.asarray(np.max([c.falls(train, test) for c in candidates], axis=0))
+
+
+def p_value(fall: float, by_chance: Array) -> float:
+    """Chance that the best candidate lowers the error by at least this much when nothing is missing."""
+    return float((1 + np.count_nonzero(by_chance >= fall)) / (1 + len(by_chance)))
+
+
+def inclusion(candidates: Sequence[Linear]) -> Array:
+    """How often each candidate is the best one when the blocks are drawn anew, shape (len(candidates),)."""
+    if not candidates:
+        return np.zeros(0)
+    rng = np.random.default_rng(_SEED)
+    first = candidates[0]
+    train, test = (
+        rng.multinomial(b.count, np.full(b.count, 1.0 / b.count), _RESAMPLES).astype(float)
+        for b in (first.train, first.test)
+    )
+    squares = np.array([c.resampled(train, test) for c in candidates])
+    return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / _RESAMPLES
+
+
+def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Linear:
+    """Linearise a model with a candidate where a fit of it stands, beside the model without it."""
+    base = bench.base
+    own = len(at.model.free) - len(base.model.free)
+    train = at.at
+    if at.whitening is not bench.train_whitening:
+        train = whitened(at.model.linearise(bench.train, at.p), bench.train_whitening)
+    test = bench.on_test(at) if on_test is None else on_test
+    return Linear(
+        Blocks.of(train.J, train.r - base.at.r, base.at.r, bench.train.block),
+        Blocks.of(test.J, test.r - bench.base_score.r, bench.base_score.r, bench.test.block),
+        own,
+        prior_of(at.model)[1],
+    )
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Effects added to a model, fitted together.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+        The effects, in the order in which they were found.
+    fit : WeakFit
+        The model with all of them.
+    score : Score
+        How it does on the kept-aside data.
+    """
+
+    findings: tuple[FoundEffect, ...]
+    fit: WeakFit
+    score: Score
+
+
+def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
+    """The model with effects in it, at the values at which they were found."""
+    for finding in findings:
+        vehicle = finding.trial.candidate.on(vehicle).adopted(finding.trial.fit.values)
+    return vehicle
+
+
+def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> Chain:
+    """Fit a model with effects together and judge it."""
+    grown = with_effects(vehicle, findings)
+    free = free_parameters(grown)
+    known = findings[-1].trial.fit.values if findings else bench.base.values
+    own = set(free_parameters(vehicle))
+    fit = bench.fit(grown, free, {n: v for n, v in known.items() if n in own})
+    return Chain(tuple(findings), fit, bench.judge(fit))
+
+
+def thinned(vehicle: Vehicle, chain: Chain, bench: Bench) -> Chain:
+    """The chain without effects that those found later make superfluous."""
+    for finding in chain.findings[:-1]:
+        shorter = fitted(vehicle, [f for f in chain.findings if f is not finding], bench)
+        if as_good(chain.score, shorter.score, bench.test):
+            return thinned(vehicle, shorter, bench)
+    return chain
+
+
+def alternatives(
+    vehicle: Vehicle, chain: Chain, place: int, rivals: Sequence[FoundEffect], bench: Bench
+) -> list[Chain]:
+    """Chains with another effect in one place that do as well or better, the best first."""
+    found = []
+    for rival in rivals:
+        others = list(chain.findings)
+        if rival.id not in {f.id for f in others}:
+            others[place] = rival
+            tried = fitted(vehicle, others, bench)
+            if as_good(chain.score, tried.score, bench.test):
+                found.append(tried)
+    return sorted(found, key=lambda c: c.score.error)

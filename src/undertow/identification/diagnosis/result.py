@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from ..doctor.findings import Finding
+from undertow.identification.doctor.findings import Finding
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]

@@ -1,28 +1,138 @@
-"""The search for what is missing: one effect after the other, pairs where one is not enough, and a last look
-at all of them together.
-"""
+"""The search for what is missing: effect after effect, pairs where one is not enough, a last fit."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 
+import numpy as np
+
+from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.fitted import SURE
+from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.step import inverse_of
+from undertow.identification.estimation.weak_form import WeakFit, fit_weak, free_parameters, settled
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Progress
+from undertow.typing import Array, Progress
 
-from ..weak.data import WeakData
-from ..weak.fit import WeakFit, free_parameters, settled
-from .chain import Chain, alternatives, fitted, thinned, with_effects
-from .evidence import as_good
-from .finding import Finding
-from .fixed_values import freed, values_to_free
-from .pairs import lone_pair, pair_beside
-from .rounds import Round, try_all
-from .second_look import Quiet, explains_all, hidden_by_disturbance
-from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench
+from .candidates import Candidate
+from .evidence import (
+    Chain,
+    FoundEffect,
+    Quiet,
+    alternatives,
+    as_good,
+    compare_scores,
+    explains_all,
+    fitted,
+    hidden_by_disturbance,
+    thinned,
+    with_effects,
+)
+from .rounds import Round, freed, try_all, values_to_free
+from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench, parameters_that_matter
+
+_LEADING = 8
+# Pairs that are tried beside an effect that shows alone, and where none does.
+_PAIRS, _LONE_PAIRS = 2, 6
+
+
+def pair_beside(current: Round, quiet: Quiet) -> Chain | None:
+    """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
+
+    A pair with the best single effect is found by the next round.
+
+    Parameters
+    ----------
+    current : Round
+        Every effect by itself.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    good = [c for c in _tried(current, _PAIRS) if quiet(c.fit, current.bench.test)]
+    return min(good, key=lambda c: c.score.error, default=None)
+
+
+def lone_pair(current: Round, quiet: Quiet) -> Chain | None:
+    """Two effects of which neither is in evidence alone and that together leave only noise.
+
+    All pairs of effects were in the race, so that by chance the best of them looks good more easily than the
+    best single one; and of several that do as well, none is in evidence.
+
+    Parameters
+    ----------
+    current : Round
+        Every effect by itself.
+    quiet : callable
+        Whether a model leaves only noise of the kept-aside data.
+    """
+    bench = current.bench
+    if quiet(bench.base, bench.test):
+        return None
+    count = len(current.findings) * (len(current.findings) - 1) // 2
+    tried = _tried(current, _LONE_PAIRS)
+    good = [c for c in tried if _in_evidence(c, bench, count) and quiet(c.fit, bench.test)]
+    best = min(good, key=lambda c: c.score.error, default=None)
+    if best is None or any(as_good(best.score, c.score, bench.test) for c in tried if c is not best):
+        return None
+    return best
+
+
+def _tried(current: Round, most: int) -> list[Chain]:
+    """The most promising pairs of effects, fitted, without those of the best single one if there is one."""
+    bench = current.bench
+    vehicle = bench.base.model.functions.vehicle
+    pairs = promising_pairs(current.findings, bench, most)
+    return [fitted(vehicle, pair, bench) for pair in pairs if current.winner not in pair]
+
+
+def _in_evidence(pair: Chain, bench: Bench, count: int) -> bool:
+    gap = compare_scores(bench.base_score, pair.score, bench.test)
+    return gap.beyond_chance(bench.false_alarms, among=count)
+
+
+def promising_pairs(
+    findings: Sequence[FoundEffect], bench: Bench, most: int
+) -> list[tuple[FoundEffect, FoundEffect]]:
+    """Pairs of candidates by what they promise together, the most promising first.
+
+    What each changes where it was fitted is added up, and all parameters are refitted linearly.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Candidates of one round, best first.
+    bench : Bench
+        Data and noise model of the round.
+    most : int
+        Number of pairs.
+    """
+    leading = [f for f in findings if f.trial.kept][:_LEADING]
+    columns = [_columns(f, bench) for f in leading]
+    pairs = [(i, j) for i, j in combinations(range(len(leading)), 2)]
+    costs = [_together(bench, columns[i], columns[j]) for i, j in pairs]
+    return [(leading[pairs[k][0]], leading[pairs[k][1]]) for k in np.argsort(costs)[:most]]
+
+
+def _columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
+    """What a candidate changes in the residual where it was fitted, and its own columns there."""
+    fit = finding.trial.full
+    at = whitened(fit.model.linearise(bench.train, fit.p), bench.train_whitening)
+    own = {p.name for p in finding.trial.candidate.parameters}
+    chosen = [k for k, n in enumerate(fit.model.free) if n in own]
+    return at.r - bench.base.at.r, at.J[:, chosen]
+
+
+def _together(bench: Bench, first: tuple[Array, Array], second: tuple[Array, Array]) -> float:
+    r = bench.base.at.r + first[0] + second[0]
+    columns = np.hstack([bench.base.at.J, first[1], second[1]])
+    slope = columns.T @ r
+    return float(r @ r - slope @ inverse_of(columns.T @ columns) @ slope)
+
 
 _log = logging.getLogger("undertow.diagnosis")
 Freed = Mapping[str, tuple[str, ...]]
@@ -30,7 +140,7 @@ ToFree = Callable[[Round, Quiet], Freed]
 MAX_EFFECTS = 3
 _RIVALS = 5
 # Significant effects of which one may leave only noise although another has the smaller weak residual.
-_LEADING = 4
+_LEADING_ROUNDS = 4
 # Parameters more than the plainest of equally good effects from which one is none of them.
 _BENDABLE = 3
 # Times the error of an effect with many parameters up to which a plain one is worth another look.
@@ -65,7 +175,7 @@ class Search:
     freed: Freed = field(default_factory=dict)
 
     @property
-    def winners(self) -> list[Finding]:
+    def winners(self) -> list[FoundEffect]:
         """The effects that were found."""
         return list(self.chain.findings)
 
@@ -112,7 +222,7 @@ def search(
             return replace(found, freed={**names, **found.freed})
         steps = _stepwise(vehicle, opened, known, report, quiet, _none_to_free)
     report(0.9, "looking at all effects together")
-    return _together(vehicle, opened, steps.rounds, steps.chain)
+    return _refitted_together(vehicle, opened, steps.rounds, steps.chain)
 
 
 @dataclass(frozen=True)
@@ -124,7 +234,7 @@ class _Steps:
     """
 
     rounds: list[Round]
-    chain: list[Finding]
+    chain: list[FoundEffect]
     fit: WeakFit
     freed: Freed
     paired: bool = False
@@ -134,7 +244,7 @@ def _none_to_free(current: Round, quiet: Quiet) -> Freed:
     return {}
 
 
-def _do_alone(vehicle: Vehicle, effects: Sequence[Finding], bench: Bench, quiet: Quiet) -> bool:
+def _do_alone(vehicle: Vehicle, effects: Sequence[FoundEffect], bench: Bench, quiet: Quiet) -> bool:
     """Whether effects that were found beside other values leave only noise without these."""
     return bool(effects) and quiet(fitted(vehicle, effects, bench).fit, bench.test)
 
@@ -166,7 +276,7 @@ def _steps(
     known: Catalogue,
     report: Progress,
     quiet: Quiet,
-    found: Sequence[Finding],
+    found: Sequence[FoundEffect],
     to_free: ToFree,
 ) -> _Steps:
     """Rounds of candidates, each on top of what was found so far."""
@@ -202,7 +312,7 @@ def _sound_first(current: Round, quiet: Quiet) -> Round:
 
     Under a noise model with room for disturbances, some effects look alike that simulation tells apart.
     """
-    leading = [f for f in current.findings if f.significant][:_LEADING]
+    leading = [f for f in current.findings if f.significant][:_LEADING_ROUNDS]
     test = current.bench.test
     if not leading or quiet(leading[0].trial.fit, test):
         return current
@@ -212,7 +322,7 @@ def _sound_first(current: Round, quiet: Quiet) -> Round:
     return replace(current, findings=[sound, *(f for f in current.findings if f is not sound)])
 
 
-def _on_top(bench: Bench, vehicle: Vehicle, chain: list[Finding], fit: WeakFit) -> Bench:
+def _on_top(bench: Bench, vehicle: Vehicle, chain: list[FoundEffect], fit: WeakFit) -> Bench:
     """The bench for the next round: what was found belongs to the model."""
     grown = with_effects(vehicle, chain)
     base = bench.fit(grown, free_parameters(grown), fit.values)
@@ -228,7 +338,9 @@ def _share_of(report: Progress, done_rounds: int) -> Progress:
     return told
 
 
-def _together(vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[Finding]) -> Search:
+def _refitted_together(
+    vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[FoundEffect]
+) -> Search:
     """All effects fitted together under the last noise model, without those that are not needed any more."""
     if not found:
         return Search(vehicle, rounds, opened, fitted(vehicle, [], opened), [])
@@ -272,3 +384,40 @@ def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], ben
                 others = [f for f in others if as_good(chain.score, f.trial.score, bench.test)]
             return alternatives(vehicle, chain, place, others[:_RIVALS], bench)
     return []
+
+
+def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
+    """Fit a model once more under the noise that it leaves itself, with what the search was too strict about.
+
+    While effects compete, a parameter has to be far from zero to stay, for there are many that could be there
+    by chance. Of an effect that is named, a parameter stays that is more likely there than not: two standard
+    errors from zero.
+
+    Parameters
+    ----------
+    fit : WeakFit
+        The model with the effects.
+    candidates : sequence of Candidate
+        The effects that it got.
+    """
+    fit = settled(fit)
+    names = fit.model.functions.parameter_names
+    removable = {n for c in candidates for n in c.removable if n in names}
+    left_out = removable - set(fit.model.free)
+    if not left_out:
+        return fit
+    whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
+    kept = parameters_that_matter(whole, tuple(sorted(removable)), SURE)
+    free = (*fit.model.free, *(n for n in kept if n in left_out))
+    return fit if free == fit.model.free else settled(_refitted(whole, free))
+
+
+def _refitted(fit: WeakFit, free: Collection[str]) -> WeakFit:
+    start = {n: v for n, v in fit.values.items() if n in free}
+    return fit_weak(
+        WeakModel(fit.model.functions, tuple(free)),
+        fit.data,
+        start=start,
+        whitening=fit.whitening,
+        disturbance=fit.disturbance,
+    )

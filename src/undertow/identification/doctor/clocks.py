@@ -1,4 +1,4 @@
-"""Two clocks in one log: velocities that are late against the pose, by a constant or a growing time."""
+"""Clocks that differ in one log: velocities or commands that are late against the rest."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from undertow.identification.estimation.residual import whitened
+from undertow.identification.logs.run import Run
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.typing import Array
 
-from ..logs import Run
-from ..logs.run import VELOCITY
+from .dynamics import Dynamics
 from .findings import Finding
 from .kinematics import Kinematics, Samples, Stretch
-from .mistake import with_channels
-from .sensors import Sensor, fit_sensor
+from .mistakes import Undo, with_channels
+from .sensors import Sensor, clustered_least_squares, fit_sensor
 
 _GROUPS = {
     "linear": (("u", "v", "w"), ("x", "y", "z")),
@@ -127,3 +129,140 @@ def _remedy(one: Shift) -> str:
     if one.delay > 0 and set(one.names) <= set(_GROUPS["linear"][0]):
         return "the effect sensor_delay describes it"
     return f"add {-one.delay:+.3f} s to their stamps, and interpolate them to those of the pose"
+
+
+_LATE_ROUNDS = 8
+_LATE_SURE = 6.0  # standard errors
+_LATE_STEPS = 3.0  # sampling steps below which a drift does not matter
+_CLUSTER = 8  # neighbouring test functions that count as one
+_LATE = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays to begin with, s
+_GAINED = 0.1  # share of the misfit that a drift must explain
+
+
+def command_clock(at: Dynamics) -> Finding | None:
+    """Tell how late the motion follows the commands, or whether that grows or shrinks along the logs.
+
+    None where it does neither. A constant delay is an effect of its own (actuation_delay), which real
+    vehicles have; a motion before its command, or a delay that drifts, is a matter of the clocks.
+    """
+    step = float(np.median(np.diff(at.runs[0].t)))
+    start = float(np.sum(at.fit.at.r**2))
+    constant = _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+    both = None if constant is None else _search(at, step, constant[0], drifts=True)
+    if constant is None or both is None:
+        return None
+    # A drift is judged beside the best constant delay: alone it would take a share of that, too.
+    (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
+    if both[2] < (1 - _GAINED) * min(constant[2], start) and abs(drift) > max(
+        _LATE_SURE * spread, _LATE_STEPS * step
+    ):
+        return _drifting(both[0], float(spread))
+    if constant[2] < (1 - _GAINED) * start and abs(found[0]) > max(
+        _LATE_SURE * float(error[0]), _LATE_STEPS * step
+    ):
+        return _late(at, float(found[0]), float(error[0]))
+    return None
+
+
+def _nearest(at: Dynamics, step: float) -> float:
+    """The delay to begin with: of commands that step, Gauss-Newton does not find one of many samples, s."""
+    tried = np.unique([0.0, *(sign * max(late, step) for late in _LATE for sign in (1, -1))])
+    return float(min(tried, key=lambda late: _misfit(at, late)))
+
+
+def _misfit(at: Dynamics, late: float) -> float:
+    """What the refitted model leaves with commands that much later; infinite where one is missing."""
+    here = _residual(at, _later(late, 0.0))
+    if here is None:
+        return np.inf
+    value, *_ = np.linalg.lstsq(at.fit.at.J, -here, rcond=None)
+    return float(np.sum((here + at.fit.at.J @ value) ** 2))
+
+
+def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
+    """Delay, and drift if free, by Gauss-Newton, their errors, and the misfit that is left."""
+    found, error, left = start, np.full(2, np.inf), np.inf
+    for _ in range(_LATE_ROUNDS):
+        stepped = _step(at, found, 2 * step, drifts)
+        if stepped is None:
+            return None
+        change, error, left = stepped
+        found = found + np.clip(change, -1.0, 1.0)
+        if np.all(np.abs(change) < 0.2 * step):
+            break
+    return found, error, left
+
+
+def _drifting(found: Array, spread: float) -> Finding:
+    begin, end = (found[0] - found[1] / 2, found[0] + found[1] / 2)
+    return Finding(
+        id="two_clocks",
+        severity="warning",
+        text=f"commands and motion are on two clocks: the motion follows the commands by {begin:+.2f} s at "
+        f"the beginning of a run and by {end:+.2f} s at its end (drift {found[1]:+.2f} ± {spread:.1g} s); "
+        "write both with the stamps of one clock",
+        evidence={"delay": float(found[0]), "drift": float(found[1])},
+    )
+
+
+def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
+    """A delay, where the refitted model is decisively better for it."""
+    fit = at.refitted(undo=_later(delay, 0.0))
+    if fit is None or not at.gain(fit).decisive:
+        return None
+    size = f"{abs(delay):.2f} ± {error:.1g} s"
+    if delay > 0:
+        told = (
+            f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
+        )
+        told += "actuation_delay or thruster_lag), or commands that are logged too early"
+    else:
+        told = f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
+    return Finding(
+        id="late_commands",
+        severity="warning" if delay > 0 else "mistake",
+        text=f"{told}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
+        evidence={"delay": delay, "error": error},
+    )
+
+
+def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array, Array, float] | None:
+    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
+
+    None where a command that is missing would come into the data.
+    """
+    here, moved = (_residual(at, _later(*s)) for s in (shift, shift + np.array([small, 0.0])))
+    if here is None or moved is None:
+        return None
+    late = (moved - here) / small
+    table = np.column_stack([at.fit.at.J, late, *([late * _late_along(at)] if drifts else [])])
+    rows = len(at.data.rows)
+    value, error = clustered_least_squares(table, -here, _CLUSTER * rows)
+    known = at.fit.at.J.shape[1]
+    unmoved = np.zeros(1 - int(drifts))
+    left = float(np.sum((here + table @ value) ** 2))
+    return np.append(value[known:], unmoved), np.append(error[known:], unmoved), left
+
+
+def _residual(at: Dynamics, undo: Undo) -> Array | None:
+    data = at.undone(undo)
+    return None if data is None else whitened(at.fit.model.linearise(data, at.fit.p), at.fit.whitening).r
+
+
+def _late_along(at: Dynamics) -> Array:
+    """Time of every residual as a share of its run, from -1/2 to 1/2."""
+    ends = np.array([(r.t[0], r.t[-1]) for r in at.runs])[at.data.run_of]
+    return (at.data.time - ends[:, 0]) / (ends[:, 1] - ends[:, 0]) - 0.5
+
+
+def _later(delay: float, drift: float) -> Undo:
+    """Commands as they would be logged that much later."""
+
+    def undo(run: Run) -> Run:
+        share = (run.t - run.t[0]) / (run.t[-1] - run.t[0]) - 0.5
+        then = run.t - delay - drift * share
+        held = np.clip(np.searchsorted(run.t, then + 1e-9, side="right") - 1, 0, len(run.t) - 1)
+        others = {*run.channels} - {*POSE, *VELOCITY}
+        return with_channels(run, {n: run.channels[n][held] for n in others})
+
+    return undo

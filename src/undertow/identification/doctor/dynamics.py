@@ -1,26 +1,38 @@
-"""How well a model explains logs, quickly, and how much better it would with something changed."""
+"""How well a model explains logs, and how much better with mistakes in commands or vehicle file undone."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+import sympy as sm
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.identification.estimation.data import Segment, WeakData, prepare
+from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
+from undertow.identification.estimation.residual import Linearised, whitened
+from undertow.identification.estimation.step import inverse_of, normal_equations, prior_of
+from undertow.identification.estimation.weak_form import (
+    WeakFit,
+    fit_weak,
+    free_parameters,
+    mean_square,
+    settled,
+)
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.run import Run
+from undertow.model.effect import Effect, Wrench
+from undertow.model.symbols import FORCE, POSE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from ..logs import Run
-from ..logs.run import POSE, VELOCITY
-from ..weak.data import Segment, WeakData, prepare
-from ..weak.disturbance import mean_square
-from ..weak.fit import WeakFit, fit_weak, free_parameters
-from ..weak.residual import Linearised, whitened
-from ..weak.step import inverse_of, normal_equations, prior_of
-from .kinematics import jacobian, liveliest
-from .mistake import Undo, with_channels
+from .findings import Edits, column_edit, reassigned
+from .kinematics import Kinematics, jacobian, liveliest
+from .mistakes import SPEEDS, UNITS_OF_MOTION, Mistake, Undo, reading_mistakes, scaling, with_channels
+from .sensors import inconsistent
 
 # Samples that are looked at, all runs together, in three and in six degrees of freedom.
 _MOST, _MOST_OF_MANY = 1600, 600
@@ -243,3 +255,351 @@ def rederived(run: Run, undo: Undo) -> Run:
 def _six(run: Run, names: tuple[str, ...]) -> Array:
     zero = np.zeros(len(run.t))
     return np.column_stack([run.channels.get(n, zero) for n in names])
+
+
+# Pulse widths of servo signals in microseconds: middle and travel to either side.
+_PWM_MIDDLE, _PWM_TRAVEL = 1500.0, 400.0
+_ALIKE = 0.02
+
+
+def reversed_commands(vehicle: Vehicle) -> list[Mistake]:
+    """One command with the opposite sign, all of them, or all that do not push ahead."""
+    names = vehicle.command_names
+    across = tuple(t.name for t in vehicle.thrusters if not t.wrench[0])
+    several = {group for group in (names, across) if len(group) > 1}
+    return [_reversed((n,)) for n in names] + [_reversed(group) for group in sorted(several)]
+
+
+def _reversed(names: tuple[str, ...]) -> Mistake:
+    def edits(mapping: LogMapping) -> Edits:
+        return tuple(column_edit(mapping, n, times=-1.0) for n in names)
+
+    told = f"command {names[0]} is" if len(names) == 1 else f"commands {', '.join(names)} are"
+    remedy = "; ".join(f"[[thrusters]] {n}: direction (or wrench) with the opposite sign" for n in names)
+    undo = scaling(dict.fromkeys(names, -1.0))
+    return Mistake("reversed_thruster", f"{told} reversed", undo, edits, len(names), remedy)
+
+
+def together(first: Mistake, second: Mistake) -> Mistake:
+    """Two thrusters reversed."""
+    return _reversed(tuple(sorted(e.key for m in (first, second) for e in m.edits(LogMapping()))))
+
+
+def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
+    """Two thrusters in each other's place, unless they do the same."""
+    rows = list(vehicle.dof_indices)
+    for one, other in combinations(vehicle.thrusters, 2):
+        a, b = (np.array(t.wrench)[rows] * t.thrust_per_command.value for t in (one, other))
+        if np.linalg.norm(a - b) > _ALIKE * (np.linalg.norm(a) + np.linalg.norm(b)):
+            yield _swapped(one.name, other.name)
+
+
+def _swapped(one: str, other: str) -> Mistake:
+    places = {one: (other, 1.0), other: (one, 1.0)}
+
+    def undo(run: Run) -> Run:
+        return with_channels(run, {one: run.channels[other], other: run.channels[one]})
+
+    return Mistake(
+        "swapped_thrusters",
+        f"commands {one} and {other} are in each other's place",
+        undo,
+        lambda mapping: reassigned(mapping, places),
+        1,
+        f"[[thrusters]]: exchange the names {one} and {other}",
+    )
+
+
+def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
+    """Commands as percent, as a share of the largest, or as pulse widths, where the file has limits."""
+    limits = {t.name: t.limit for t in vehicle.thrusters if t.limit is not None}
+    if not limits:
+        return
+    largest = max(float(np.nanmax(np.abs(r.channels[n]))) for r in runs for n in limits)
+    units = {
+        "in percent of the limit": (0.01, 0.0, 100.0),
+        "a share of the limit (-1 to 1)": (1.0, 0.0, 1.0),
+        "pulse widths in microseconds": (1.0 / _PWM_TRAVEL, -_PWM_MIDDLE / _PWM_TRAVEL, 2200.0),
+    }
+    for told, (scale, offset, most) in units.items():
+        if largest <= 1.05 * most:
+            yield _in_unit(told, limits, scale, offset)
+
+
+def _in_unit(told: str, limits: dict[str, float], scale: float, offset: float) -> Mistake:
+    def undo(run: Run) -> Run:
+        return with_channels(run, {n: top * (scale * run.channels[n] + offset) for n, top in limits.items()})
+
+    def edits(mapping: LogMapping) -> Edits:
+        return tuple(
+            column_edit(mapping, n, scale=top * scale, offset=top * offset) for n, top in limits.items()
+        )
+
+    return Mistake("command_unit", f"commands {', '.join(limits)} are {told}", undo, edits)
+
+
+# Candidates that are fitted to the end after a first look at all of them.
+_FITTED, _UNITS_FITTED = 4, 2
+_WORTH_A_FIT = 1.1
+# Explanations within this factor of the best one's are as good as it.
+_AS_GOOD = 1.5
+_CHANGES = 1e-9
+# Share of the motion by which pose rates and velocities may disagree in a log that is a witness at all.
+_UNREADABLE = 0.5
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A mistake with what undoing it does to the fit of the model.
+
+    Attributes
+    ----------
+    mistake : Mistake
+        The best explanation.
+    gain : Gain
+        What it does.
+    rivals : list of Mistake
+        Others that do as well.
+    """
+
+    mistake: Mistake
+    gain: Gain
+    rivals: list[Mistake]
+
+
+def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
+    """The mistake whose undoing explains the motion decisively; None where none does."""
+    promising = [m for _, m in _promising(at, known)]
+    # Units are many, and neighbours promise alike: they must not crowd out the others.
+    units, others = (
+        [m for m in promising if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
+    )
+    leading = [*others[:_FITTED], *units[:_UNITS_FITTED]]
+    return _chosen(at, [(m, fit) for m in leading if (fit := at.refitted(undo=m.undo)) is not None])
+
+
+def _promising(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:
+    """Mistakes that are worth a fit, with what one step of it promises; the best first."""
+    looked = [(at.promised(m.undo) or 0.0, i) for i, m in enumerate(known)]
+    return [(promise, known[i]) for promise, i in sorted(looked, reverse=True) if promise > _WORTH_A_FIT]
+
+
+def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanation | None:
+    # Under the noise model of the wrong reading a fit stops early: those that help get their own.
+    helping = [(m, at.gain(settled(fit))) for m, fit in fitted if at.gain(fit).decisive]
+    found = [(m, g) for m, g in helping if g.decisive]
+    if not found:
+        return None
+    most = max(g.overall for _, g in found)
+    equals = sorted((pair for pair in found if pair[1].overall > most / _AS_GOOD), key=lambda p: p[0].count)
+    return Explanation(*equals[0], [m for m, _ in equals[1:]])
+
+
+def dynamic_mistakes(
+    vehicle: Vehicle, at: Dynamics, kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping
+) -> Explanation | None:
+    """The mistake in frames that kinematics cannot see, or in commands, that explains the motion decisively.
+
+    None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
+    no evidence of anything.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    at : Dynamics
+        Its fit to (part of) the logs.
+    kinematics : Kinematics
+        What pose rates and velocities allow.
+    runs : sequence of Run
+        The logs.
+    mapping : Mapping
+        How they were read.
+    """
+    if kinematics and np.any(kinematics.mismatch(runs).excess > _UNREADABLE):
+        return None
+    commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
+    signs = reversed_commands(vehicle)
+    # One velocity in another unit than the others, by less than no force could give, is a scale.
+    speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
+    known = reading_mistakes(mapping, runs)
+    known = [m for m in known if m.id != "speed_unit" or len(m.edits(mapping)) == speeds]
+    unseen = allowed(kinematics, runs, at, known)
+    found = best_of(at, [*unseen, *signs, *commands])
+    return found or _two_reversed(at, signs)
+
+
+def _two_reversed(at: Dynamics, signs: list[Mistake]) -> Explanation | None:
+    """Two reversed thrusters: the one that helps most, with each of the others."""
+    single = [m for m in signs if m.count == 1]
+    looked = _promising(at, single)
+    if len(single) < 3 or not looked:
+        return None
+    first = looked[0][1]
+    return best_of(at, [together(first, other) for other in single if other is not first])
+
+
+def allowed(
+    kinematics: Kinematics, runs: Sequence[Run], at: Dynamics, known: Sequence[Mistake]
+) -> list[Mistake]:
+    """Mistakes that pose rates and velocities do not speak against and that matter to the model.
+
+    None where pose rates and velocities disagree: a log that cannot be read is no witness for the model.
+    """
+    result: list[Mistake] = []
+    given = kinematics.mismatch(runs) if kinematics else None
+    if given is not None and np.any(inconsistent(given)):
+        return result
+    seen = [_felt(at, at.runs[0])]
+    for mistake in known:
+        now = _felt(at, mistake.undo(at.runs[0]))
+        if any(np.allclose(now, other, rtol=_CHANGES, atol=_CHANGES, equal_nan=True) for other in seen):
+            continue
+        undone = [mistake.undo(run) for run in runs]
+        if given is None or kinematics.mismatch(undone).total < 1.25 * given.total + 0.01:
+            seen.append(now)
+            result.append(mistake)
+    return result
+
+
+def _felt(at: Dynamics, run: Run) -> np.ndarray:
+    """A few samples of what the model feels of a log."""
+    names = [n for n in (*at.data.names, *at.data.commands) if run.has(n) and n not in ("x", "y")]
+    names += [n for n in ("x", "y") if run.derived and run.has(n)]
+    step = max(1, len(run.t) // 50)
+    return np.array([run.channels[n][::step] for n in names])
+
+
+_TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
+# Another mass is believed between these factors of the one in the file, and only from a tenth on.
+_LIGHTEST, _HEAVIEST, _LEAST = 0.6, 2.5, 0.1
+# Standard errors by themselves, and where added masses that were far off come home with another mass.
+_SURE, _SURE_BESIDE = 3.0, 1.0
+# Standard deviations of its prior: within two, an added mass is where it should be; one must be far beyond.
+_HOME, _FAR = 2.0, 4.0
+
+
+@dataclass(frozen=True)
+class OtherMass:
+    """The mass that logs ask for.
+
+    Attributes
+    ----------
+    stated, found, error : float
+        In the file, from the logs, and its standard error, kg.
+    gain : Gain
+        What refitting it does to the equations of motion.
+    moved : dict
+        Added masses that have left their stated values, in standard deviations, and come back with this mass.
+    """
+
+    stated: float
+    found: float
+    error: float
+    gain: Gain
+    moved: dict[str, float]
+
+
+def other_mass(at: Dynamics) -> OtherMass | None:
+    """The mass that the logs ask for; None where it is no other, or they cannot tell.
+
+    With added masses that are free and have no stated spread, nothing can be told: they take up any mass. Nor
+    can it where an added mass that is held fixed explains as much with another value.
+    """
+    known = at.vehicle.values.get("m")
+    if known is None or known.estimate or "m" not in at.vehicle.parameter_names:
+        return None
+    fit = at.refitted(free=("m",))
+    if fit is None:
+        return None
+    found, error = fit.values["m"], fit.standard_errors["m"]
+    ratio = found / known.value
+    if not (_LIGHTEST < ratio < _HEAVIEST and abs(ratio - 1) > _LEAST):
+        return None
+    gain = at.gain(fit)
+    moved = _come_home(at.fit, fit) if gain.explained else {}
+    # What added masses and mass share is poorly known; that added masses are where they should be is not.
+    sure = abs(found - known.value) > (_SURE_BESIDE if moved else _SURE) * error
+    if not sure or not (moved or gain.decisive) or _added_mass_instead(at, fit):
+        return None
+    return OtherMass(known.value, found, error, gain, moved)
+
+
+def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
+    """Whether another value of one fixed added mass explains as much as another mass."""
+    values = {n: at.vehicle.values[n] for n in _TRANSLATION if n in at.vehicle.values}
+    tried = (at.refitted(free=(n,)) for n, v in values.items() if not v.estimate)
+    return any(fit is not None and fit.cost < with_mass.cost + MORE_THAN_CHANCE for fit in tried)
+
+
+def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:
+    """Added masses that were several standard deviations off in the same sense, and no longer are."""
+    off, home = (_standardised(f) for f in (before, after))
+    moved = {n: z for n, z in off.items() if abs(z) > _HOME}
+    same_sense = len(moved) >= 2 and len({np.sign(z) for z in moved.values()}) == 1
+    far = max(map(abs, moved.values()), default=0.0) > _FAR
+    return moved if same_sense and far and all(abs(z) < _HOME for z in home.values()) else {}
+
+
+def _standardised(fit: WeakFit) -> dict[str, float]:
+    vehicle = fit.model.functions.vehicle
+    priors = {n: vehicle.value_of(n) for n in _TRANSLATION if n in fit.values}
+    return {n: (fit.values[n] - v.value) / v.sigma for n, v in priors.items() if v.sigma}
+
+
+# --- squares ----------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class LostSign:
+    """An effect whose force is even in its own velocity.
+
+    Attributes
+    ----------
+    effect : str
+        Its id.
+    terms : list of str
+        Such as "X: u^2".
+    vehicle : Vehicle
+        The vehicle with |u| u in its place.
+    """
+
+    effect: str
+    terms: list[str]
+    vehicle: Vehicle
+
+
+def lost_signs(vehicle: Vehicle) -> Iterator[LostSign]:
+    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern."""
+    for effect in vehicle.effects:
+        if isinstance(effect, Wrench):
+            terms = _squares(effect, vehicle)
+            if terms:
+                mended = _with_signs(effect)
+                others = tuple(mended if e is effect else e for e in vehicle.effects)
+                yield LostSign(effect.id, terms, replace(vehicle, effects=others))
+
+
+def _squares(effect: Wrench, vehicle: Vehicle) -> list[str]:
+    signals = vehicle.composition.signals
+    wrench = effect.wrench(signals)
+    return [
+        f"{FORCE[i]}: {VELOCITY[i]}^2"
+        for i in vehicle.dof_indices
+        if any(wrench[i].has(v**2) for v in (signals.nu[i], signals.nu_r[i]))
+    ]
+
+
+def _with_signs(effect: Wrench) -> Effect:
+    """The same effect with |v| v for v^2 along each motion."""
+    kind = type(effect)
+
+    def wrench(self: Wrench, s: Signals) -> sm.Matrix:
+        found = kind.wrench(self, s)
+        rows = [_signed(found[i], (s.nu[i], s.nu_r[i])) for i in range(6)]
+        return sm.Matrix(rows)
+
+    # The contract of an effect is kept: only its statement changes.
+    return type(kind.__name__, (kind,), {"wrench": wrench, "__doc__": kind.__doc__})(effect.thrusters)
+
+
+def _signed(force: sm.Expr, velocities: tuple[sm.Symbol, ...]) -> sm.Expr:
+    return sm.sympify(force, strict=True).xreplace({v**2: sm.Abs(v) * v for v in velocities})

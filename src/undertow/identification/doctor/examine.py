@@ -1,35 +1,130 @@
-"""The whole examination: sampling, the usual mistakes one after the other, consistency, excitation."""
+"""The whole examination of logs: sampling, the usual mistakes, consistency, excitation."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from undertow import __version__
 from undertow.errors import UndertowError
+from undertow.identification.figures import AFTER, BEFORE, FAINT, figure, look, plain
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.run import UNITS, Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Progress
+from undertow.typing import Array, Progress
+from undertow.version import __version__
 
-from ..logs import Mapping, Run, velocities_from_pose
-from . import angles, consistency, excitation
-from .clocks import clock_findings
-from .command_clock import command_clock
-from .dynamic_search import dynamic_mistakes
-from .dynamics import Dynamics, dynamics_of, rederived
-from .findings import Examination, Finding, most_serious_first, percent
+from . import mistakes, sensors
+from .clocks import clock_findings, command_clock
+from .dynamics import (
+    Dynamics,
+    Explanation,
+    Gain,
+    LostSign,
+    OtherMass,
+    dynamic_mistakes,
+    dynamics_of,
+    lost_signs,
+    other_mass,
+    rederived,
+)
+from .findings import Edit, Edits, Examination, Finding, as_toml, edited, most_serious_first, percent
 from .impossible import impossible, suspicious
-from .kinematic_search import Explained, best_explanation, contradicts, possible_mismatch
 from .kinematics import Kinematics
-from .mending import Edit, Edits, as_toml, edited
-from .mistake import Mistake, Undo
-from .model_mistakes import lost_signs, other_mass
-from .reading_mistakes import reading_mistakes
-from .sampling import DROP, sampling
-from .units import UNITS_OF_MOTION, other_time_unit
-from .words import dynamic_text, kinematic_text, mass_finding, sign_finding
+from .mistakes import POSITIONS, UNITS_OF_MOTION, Mistake, Undo, other_time_unit, reading_mistakes
+from .sampling import DROP, excitation, excitation_findings, sampling
+from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
+
+
+def kinematic_text(
+    kinematics: Kinematics, found: Explained, chosen: Mistake, runs: Sequence[Run]
+) -> tuple[str, dict[str, float]]:
+    """One line on a mistake that shows in the kinematics of runs, and its evidence."""
+    names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
+    before, after = found.before, found.after
+    rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
+    parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
+    sizes = _sizes(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
+    mismatch = f"the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
+    text = f"{chosen.told}: {sizes}undone, {mismatch}"
+    evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
+    evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
+    return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
+
+
+def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
+    """How fast the position changes where that contradicts the velocities most, by both."""
+    linear = [i for i, block in enumerate(kinematics.blocks) if kinematics.rows[block[0]] in POSITIONS]
+    block = kinematics.blocks[max(linear, key=lambda i: found.before.excess[i])]
+    rates = kinematics.rates(runs)
+    pose, velocity = (_rms(a[:, block]) for a in (rates.pose, rates.velocity))
+    names = ", ".join(kinematics.rows[i] for i in block)
+    verb = "change" if len(block) > 1 else "changes"
+    return f"{names} {verb} by {pose:.3g} m/s rms, and the velocities say {velocity:.3g} m/s; "
+
+
+def _rms(table: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
+
+
+def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:
+    """One line on a mistake that shows in the fit of the model, and its evidence."""
+    return f"{found.mistake.told}: undone, {_gained(vehicle, found.gain)}", _evidence(vehicle, found.gain)
+
+
+def _gained(vehicle: Vehicle, gain: Gain) -> str:
+    parts = [
+        f"{dof} {b:.3g} → {a:.3g}"
+        for dof, b, a, f in zip(
+            vehicle.degrees_of_freedom, gain.before, gain.after, gain.factors, strict=True
+        )
+        if f > 2
+    ]
+    return f"the refitted model leaves {', '.join(parts)} times the noise (mean square)"
+
+
+def _evidence(vehicle: Vehicle, gain: Gain) -> dict[str, float]:
+    rows = zip(vehicle.degrees_of_freedom, gain.before.tolist(), gain.after.tolist(), strict=True)
+    return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), ("_undone", a))}
+
+
+def sign_finding(vehicle: Vehicle, lost: LostSign, gain: Gain) -> Finding:
+    """A square without its sign."""
+    terms = ", ".join(lost.terms)
+    return Finding(
+        id="lost_sign",
+        severity="mistake",
+        text=f"effect {lost.effect} has a square without its sign ({terms}), which pushes when moving "
+        f"astern: with |u| u for u^2, {_gained(vehicle, gain)}",
+        evidence=_evidence(vehicle, gain),
+        vehicle=f"effect {lost.effect}: write sm.Abs(u) * u where it has u**2 ({terms})",
+    )
+
+
+def mass_finding(vehicle: Vehicle, mass: OtherMass) -> Finding:
+    """A mass that is not that of the vehicle in the water."""
+    known = not mass.moved
+    which = "dry" if mass.found > mass.stated else "wrong"
+    if known:
+        reason = f"with it, {_gained(vehicle, mass.gain)}"
+    else:
+        moved = ", ".join(f"{n} {z:+.1f}" for n, z in mass.moved.items())
+        reason = f"with m as stated the added masses leave their stated values ({moved} standard deviations)"
+    return Finding(
+        id="dry_mass",
+        severity="mistake" if known else "warning",
+        text=f"m = {mass.stated:.4g} kg looks like the {which} mass: the logs ask for {mass.found:.4g} ± "
+        f"{mass.error:.2g} kg; {reason}",
+        evidence={"stated": mass.stated, "found": mass.found, "error": mass.error},
+        vehicle=f'[effects.rigid_body] m = "{mass.found:.4g} kg" (the mass with the water inside)',
+        alternatives=["water that moves along but weighs nothing: undertow add entrained_water"],
+    )
+
 
 _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
@@ -60,7 +155,7 @@ def examine(
     vehicle: Vehicle,
     runs: Sequence[Run],
     *,
-    mapping: Mapping | None = None,
+    mapping: LogMapping | None = None,
     report: Progress = lambda done, words: None,
 ) -> Examined:
     """Look for what is wrong with logs before physics is blamed.
@@ -84,7 +179,7 @@ def examine(
     began = time.perf_counter()
     for run in runs:
         run.matrix([*vehicle.velocity_names, *vehicle.command_names])
-    read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), Mapping())
+    read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), LogMapping())
     alone = _wrong_alone(vehicle, runs)
     case = _Case(vehicle, [run for run in runs if run.name not in alone], read_by)
     case.findings += alone.values()
@@ -96,9 +191,9 @@ def examine(
     report(0.4, "holding motion against commands")
     case.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
-    rows = excitation.excitation(vehicle, case.runs)
+    rows = excitation(vehicle, case.runs)
     case.look_at_the_rest()
-    case.findings += excitation.findings(rows, vehicle, case.runs)
+    case.findings += excitation_findings(rows, vehicle, case.runs)
     result = Examination(
         undertow=__version__,
         vehicle=vehicle.name,
@@ -142,7 +237,7 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
 
 def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
     """What cannot be in a log, and all that mends it."""
-    case = _Case(vehicle, [run], run.mapping or Mapping())
+    case = _Case(vehicle, [run], run.mapping or LogMapping())
     case.look_at_samples()
     case.undo_reading_mistakes()
     case.undo_what_cannot_be()
@@ -167,7 +262,7 @@ def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
 class _Case:
     """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
 
-    def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: Mapping) -> None:
+    def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: LogMapping) -> None:
         self.vehicle, self.given, self.runs, self.mapping = vehicle, list(runs), runs, mapping
         self.kinematics = Kinematics(runs, vehicle)
         self.findings: list[Finding] = []
@@ -183,12 +278,12 @@ class _Case:
             text = f"{unit.told}: only then have pose rates and velocities the same size"
             self._undo(unit, text, {}, impossible=True)
         unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
-        if degrees := angles.in_degrees(self.runs, self.mapping, unasked):
+        if degrees := mistakes.in_degrees(self.runs, self.mapping, unasked):
             text = f"{degrees.told}, which is no vehicle's in radians"
             self._undo(degrees, text, {}, apply=self._afresh, impossible=True)
-        for mistake, count in angles.wrapped_angles(self.runs):
+        for mistake, count in mistakes.wrapped_angles(self.runs):
             self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
-        self.findings += angles.halfway(self.runs)
+        self.findings += mistakes.halfway(self.runs)
 
     def undo_reading_mistakes(self) -> None:
         for _ in range(_MOST_MISTAKES):
@@ -197,13 +292,13 @@ class _Case:
 
     def _undo_next(self, kinematics: Kinematics) -> bool:
         """Undo the mistake that explains most; False where there is none that is certain."""
-        fits = consistency.sensor_fits(kinematics, self.runs)
+        fits = sensors.sensor_fits(kinematics, self.runs)
         known = reading_mistakes(self.mapping, self.runs)
         found = best_explanation(kinematics, self.runs, known, self.vehicle)
-        found = found or consistency.through_water(kinematics, kinematics.mismatch(self.runs), fits)
+        found = found or sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
         if found is None:
             return False
-        others = [f.told() for f in consistency.as_good_as(found, fits)]
+        others = [f.told() for f in sensors.as_good_as(found, fits)]
         chosen, rivals = decided(self.vehicle, self.runs, found)
         text, evidence = kinematic_text(kinematics, found, chosen, self.runs)
         if others:
@@ -266,11 +361,11 @@ class _Case:
 
     def look_at_the_rest(self) -> None:
         kinematics = self.kinematics
-        self.findings += consistency.not_compared(kinematics, self.vehicle)
+        self.findings += sensors.not_compared(kinematics, self.vehicle)
         if kinematics:
-            self.findings += consistency.sensor_findings(kinematics, self.runs)
+            self.findings += sensors.sensor_findings(kinematics, self.runs)
             self.findings += clock_findings(kinematics, self.runs)
-            self.findings.append(consistency.agreement(kinematics, self.runs))
+            self.findings.append(sensors.agreement(kinematics, self.runs))
 
     def _afresh(self, run: Run, undo: Undo) -> Run:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""
@@ -363,3 +458,53 @@ def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
     """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
     at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
     return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.quiet, 1.0)))))
+
+
+_MOST = 1500
+_HEIGHT = 2.5
+_OUTLIERS = 0.002
+
+
+def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
+    """One row for each pose coordinate: rate of the pose against what the velocities make of it.
+
+    Raises
+    ------
+    UndertowError
+        If the logs have no pose with a velocity of its own.
+    """
+    kinematics = Kinematics(examined.given, vehicle)
+    if not kinematics:
+        raise UndertowError(
+            f"no picture: the logs of '{vehicle.name}' have no pose with a measured velocity beside it"
+        )
+    pairs = [("as given", examined.given, BEFORE)]
+    if examined.edits:
+        pairs.append(("mistakes undone", examined.mended, AFTER))
+    with look():
+        picture, axes = figure(_HEIGHT * len(kinematics.rows) + 0.5, len(kinematics.rows), len(pairs))
+        for column, (title, runs, colour) in enumerate(pairs):
+            rates = kinematics.rates(runs)
+            share = kinematics.of_rates(rates).share
+            for row, name in enumerate(kinematics.rows):
+                block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
+                heading = f"{title}: mismatch {percent(share[block])}"
+                _panel(axes[row, column], (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
+    return picture
+
+
+def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour: str) -> None:
+    step = max(1, len(points[0]) // _MOST)
+    x, y = (p[::step] for p in points)
+    low, high = (float(np.quantile(np.concatenate([x, y]), q)) for q in (_OUTLIERS, 1 - _OUTLIERS))
+    margin = 0.05 * (high - low) or 1.0
+    ends = (low - margin, high + margin)
+    axis.plot(ends, ends, color=FAINT, linestyle="--", zorder=1)
+    axis.scatter(x, y, s=5, color=colour, alpha=0.5, linewidths=0, zorder=2)
+    axis.set_xlim(*ends)
+    axis.set_ylim(*ends)
+    unit = f"{UNITS[name]}/s"
+    axis.set_xlabel(f"from the velocities [{unit}]")
+    axis.set_ylabel(f"rate of {plain(name)} [{unit}]")
+    axis.set_title(title)
+    axis.grid(visible=True)

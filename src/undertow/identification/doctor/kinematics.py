@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from undertow.identification.estimation.data import white_noise
+from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing, test_functions
+from undertow.identification.logs.mapping import to_body
+from undertow.identification.logs.run import Run
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
-
-from ..logs import Run
-from ..logs.frames import to_body
-from ..logs.run import POSE, VELOCITY
-from ..weak.noise import white_noise
-from ..weak.testfunctions import TestFunctions, knot_spacing, test_functions
 
 BLOCKS = (("x", "y"), ("z",), ("phi",), ("theta",), ("psi",))
 """Pose rates that are judged together: a mistake in a frame turns north into east."""

@@ -1,22 +1,23 @@
-"""What a real velocity sensor does to a log that is read as it should be, fitted to pose rates.
-
-Each kind is linear in its parameters, so that one weighted least-squares solution tells how much of a
-mismatch it would explain. A mistake is only believed where none of them explains the mismatch as well.
-"""
+"""What a real velocity sensor does to a log; whether pose rates and velocities agree."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from undertow.identification.logs import mapping
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.run import UNITS, Run
+from undertow.model.symbols import VELOCITY
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from ..logs import Run
-from ..logs.run import VELOCITY
+from .findings import Edit, Edits, Finding
 from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch
-from .mistake import SETTINGS
+from .mistakes import SETTINGS, UNITS_OF_MOTION, Mistake, both, turning
 
 # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
 _CLUSTER = 8
@@ -219,3 +220,316 @@ def clustered_least_squares(
     clustered = np.diag(inverse @ (groups.T @ groups) @ inverse)
     error[seen] = np.sqrt(np.maximum(plain, clustered)) / scale[seen]
     return value, error
+
+
+# A mismatch below this share of the motion is left to the effects that describe real sensors.
+MATTERS = 0.02
+# ... and noise must not make a quarter of it.
+_OVER_NOISE = 4.0
+# Undoing a mistake must take this factor off the mean square.
+DECISIVE = 4.0
+# No other pose rate may get worse by more than this factor (and this much).
+_WORSE, _SLIGHTLY = 1.25, 0.01
+# Explanations that leave no more than this many times the best one's excess are as good as it.
+_AS_GOOD, _NOTHING = 2.0, 3e-3
+# Pairs of mistakes are looked for only where pose rates and velocities hardly have anything in common.
+_GROSS = 0.3
+# Samples in which pairs are looked for.
+_FEW = 800
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A mistake with what undoing it does.
+
+    Attributes
+    ----------
+    mistake : Mistake
+        The best explanation.
+    rivals : list of Mistake
+        Others that leave as little.
+    before, after : Mismatch
+        Of the log with the mistake, and without.
+    """
+
+    mistake: Mistake
+    rivals: list[Mistake]
+    before: Mismatch
+    after: Mismatch
+
+
+def inconsistent(mismatch: Mismatch) -> np.ndarray:
+    """Blocks in which pose rates and velocities disagree by more than noise and small sensor errors."""
+    return (mismatch.excess > MATTERS) & (mismatch.share > _OVER_NOISE * mismatch.floor)
+
+
+def explains(before: Mismatch, after: Mismatch) -> bool:
+    """Whether a mismatch goes away decisively, and none appears elsewhere."""
+    wrong, gone = inconsistent(before), _gone(before, after)
+    worse = after.excess > _WORSE * before.excess + _SLIGHTLY
+    return bool(np.any(wrong & gone) and not np.any(worse))
+
+
+def contradicts(found: Explained, chosen: Mistake) -> bool:
+    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them."""
+    return _explained(found.before, found.after) > possible_mismatch(chosen)
+
+
+def possible_mismatch(chosen: Mistake) -> float:
+    """Share of the motion by which sensors let pose rates and velocities disagree where this explains it."""
+    return SETTINGS.other_unit if chosen.id in UNITS_OF_MOTION else SETTINGS.contradiction
+
+
+def _explained(before: Mismatch, after: Mismatch) -> float:
+    """Largest mismatch that has gone."""
+    return float(np.max(before.excess[_gone(before, after)], initial=0.0))
+
+
+def _gone(before: Mismatch, after: Mismatch) -> np.ndarray:
+    """Blocks whose mismatch goes away, so that pose rates and velocities have more in common than apart.
+
+    Else noise that is scaled away with its motion would count as explained.
+    """
+    return (after.excess <= before.excess / DECISIVE) & (after.share < SETTINGS.agreement)
+
+
+def best_explanation(
+    kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake], vehicle: Vehicle
+) -> Explained | None:
+    """The mistake that explains most of a mismatch; None where there is none, or nothing explains it.
+
+    Single mistakes are tried first; pairs only where none helps and the mismatch is gross.
+    """
+    before = kinematics.mismatch(runs)
+    if not np.any(inconsistent(before)):
+        return None
+    distinct = _distinct(kinematics, runs, known)
+    found = _decisive(kinematics, runs, before, distinct)
+    if not found and np.max(before.excess) > _GROSS:
+        found = _pairs(kinematics, runs, before, distinct, vehicle)
+    if not found:
+        return None
+    least = min(after.total for _, after in found)
+    limit = _AS_GOOD * least + _NOTHING
+    equals = sorted((m.count, i) for i, (m, after) in enumerate(found) if after.total <= limit)
+    order = [found[i] for _, i in equals]
+    return Explained(order[0][0], [m for m, _ in order[1:]], before, order[0][1])
+
+
+def _pairs(
+    kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, distinct: list[Mistake], vehicle: Vehicle
+) -> list[tuple[Mistake, Mismatch]]:
+    """Pairs of mistakes that explain a mismatch, looked for in few samples and confirmed in all."""
+    few = Kinematics(runs, vehicle, most=_FEW)
+    if not few:
+        return []
+    likely = [m for m in distinct if m.id not in UNITS_OF_MOTION or _nearer(few, runs, m)]
+    pairs = [both(a, b) for a, b in combinations(likely, 2) if a.id != b.id]
+    found = _decisive(few, runs, few.mismatch(runs), pairs)
+    return _decisive(kinematics, runs, before, [m for m, _ in found])
+
+
+def _nearer(kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake) -> bool:
+    """Whether pose rates and velocities are nearer in size without a mistake, whatever their directions."""
+    now, then = (_sizes(kinematics, of) for of in (runs, [mistake.undo(run) for run in runs]))
+    return bool(np.any(then < now - np.log(1.0 + SETTINGS.ratio)))
+
+
+def _sizes(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
+    """How far pose rates and velocities are apart in size, as a logarithm, for each block."""
+    rates = kinematics.rates(runs)
+    pose, velocity = (
+        np.array([np.sum(np.mean(a[:, b] ** 2, axis=0)) for b in kinematics.blocks])
+        for a in (rates.pose, rates.velocity)
+    )
+    return np.abs(np.log(np.maximum(pose, 1e-300) / np.maximum(velocity, 1e-300))) / 2
+
+
+def _decisive(
+    kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, known: Iterable[Mistake]
+) -> list[tuple[Mistake, Mismatch]]:
+    tried = ((m, kinematics.mismatch([m.undo(run) for run in runs])) for m in known)
+    found = [(m, after) for m, after in tried if explains(before, after)]
+    # A little less mismatch is no other unit: that makes much of it.
+    return [
+        (m, after)
+        for m, after in found
+        if m.id not in UNITS_OF_MOTION or _explained(before, after) > SETTINGS.other_unit
+    ]
+
+
+def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake]) -> list[Mistake]:
+    """Mistakes that change something that is looked at, each change once."""
+    seen: list[Array] = [_looked_at(kinematics, runs[0])]
+    result = []
+    for mistake in known:
+        now = _looked_at(kinematics, mistake.undo(runs[0]))
+        if not any(np.allclose(now, other, rtol=1e-9, atol=1e-12, equal_nan=True) for other in seen):
+            seen.append(now)
+            result.append(mistake)
+    return result
+
+
+def _looked_at(kinematics: Kinematics, run: Run) -> Array:
+    """A few samples of the channels that take part."""
+    step = max(1, len(run.t) // 50)
+    return np.array([run.channels[n][::step] for n in kinematics.channels])
+
+
+# A parameter of a sensor is believed from this many standard errors on.
+_SURE = 6.0
+# ... where it explains this share of what exceeds the noise, and that is worth a word.
+_EXPLAINS, _WORTH = 0.5, 5e-4
+_WATER_WORTH = 2e-3
+_CONSISTENCY_AS_GOOD = 2.0
+_REST = 0.05
+
+
+def sensor_fits(kinematics: Kinematics, runs: Sequence[Run]) -> list[SensorFit]:
+    """Every kind of deviation of a sensor, fitted alone; the one that leaves least comes first."""
+    rates = kinematics.rates(runs)
+    fits = [fit_sensor(kinematics, runs, rates, s) for s in sensors(kinematics)]
+    return sorted((f for f in fits if f.plausible), key=lambda f: f.after.total)
+
+
+def as_good_as(explained: Explained, fits: Sequence[SensorFit]) -> list[SensorFit]:
+    """Sensors' deviations that explain a mismatch as well as a mistake does, wherever that explains it."""
+    before, after = explained.before.excess, explained.after.excess
+    gone = inconsistent(explained.before) & (after <= before / DECISIVE)
+    limit = _CONSISTENCY_AS_GOOD * after + 0.02 * before
+    return [f for f in fits if f.sensor.id != "water" and np.all((f.after.excess <= limit)[gone])]
+
+
+# --- through the water ------------------------------------------------------------------------
+def through_water(kinematics: Kinematics, before: Mismatch, fits: Sequence[SensorFit]) -> Explained | None:
+    """Velocities through the water: a mismatch that is constant north and east."""
+    if kinematics.rows[0] != "x":
+        return None
+    water = next((f for f in fits if f.sensor.id == "water"), None)
+    if water is None or before.excess[0] < _WATER_WORTH or before.share[0] < 4 * before.floor[0]:
+        return None
+    sure = np.max(np.abs(water.value) / water.error) > _SURE
+    if not sure or water.after.excess[0] > before.excess[0] / DECISIVE:
+        return None
+    return Explained(_in_water(water.value), [], before, water.after)
+
+
+def _in_water(current: Array) -> Mistake:
+    speeds = tuple(round(float(v), 4) for v in [*current, 0.0, 0.0][:3])
+
+    def edits(mapping: LogMapping) -> Edits:
+        given = mapping.water.velocity if mapping.water else (0.0, 0.0, 0.0)
+        return (Edit("water", "velocity", [round(a + b, 4) for a, b in zip(given, speeds, strict=True)]),)
+
+    return Mistake(
+        "velocity_through_water",
+        "u, v, w are velocities through the water, read as velocities over ground: the water moves with "
+        f"{speeds[0]:+.3g} m/s north and {speeds[1]:+.3g} m/s east",
+        turning(lambda channels: mapping.over_ground(channels, speeds)),
+        edits,
+        vehicle="[effects.water_speed_log] describes velocities through the water as they are",
+    )
+
+
+# --- what a sensor does -----------------------------------------------------------------------
+def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Deviations of velocity sensors that explain a mismatch, and what no deviation explains."""
+    rates = kinematics.rates(runs)
+    known = [s for s in sensors(kinematics) if s.id not in ("water", "sensor_delay")]
+    for _ in known:
+        before = kinematics.of_rates(rates)
+        fits = [f for s in known if (f := fit_sensor(kinematics, runs, rates, s)).plausible]
+        best = min(fits, key=lambda f: f.after.total, default=None)
+        if best is None or not _believed(best, before):
+            break
+        yield _told(best, before)
+        rates = _corrected(kinematics, runs, rates, best)
+    left = kinematics.of_rates(rates)
+    for block, excess in zip(kinematics.blocks, left.excess, strict=True):
+        if excess > _REST:
+            names = ", ".join(kinematics.rows[i] for i in block)
+            yield Finding(
+                id="inconsistent",
+                severity="warning",
+                text=f"the rate of {names} and the velocities disagree by {excess:.0%} of the motion (mean "
+                "square), and no usual mistake nor flaw of a sensor explains it",
+                evidence={"share": float(excess)},
+            )
+
+
+def _believed(fit: SensorFit, before: Mismatch) -> bool:
+    sure = np.max(np.abs(fit.value) / fit.error) > _SURE
+    return bool(before.total > _WORTH and sure and fit.after.total < _EXPLAINS * before.total)
+
+
+def _corrected(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, fit: SensorFit) -> Rates:
+    change = regressor_of(kinematics, runs, fit.sensor) @ fit.value
+    return Rates(rates.pose, rates.velocity + change, rates.variance)
+
+
+def _told(fit: SensorFit, before: Mismatch) -> Finding:
+    return Finding(
+        id="velocity_sensor",
+        severity="warning",
+        text=f"pose rates and velocities disagree by {before.total:.1%} of the motion (mean square), as they "
+        f"would with {fit.told()}; undertow add {' or '.join(fit.sensor.effects)} puts it into the model",
+        evidence=dict(
+            zip(
+                (n.split(" ")[0] for n in fit.sensor.names),
+                fit.sensor.parameters(fit.value).tolist(),
+                strict=True,
+            )
+        ),
+    )
+
+
+# --- what was not looked at ---------------------------------------------------------------------
+def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
+    """Degrees of freedom whose pose rate and velocity were not both measured: a frame or sign shows less."""
+    pairs = zip(vehicle.pose_names, vehicle.velocity_names, strict=True)
+    alone = [f"{v} with the rate of {p}" for p, v in pairs if p not in kinematics.rows]
+    if not alone:
+        return
+    what = "no pose rate could be compared" if not kinematics.rows else f"not compared: {', '.join(alone)}"
+    yield Finding(
+        id="not_compared",
+        severity="note",
+        text=f"{what} (pose and velocity were not both measured, or one never changes): units, frames and "
+        "signs there can only be judged by how the model fits",
+        evidence={"degrees_of_freedom": float(len(alone))},
+    )
+
+
+# --- agreement --------------------------------------------------------------------------------
+def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding:
+    """Scale and offset of every velocity against the rate of the pose, in numbers."""
+    names = [n for n in VELOCITY if n in kinematics.channels and _shows(kinematics, n)]
+    fit = fit_sensor(kinematics, runs, kinematics.rates(runs), _scale_and_offset(names))
+    size = len(names)
+    scale, offset = 1.0 + fit.value[:size], fit.value[size:]
+    lines = [
+        f"{n} {s:.3f} ± {e:.1g}, offset {o:+.2g} {UNITS[n]}"
+        for n, s, e, o in zip(names, scale, fit.error, offset, strict=False)
+    ]
+    return Finding(
+        id="agreement",
+        severity="note",
+        text=f"pose rate over velocity: {'; '.join(lines)}",
+        evidence=dict(zip((f"scale_{n}" for n in names), scale.tolist(), strict=True))
+        | dict(zip((f"offset_{n}" for n in names), offset.tolist(), strict=True)),
+    )
+
+
+def _shows(kinematics: Kinematics, velocity: str) -> bool:
+    linear, rows = VELOCITY.index(velocity) < 3, set(kinematics.rows)
+    return bool(rows & ({"x", "y", "z"} if linear else {"phi", "theta", "psi"}))
+
+
+def _scale_and_offset(names: list[str]) -> Sensor:
+    places = [VELOCITY.index(n) for n in names]
+
+    def columns(at: Samples, _: object) -> Array:
+        j = at.jacobian[:, :, places]
+        return np.concatenate([j * at.velocity[:, None, places], j], axis=2)
+
+    return Sensor("agreement", tuple(f"{kind}_{n}" for kind in ("scale", "offset") for n in names), columns)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -29,15 +28,6 @@ class Measurable:
 
 
 MEASURABLE = Measurable()
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'abc'?)"`` for the known name most like `name`, or an empty text."""
-    names = list(known)
-    alike = [other for other in names if other.lower() == name.lower()]
-    alike = alike or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    alike = alike or [other for other in names if other.lower().startswith(name.lower())]
-    return f" (did you mean {alike[0]!r}?)" if alike else ""
 
 
 def check_time(t: Array, column: str, where: str) -> None:

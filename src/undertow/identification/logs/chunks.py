@@ -20,8 +20,7 @@ from undertow.errors import UndertowError
 from undertow.model.units import scale_offset
 
 from .checks import empty
-from .mapping import CommandPolicy, Mapping
-from .parquet import flat_table
+from .mapping import CommandPolicy, LogMapping
 from .reading import must_have, run_of_table
 from .run import Run
 from .table import (
@@ -29,6 +28,7 @@ from .table import (
     WHOLE,
     Origin,
     elapsed,
+    flat_table,
     is_dates,
     is_gzip,
     is_header,
@@ -83,7 +83,7 @@ class LongLog:
     """
 
     path: Path
-    mapping: Mapping
+    mapping: LogMapping
     commands: tuple[str, ...]
     window: tuple[float | None, float | None] = (None, None)
     missing_commands: CommandPolicy | None = None

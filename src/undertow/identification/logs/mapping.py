@@ -1,37 +1,18 @@
-"""The mapping file: how the columns of somebody's table become channels of a run.
-
-It is data (TOML) and nothing in it is executed. Example::
-
-    schema = "undertow/mapping/1"
-    ignore = ["battery"]
-
-    [time]
-    column = "stamp"
-    unit = "ms"
-
-    [frames]
-    position = "ENU"
-    body = "FLU"
-
-    [columns]
-    east = "x"
-    north = "y"
-    heading = { channel = "psi", unit = "deg" }
-    port = { channel = "f1", unit = "N", scale = 0.5 }
-    stern = { channel = "f2", scale = 2.9e-4, power = 2 }      # rpm to N, with the sign of the rpm
-    dvl_u = { channel = "u", unit = "m/s", fresh = "dvl_new" }  # slower than the log
-"""
+"""The mapping file: how columns of a log become channels of a run, and its frames ours."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
-from undertow.identification.logs.checks import nearest
+from undertow.typing import Array
 
 SCHEMA = "undertow/mapping/1"
 CommandPolicy = Literal["refuse", "hold", "gap"]
@@ -131,7 +112,7 @@ def _named(value: Any) -> Any:
     return {"channel": value} if isinstance(value, str) else value
 
 
-class Mapping(_Strict):
+class LogMapping(_Strict):
     """A whole mapping file; see the module for an example.
 
     Attributes
@@ -166,7 +147,7 @@ class Mapping(_Strict):
     missing_commands: CommandPolicy = "refuse"
 
 
-def read_mapping(path: str | Path) -> Mapping:
+def read_mapping(path: str | Path) -> LogMapping:
     """Read a mapping file.
 
     Parameters
@@ -187,7 +168,7 @@ def read_mapping(path: str | Path) -> Mapping:
             f"mapping file {path} has schema {data.get('schema')!r}: write schema = {SCHEMA!r} on top"
         )
     try:
-        mapping = Mapping.model_validate(data)
+        mapping = LogMapping.model_validate(data)
     except ValidationError as error:
         raise UndertowError(f"mapping file {path}: {_first_fault(error)}") from error
     _refuse_twins(mapping, path)
@@ -214,11 +195,11 @@ def _keys_beside(place: list[str]) -> list[str]:
         "water": Water,
         "columns": Column,
     }
-    model = Mapping if len(place) == 1 else sections[place[0]]
+    model = LogMapping if len(place) == 1 else sections[place[0]]
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _refuse_twins(mapping: Mapping, path: Path) -> None:
+def _refuse_twins(mapping: LogMapping, path: Path) -> None:
     seen: dict[str, str] = {}
     for name, column in mapping.columns.items():
         if column.channel in seen:
@@ -227,3 +208,90 @@ def _refuse_twins(mapping: Mapping, path: Path) -> None:
                 f"{column.channel!r}: name one of them under `ignore`"
             )
         seen[column.channel] = name
+
+
+Channels = dict[str, Array]
+
+_LINEAR, _ANGLES = ("u", "v", "w"), ("phi", "theta", "psi")
+
+_SWAPPED = {"x": "y", "y": "x"}
+# Forward stays forward; left becomes starboard and up becomes down, so every second and third component
+# turns.
+FLIPPED_BODY = (
+    "v", "w", "q", "r", "v_dot", "w_dot", "q_dot", "r_dot", "tau_Y", "tau_Z", "tau_M", "tau_N"
+)  # fmt: skip
+
+
+def swap_position(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
+    """Turn positions from ENU to NED, or back: east and north change places, z changes sign."""
+    turned = {_SWAPPED.get(name, name): data for name, data in channels.items()}
+    return _negated(turned, ("z",))
+
+
+def turned_name(name: str, position: str) -> str:
+    """Return the name that a channel of the log has after the turn from `position` to NED."""
+    return _SWAPPED.get(name, name) if position == "ENU" else name
+
+
+def swap_attitude(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
+    """Turn roll-pitch-yaw of FLU axes in ENU into those of FRD axes in NED, or back.
+
+    Heading counts from north clockwise instead of from east anticlockwise (psi becomes pi/2 - psi), pitch is
+    positive nose up instead of nose down, roll is the same.
+    """
+    turned = _negated(channels, ("theta",))
+    if "psi" in turned:
+        turned["psi"] = np.pi / 2 - turned["psi"]
+    return turned
+
+
+def swap_body(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
+    """Turn body velocities and forces from forward-left-up to forward-starboard-down, or back."""
+    return _negated(channels, FLIPPED_BODY)
+
+
+def velocity_to_body(channels: Mapping[str, NDArray[np.float64]], axes: str) -> Channels:
+    """Turn u, v, w that are velocities along the axes of NED or ENU into body axes, by the attitude in NED.
+
+    Parameters
+    ----------
+    channels : mapping
+        With psi, in NED; roll and pitch count as zero where they are missing.
+    axes : "NED" or "ENU"
+        What u, v, w are along: north, east, down or east, north, up.
+    """
+    linear = _three(channels, _LINEAR)
+    north_east_down = linear if axes == "NED" else np.array([linear[1], linear[0], -linear[2]])
+    turned = np.einsum("ijn,jn->in", to_body(*_three(channels, _ANGLES)), north_east_down)
+    return {**channels, **_present(channels, turned)}
+
+
+def over_ground(channels: Mapping[str, NDArray[np.float64]], water: Sequence[float]) -> Channels:
+    """Add the velocity of the water (NED, m/s) to u, v, w that are measured through the water."""
+    drift = np.einsum("ijn,j->in", to_body(*_three(channels, _ANGLES)), np.asarray(water))
+    return {**channels, **_present(channels, _three(channels, _LINEAR) + drift)}
+
+
+def to_body(phi: Array, theta: Array, psi: Array) -> Array:
+    """Return R^T (NED to body), (3, 3, n) (Fossen 2021, section 2.2)."""
+    (cf, sf), (ct, st), (cp, sp) = ((np.cos(angle), np.sin(angle)) for angle in (phi, theta, psi))
+    return np.array(
+        [
+            [ct * cp, ct * sp, -st],
+            [sf * st * cp - cf * sp, sf * st * sp + cf * cp, sf * ct],
+            [cf * st * cp + sf * sp, cf * st * sp - sf * cp, cf * ct],
+        ]
+    )
+
+
+def _three(channels: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]) -> Array:
+    zero = np.zeros_like(next(iter(channels.values())))
+    return np.array([channels.get(name, zero) for name in names])
+
+
+def _present(channels: Mapping[str, NDArray[np.float64]], linear: Array) -> Channels:
+    return {name: data for name, data in zip(_LINEAR, linear, strict=True) if name in channels}
+
+
+def _negated(channels: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]) -> Channels:
+    return {name: -data if name in names else data for name, data in channels.items()}

@@ -1,17 +1,409 @@
-"""Body velocities for logs that have only pose (motion capture, long baseline, camera)."""
+"""Body velocities for logs that have only pose, by a Rauch-Tung-Striebel smoother."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import factorial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.frames import to_body
-from undertow.identification.logs.run import POSE, UNITS, VELOCITY, Run
-from undertow.identification.logs.tracks import LOST, Track, track
-from undertow.typing import Array
+from undertow.model.symbols import POSE, VELOCITY
+from undertow.typing import Array, Flags
+
+from .mapping import to_body
+from .run import UNITS, Run
+
+ORDER = 3  # position, velocity, acceleration
+_DIFFUSE = 1e10  # variance of the state before the first sample, in squared standard deviations of the noise
+_OUTLYING = 100.0
+_BURN_IN = 2 * ORDER  # samples at the start of a lane that say more about _DIFFUSE than about the ratio
+# Decades of ratio that are searched. Above the last the noise is lost in the motion of one step anyway.
+_GRID = np.arange(-13.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Stretches of samples side by side, the short ones filled up with missing samples.
+
+    Attributes
+    ----------
+    y : (n, lanes) array
+        Measured values, NaN where there is none.
+    step : (n, lanes) array
+        Time since the sample before, in units of the usual step.
+    jump : (n, lanes) bool array
+        Where the value may have been shifted, by any amount, since the sample before (its derivatives carry
+        on).
+    """
+
+    y: Array
+    step: Array
+    jump: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class States:
+    """Value and its first two derivatives per step.
+
+    Attributes
+    ----------
+    mean : (n, lanes, 3) array
+        Estimates.
+    covariance : (n, lanes, 3, 3) array
+        Covariance of `mean`, divided by the noise variance.
+    """
+
+    mean: Array
+    covariance: Array
+
+
+def _transition(step: Array) -> Array:
+    """Return the (..., 3, 3) transition over `step`."""
+    result = np.zeros((*step.shape, ORDER, ORDER))
+    for row in range(ORDER):
+        for column in range(row, ORDER):
+            result[..., row, column] = step ** (column - row) / factorial(column - row)
+    return result
+
+
+def _process(step: Array, ratio: Array) -> Array:
+    """Return the (..., 3, 3) covariance that white jerk adds over `step`."""
+    result = np.empty((*step.shape, ORDER, ORDER))
+    for row in range(ORDER):
+        for column in range(ORDER):
+            power = 2 * ORDER - 1 - row - column
+            size = power * factorial(ORDER - 1 - row) * factorial(ORDER - 1 - column)
+            result[..., row, column] = ratio * step**power / size
+    return result
+
+
+@dataclass(frozen=True)
+class _Filtered:
+    """The filter's state after each sample and before it, its innovations and their variances."""
+
+    after: States
+    before: States
+    innovation: Array
+    variance: Array
+
+
+def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
+    n, count = lanes.y.shape
+    there = np.isfinite(lanes.y)
+    measured = np.where(there, lanes.y, 0.0)
+    before, after = (
+        States(np.empty((n, count, ORDER)), np.empty((n, count, ORDER, ORDER))) for _ in range(2)
+    )
+    mean = np.zeros((count, ORDER))
+    mean[:, 0] = measured[np.argmax(there, axis=0), np.arange(count)]
+    covariance = np.broadcast_to(_DIFFUSE * np.eye(ORDER), (count, ORDER, ORDER))
+    transition, process = _transition(lanes.step), _process(lanes.step, ratio)
+    process[..., 0, 0] += np.where(lanes.jump, _DIFFUSE, 0.0)
+    for k in range(n):
+        if k:
+            mean = (transition[k] @ mean[..., None])[..., 0]
+            covariance = transition[k] @ covariance @ transition[k].swapaxes(-1, -2) + process[k]
+        before.mean[k], before.covariance[k] = mean, covariance
+        variance = covariance[:, 0, 0] + 1.0
+        gain = covariance[:, :, 0] * (there[k] / variance)[:, None]
+        mean = mean + gain * (measured[k] - mean[:, 0])[:, None]
+        seen = covariance[:, 0] * np.where(there[k], 1.0 / variance, 1.0)[:, None]
+        covariance = covariance - gain[:, :, None] * gain[:, None, :] * variance[:, None, None]
+        # The same numbers without cancellation: after a jump the difference of two 1e10 would be left.
+        covariance[:, 0], covariance[:, :, 0] = seen, seen
+        after.mean[k], after.covariance[k] = mean, covariance
+    return _Filtered(after, before, lanes.y - before.mean[..., 0], before.covariance[..., 0, 0] + 1.0)
+
+
+def smooth(lanes: Lanes, ratio: Array) -> tuple[States, Array]:
+    """Return the states given all samples of their lane, and how badly a jump is missed at each.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        Samples.
+    ratio : (lanes,) array
+        Jerk intensity * step^5 / noise variance of each lane.
+
+    Returns
+    -------
+    States, (n, lanes) array
+        The array is what a jump between a sample and the one before would be, in its standard deviations,
+        times the standard deviation of the noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806).
+    """
+    filtered = _filter(lanes, ratio)
+    after, before = filtered.after, filtered.before
+    transition = _transition(lanes.step)[1:]
+    # gain = P F' inv(P before next); solved for its transpose because both covariances are symmetric
+    gain = np.linalg.solve(before.covariance[1:], transition @ after.covariance[:-1]).swapaxes(-1, -2)
+    mean, covariance = after.mean.copy(), after.covariance.copy()
+    for k in range(len(mean) - 2, -1, -1):
+        mean[k] += (gain[k] @ (mean[k + 1] - before.mean[k + 1])[..., None])[..., 0]
+        covariance[k] += gain[k] @ (covariance[k + 1] - before.covariance[k + 1]) @ gain[k].swapaxes(-1, -2)
+    smoothed = States(mean, covariance)
+    return smoothed, _missed_jumps(before, smoothed)
+
+
+def _missed_jumps(before: States, smoothed: States) -> Array:
+    pull = np.linalg.solve(before.covariance, np.eye(ORDER)[:, :1])[..., 0]
+    shock = (pull * (smoothed.mean - before.mean)).sum(axis=-1)
+    variance = pull[..., 0] - (pull * (smoothed.covariance @ pull[..., None])[..., 0]).sum(axis=-1)
+    known = variance > 1e-6 * pull[..., 0]  # the rest is rounding: nothing was learnt since the sample before
+    return np.divide(shock, np.sqrt(np.where(known, variance, 1.0)), where=known, out=np.zeros_like(shock))
+
+
+def most_likely_ratio(lanes: Lanes) -> tuple[float, float]:
+    """Return the ratio most likely for lanes of one signal, and the noise variance that goes with it."""
+    coarse = _profile(lanes, _GRID)
+    best = _GRID[np.argmin(coarse[0])]
+    fine = np.linspace(best - 1.0, best + 1.0, 17)
+    cost, variance = _profile(lanes, np.minimum(fine, _GRID[-1]))
+    at = int(np.argmin(cost))
+    return float(10.0 ** min(fine[at], _GRID[-1])), float(variance[at])
+
+
+def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
+    """Return -2 log likelihood, and the noise variance, at each ratio, all ratios filtered side by side."""
+    grid, count = len(decades), lanes.y.shape[1]
+    tiled = Lanes(np.tile(lanes.y, grid), np.tile(lanes.step, grid), np.tile(lanes.jump, grid))
+    filtered = _filter(tiled, np.repeat(10.0**decades, count))
+    seen = np.cumsum(np.isfinite(tiled.y), axis=0)
+    use = np.isfinite(tiled.y) & (seen > _BURN_IN)
+    square = np.where(use, filtered.innovation**2 / filtered.variance, np.nan).reshape(-1, grid, count)
+    typical = np.nanmedian(square, axis=(0, 2)) / 0.455
+    square = np.nansum(np.minimum(square, _OUTLYING * typical[:, None]), axis=(0, 2))
+    spread = np.where(use, np.log(filtered.variance), 0.0).reshape(-1, grid, count).sum(axis=(0, 2))
+    number = max(int(use[:, :count].sum()), 1)
+    variance = np.maximum(square / number, np.finfo(float).tiny)
+    return number * np.log(variance) + spread, variance
+
+
+LOST = 0.5  # s; a longer time without a sample is lost tracking, and what happened in it is unknown
+_LOST_STEPS = 4.0  # ... or this many usual steps, for slow logs
+_CORE = 1000  # samples of a lane that are kept
+_LIKELY_LANES = 6  # lanes the likelihood is taken from
+_SMALL = 0.01  # of the usual change between samples: an error too small to matter
+_LIMIT = 6.0  # robust standard deviations beyond which a sample is an outlier
+_ROUNDS = 40
+_APART = 3  # samples; what is found at once lies at least this far apart
+_ESTIMATES = 6  # times the noise is estimated anew after outliers were taken out
+_LANES_AT_ONCE = 96
+_UNCERTAIN = 10.0  # times the median standard deviation: such a rate is as good as unknown
+_NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+
+Stretch = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Track:
+    """A smoothed signal.
+
+    Attributes
+    ----------
+    value, rate : (n,) arrays
+        The signal and its time derivative; the rate is NaN where tracking was lost.
+    value_sd, rate_sd : (n,) arrays
+        Standard deviations of both.
+    outlier : (n,) bool array
+        Samples that were not believed.
+    jump : (n,) bool array
+        Samples where the signal was shifted since the sample before (a change of camera, a new satellite).
+    lost : list of (float, float)
+        Start and end in s of the times without samples.
+    noise : float
+        Standard deviation of the measurement noise.
+    resolution : float
+        Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor
+        1 / (1 + (w resolution)^6).
+    """
+
+    value: Array
+    rate: Array
+    value_sd: Array
+    rate_sd: Array
+    outlier: Flags
+    jump: Flags
+    lost: list[tuple[float, float]]
+    noise: float
+    resolution: float
+
+
+@dataclass
+class _Signal:
+    """The samples that are believed so far, and the jumps found."""
+
+    t: Array
+    y: Array
+    jump: Flags
+
+    def _breaks(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        index = np.flatnonzero(np.isfinite(self.y))
+        step = np.diff(self.t[index])
+        return index, np.flatnonzero(step > max(LOST, _LOST_STEPS * float(np.median(step))))
+
+    def lost(self) -> list[tuple[float, float]]:
+        """Return the times without a sample for too long, at the ends of the signal too."""
+        index, breaks = self._breaks()
+        spells = [(float(self.t[index[k]]), float(self.t[index[k + 1]])) for k in breaks]
+        ends = [(float(self.t[0]), float(self.t[index[0]])), (float(self.t[index[-1]]), float(self.t[-1]))]
+        before, after = ([spell] if spell[1] - spell[0] > LOST else [] for spell in ends)
+        return before + spells + after
+
+    def stretches(self) -> list[Stretch]:
+        """Return what lies between them; what is too short for a rate is left out."""
+        index, breaks = self._breaks()
+        parts = [part for part in np.split(index, breaks + 1) if len(part) > 2 * ORDER]
+        if not parts:
+            raise ValueError(f"no {2 * ORDER + 1} samples without a gap of more than {LOST:g} s between them")
+        return [(int(part[0]), int(part[-1]) + 1) for part in parts]
+
+    def lanes(self, cuts: list[Stretch]) -> Lanes:
+        step = np.diff(self.t, prepend=self.t[0]) / _usual_step(self.t)
+        shape = (max(stop - start for start, stop in cuts), len(cuts))
+        result = Lanes(np.full(shape, np.nan), np.ones(shape), np.zeros(shape, dtype=bool))
+        for lane, (start, stop) in enumerate(cuts):
+            for part, whole in ((result.y, self.y), (result.step, step), (result.jump, self.jump)):
+                part[: stop - start, lane] = whole[start:stop]
+        return result
+
+    def likely(self) -> tuple[float, float]:
+        """Return ratio and noise variance, from some long pieces spread over the signal."""
+        cuts = sorted(_cut(self.stretches(), _CORE), key=lambda cut: cut[0] - cut[1])[: 4 * _LIKELY_LANES]
+        spread = np.linspace(0, len(cuts) - 1, min(_LIKELY_LANES, len(cuts))).round().astype(int)
+        return most_likely_ratio(self.lanes([cuts[k] for k in spread]))
+
+    def smoothed(self, ratio: float) -> tuple[States, Array]:
+        """Smooth all stretches, long ones in pieces that overlap by many times the memory of the smoother."""
+        overlap = int(np.clip(12 * ratio ** (-1 / (2 * ORDER)), 30, 1000))
+        cores = [
+            (core, stretch)
+            for stretch in self.stretches()
+            for core in _cut([stretch], max(_CORE, 2 * overlap))
+        ]
+        wide = [
+            (max(low, start - overlap), min(high, stop + overlap)) for (start, stop), (low, high) in cores
+        ]
+        n = len(self.y)
+        mean, covariance, shock = (np.full(shape, np.nan) for shape in ((n, ORDER), (n, ORDER, ORDER), (n,)))
+        for first in range(0, len(cores), _LANES_AT_ONCE):
+            group = range(first, min(first + _LANES_AT_ONCE, len(cores)))
+            state, shocks = smooth(self.lanes([wide[k] for k in group]), np.full(len(group), ratio))
+            for lane, k in enumerate(group):
+                (start, stop), skip = cores[k][0], wide[k][0]
+                for whole, part in ((mean, state.mean), (covariance, state.covariance), (shock, shocks)):
+                    whole[start:stop] = part[start - skip : stop - skip, lane]
+        return States(mean, covariance), shock
+
+
+def track(t: Array, y: Array) -> Track:
+    """Smooth a signal and take its rate.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Time in s.
+    y : (n,) array
+        Signal, NaN where there is no sample.
+
+    Raises
+    ------
+    ValueError
+        If there are too few samples together.
+    """
+    signal = _Signal(t, y.copy(), np.zeros(len(y), dtype=bool))
+    signal.y[_gross_outliers(t, y)] = np.nan
+    for _ in range(_ESTIMATES):
+        ratio, variance = signal.likely()
+        changed, state = _cleaned(signal, ratio, max(float(np.sqrt(variance)), _SMALL * _usual_change(y)))
+        if not changed:
+            break
+    step = _usual_step(t)
+    spread = np.sqrt(variance * np.maximum(np.diagonal(state.covariance, axis1=-2, axis2=-1), 0.0))
+    rate, rate_sd = state.mean[:, 1] / step, spread[:, 1] / step
+    unknown = ~(rate_sd <= _UNCERTAIN * np.nanmedian(rate_sd))
+    rate[unknown] = rate_sd[unknown] = np.nan
+    outlier = np.isnan(signal.y) & np.isfinite(y)
+    return Track(
+        state.mean[:, 0],
+        rate,
+        spread[:, 0],
+        rate_sd,
+        outlier,
+        signal.jump,
+        signal.lost(),
+        float(np.sqrt(variance)),
+        step * ratio ** (-1 / (2 * ORDER)),
+    )
+
+
+def _usual_step(t: Array) -> float:
+    return float(np.median(np.diff(t)))
+
+
+def _usual_change(y: Array) -> float:
+    return float(np.median(np.abs(np.diff(y[np.isfinite(y)]))))
+
+
+def _gross_outliers(t: Array, y: Array) -> Flags:
+    """Find single wild samples by comparing each with the cubic through its four neighbours.
+
+    They would spoil the likelihood. A shift, which stands out on either side alike, is left to it.
+    """
+    index = np.flatnonzero(np.isfinite(y))
+    seen, result = y[index], np.zeros(len(y), dtype=bool)
+    if len(seen) < 2 * ORDER:
+        return result
+    close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t)
+    odd = np.zeros(len(seen))
+    odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
+    limit = max(5 * _LIMIT * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
+    beside = np.maximum(np.roll(odd, 1), np.roll(odd, -1))
+    result[index[_peaks(odd, limit, _APART) & (odd > 1.25 * beside)]] = True
+    return result
+
+
+def _peaks(size: Array, limit: float, apart: int) -> Flags:
+    """Tell which entries are above the limit and the largest among `apart` neighbours on either side."""
+    padded = np.pad(size, apart, constant_values=-np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * apart + 1).max(axis=-1)
+    return (size > limit) & (size >= around) & (limit > 0)
+
+
+def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]:
+    """Take out what cannot be motion, the worst of each neighbourhood first, until nothing stands out."""
+    # A wild sample or a shift bends the smoother on both sides, as far as its memory reaches.
+    apart = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), _APART, 20 * _APART))
+    changed = False
+    for _ in range(_ROUNDS):
+        state, shock = signal.smoothed(ratio)
+        outlier, jump = _odd(signal, state, shock, noise, apart)
+        if not (outlier | jump).any():
+            break
+        changed = True
+        signal.y[outlier] = np.nan
+        signal.jump |= jump
+    return changed, state
+
+
+def _odd(signal: _Signal, state: States, shock: Array, noise: float, apart: int) -> tuple[Flags, Flags]:
+    """Find samples that the others contradict, and jumps: whichever of the two explains more at its place."""
+    residual = np.nan_to_num(signal.y - state.mean[:, 0])
+    # the residual of a sample has variance 1 - P; over its square root it is the deletion residual,
+    # standardised
+    own = np.nan_to_num(1.0 - state.covariance[:, 0, 0], nan=1.0)
+    alone = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
+    shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
+    limit = _LIMIT * max(noise, _NORMAL * float(np.median(alone[np.isfinite(signal.y)])))
+    peak = _peaks(np.maximum(alone, shift), limit, apart)
+    return peak & (alone >= shift) & np.isfinite(signal.y), peak & (shift > alone)
+
+
+def _cut(stretches: list[Stretch], length: int) -> list[Stretch]:
+    return [(at, min(at + length, stop)) for start, stop in stretches for at in range(start, stop, length)]
+
 
 _DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _FEWEST = 10  # samples of a pose channel
@@ -21,7 +413,7 @@ _STILL = 1e-9  # change of a channel, as a share of its size, that is rounding
 def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge", "sway", "yaw")) -> Run:
     """Add the body velocities that a run lacks, from its pose.
 
-    Each pose channel is smoothed (see `undertow.identification.logs.tracks`): noise and smoothness are
+    Each pose channel is smoothed (see `undertow.identification.logs.pose_velocity`): noise and smoothness are
     estimated from the data, outliers are dropped, shifts of the origin are bridged, and where tracking was
     lost for more than 0.5 s the velocities are NaN. Roll and pitch take part where they are degrees of
     freedom, and are taken as zero otherwise.

@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undertow.errors import UndertowError
-from undertow.identification.logs import checks, frames
-from undertow.identification.logs.mapping import Column, CommandPolicy, Mapping
-from undertow.identification.logs.run import FORCES, UNITS, VELOCITY, Run
+from undertow.errors import UndertowError, nearest
+from undertow.identification.logs.mapping import (
+    Channels,
+    over_ground,
+    swap_attitude,
+    swap_body,
+    swap_position,
+    turned_name,
+    velocity_to_body,
+)
 from undertow.identification.logs.table import (
     WHOLE,
     LogLimits,
@@ -25,8 +31,13 @@ from undertow.identification.logs.table import (
     read_table,
     seconds,
 )
+from undertow.model.symbols import VELOCITY
 from undertow.model.units import scale_offset, si_unit
 from undertow.typing import Array
+
+from . import checks
+from .mapping import Column, CommandPolicy, LogMapping
+from .run import FORCES, UNITS, Run
 
 if TYPE_CHECKING:
     import polars as pl
@@ -39,7 +50,7 @@ Commands = dict[str, float]
 
 def read_log(
     path: str | Path,
-    mapping: Mapping | None = None,
+    mapping: LogMapping | None = None,
     channels: Iterable[str] = (),
     *,
     window: tuple[float | None, float | None] = (None, None),
@@ -76,7 +87,7 @@ def read_log(
     UndertowError
         If the file cannot be read, or holds what no log may hold; the message names the place and the remedy.
     """
-    path, mapping = Path(path), mapping or Mapping()
+    path, mapping = Path(path), mapping or LogMapping()
     data = file_bytes(path, limits)
     table = read_table(data, mapping, f"log {path}", path, limits)
     run = run_of_table(table, path, mapping, channels, window, missing_commands, also)
@@ -86,7 +97,7 @@ def read_log(
 def run_of_table(
     table: pl.DataFrame,
     path: Path,
-    mapping: Mapping,
+    mapping: LogMapping,
     channels: Iterable[str] = (),
     window: tuple[float | None, float | None] = (None, None),
     missing_commands: CommandPolicy | None = None,
@@ -128,11 +139,11 @@ def run_of_table(
     ).slice(*window)
     run = _unwrapped(run, list(sources.values()))
     slow = [column.channel for column in sources.values() if column.fresh is not None]
-    run = on_the_clock(run, [frames.turned_name(name, mapping.frames.position) for name in slow])
+    run = on_the_clock(run, [turned_name(name, mapping.frames.position) for name in slow])
     return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where, before)
 
 
-def _sources(names: Sequence[str], mapping: Mapping, commands: list[str], where: str) -> dict[str, Column]:
+def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:
     """Say which columns are read, as what."""
     must_have(mapping.time.column, names, where, "time column")
     for name, column in mapping.columns.items():
@@ -159,7 +170,7 @@ def must_have(
     names = list(names)
     if name not in names:
         have = list(names if columns is None else columns)
-        hint = checks.nearest(name, have)
+        hint = nearest(name, have)
         more = _delimiter_hint(have)
         raise UndertowError(f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}")
 
@@ -174,7 +185,7 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
 
 
 def _time(
-    table: pl.DataFrame, mapping: Mapping, where: str, origin: Origin | None
+    table: pl.DataFrame, mapping: LogMapping, where: str, origin: Origin | None
 ) -> tuple[pl.DataFrame, Array, list[str]]:
     """Return the rows that are used, their times and notes."""
     spec, notes = mapping.time, []
@@ -202,7 +213,7 @@ def _shown(number: Origin) -> str:
     return f"{number:.17g}" if isinstance(number, float) else f"{number:f}".rstrip("0").rstrip(".")
 
 
-def _values(table: pl.DataFrame, name: str, column: Column, mapping: Mapping, where: str) -> Array:
+def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str) -> Array:
     scale, offset = _to_si(name, column, where)
     cells = numbers(table, name, mapping, where)
     if column.power != 1.0:
@@ -225,23 +236,23 @@ def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
     return scale * column.scale, scale * column.offset + offset
 
 
-def _turned(channels: frames.Channels, mapping: Mapping, where: str) -> frames.Channels:
+def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
     """Bring channels from the frames of the log to NED and forward-starboard-down."""
     spec, given = mapping.frames, channels
     if spec.position == "ENU":
-        channels = frames.swap_position(channels)
+        channels = swap_position(channels)
     if spec.body == "FLU":
-        channels = frames.swap_body(channels)
+        channels = swap_body(channels)
     if _attitude(mapping) == "ENU":
-        channels = frames.swap_attitude(channels)
+        channels = swap_attitude(channels)
     if spec.velocity != "body":
         must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
         linear = {name: data for name, data in given.items() if name in VELOCITY[:3]}
-        channels = frames.velocity_to_body({**channels, **linear}, spec.velocity)
-    return channels if mapping.water is None else frames.over_ground(channels, mapping.water.velocity)
+        channels = velocity_to_body({**channels, **linear}, spec.velocity)
+    return channels if mapping.water is None else over_ground(channels, mapping.water.velocity)
 
 
-def _attitude(mapping: Mapping) -> str:
+def _attitude(mapping: LogMapping) -> str:
     spec = mapping.frames
     if spec.attitude is None and (spec.position == "ENU") != (spec.body == "FLU"):
         raise UndertowError(
@@ -269,7 +280,7 @@ def _unwrap(angle: Array) -> Array:
     return result
 
 
-def _conversions(sources: dict[str, Column], mapping: Mapping, where: str) -> list[str]:
+def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) -> list[str]:
     factors = {name: _to_si(name, column, where) for name, column in sources.items()}
     changed = [
         f"{sources[name].channel} = {scale:.9g} {_term(name, sources[name].power)}"
@@ -296,7 +307,7 @@ def _term(name: str, power: float) -> str:
     return name if power == 1.0 else f"{name} |{name}|" + ("" if power == 2.0 else f"^{power - 1.0:g}")
 
 
-def _unused(names: Sequence[str], sources: dict[str, Column], mapping: Mapping) -> list[str]:
+def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMapping) -> list[str]:
     flags = {column.fresh for column in sources.values()}
     used = {*sources, *mapping.ignore, mapping.time.column, *flags}
     left = [name for name in names if name not in used]

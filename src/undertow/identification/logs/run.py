@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.model.symbols import POSE, VELOCITY
 
 if TYPE_CHECKING:
-    from undertow.identification.logs.mapping import Mapping as LogMapping
+    from .mapping import LogMapping
 
-POSE = ("x", "y", "z", "phi", "theta", "psi")
-VELOCITY = ("u", "v", "w", "p", "q", "r")
+
 FORCES = ("tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N")
 ACCELERATION = tuple(f"{name}_dot" for name in VELOCITY)
 UNITS = dict(

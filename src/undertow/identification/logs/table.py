@@ -1,18 +1,20 @@
-"""Bytes of a log file to a table of named columns; the only place that knows about polars.
-
-CSV cells are read as text and turned into numbers column by column, so that a word in a numeric column is
-told with its row instead of making the whole column text.
-"""
+"""Bytes of a log file to a table of named columns; Parquet files are decoded in another process first."""
 
 from __future__ import annotations
 
+import atexit
 import csv
 import gzip
 import io
+import json
+import os
+import subprocess
+import sys
+import threading
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
 
@@ -21,8 +23,135 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import Mapping
-from undertow.identification.logs.parquet import flat_table, too_many_cells
+
+from .mapping import LogMapping
+
+# Of one column after the other nothing is kept but a number; columns of lists are never read.
+_DECODE = """
+import json, sys
+import polars as pl
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, 2 * (int(sys.argv[1]),))
+except (ImportError, ValueError, OSError):
+    pass
+for line in sys.stdin:
+    try:
+        table = pl.scan_parquet(json.loads(line), glob=False, hive_partitioning=False)
+        flat = [name for name, kind in table.collect_schema().items() if not kind.is_nested()]
+        table.select(pl.col(flat).hash().max()).collect(engine="streaming")
+        told = ""
+    except BaseException as error:
+        told = (str(error).split("\\n")[0] or type(error).__name__).strip()
+    print(json.dumps(told), flush=True)
+"""
+_UNREADABLE = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
+
+
+def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.LazyFrame:
+    """A Parquet file that can be decoded, not yet read; columns of lists or structures have no value in it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    where : str
+        What it is called in messages.
+    most_cells : int, optional
+        Rows times columns that it may have.
+
+    Raises
+    ------
+    UndertowError
+        If it cannot be decoded, or has more cells.
+    """
+    try:
+        table = pl.scan_parquet(path, glob=False, hive_partitioning=False)
+        kinds = table.collect_schema()
+        rows = table.select(pl.len()).collect().item()
+    except _UNREADABLE as error:
+        raise UndertowError(_unreadable(where, str(error))) from error
+    if most_cells is not None and rows * len(kinds) > most_cells:
+        raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
+    told = _HELPER.trouble_with(path)
+    if told is not None:
+        raise UndertowError(_unreadable(where, told))
+    return table.with_columns(
+        pl.lit(None).cast(kind).alias(n) for n, kind in kinds.items() if kind.is_nested()
+    )
+
+
+def too_many_cells(where: str, rows: int, columns: int, most: int) -> str:
+    """What to say of a table that memory is not meant for."""
+    return (
+        f"{where} has {rows} rows of {columns} columns or more, at most {most // max(columns, 1)} such rows "
+        "are read as a whole: leave out columns and rows, or split it"
+    )
+
+
+def _unreadable(where: str, reason: str) -> str:
+    line = reason.split("\n")[0].strip() or "the reader breaks down"
+    return f"{where} cannot be read as a table: {line}: check that it is whole, or export it again"
+
+
+@dataclass
+class _Helper:
+    """A process that decodes one file after the other; a new one where it has ended with a file.
+
+    Attributes
+    ----------
+    memory : int
+        Bytes of address space that it may have: what a table of the most cells needs, three times over.
+    """
+
+    memory: int = 6_000_000_000
+    _process: subprocess.Popen[str] | None = None
+    _owner: int = 0
+    _turn: threading.Lock = field(default_factory=threading.Lock)
+
+    def trouble_with(self, path: Path) -> str | None:
+        """Why a file cannot be decoded; None where it can, or no helper can be started."""
+        with self._turn:
+            try:
+                process = self._started()
+                assert process.stdin is not None
+                assert process.stdout is not None
+                process.stdin.write(json.dumps(str(path.absolute())) + "\n")
+                process.stdin.flush()
+                answer = process.stdout.readline()
+            except OSError:
+                return None
+            if not answer:
+                process.communicate()
+                return "the reader breaks down, for the file is damaged or needs too much memory"
+            return str(json.loads(answer)) or None
+
+    def _started(self) -> subprocess.Popen[str]:
+        # A process that was forked off has the helper of its parent, whose answers are not its own.
+        if self._process is None or self._process.poll() is not None or self._owner != os.getpid():
+            self._owner = os.getpid()
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _DECODE, str(self.memory)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                encoding="utf-8",
+                # Threads reserve address space, on a large machine more than there is to be.
+                env={**os.environ, "POLARS_MAX_THREADS": "2", "PYTHONIOENCODING": "utf-8"},
+            )
+        return self._process
+
+    def close(self) -> None:
+        """End the process that this one has started, if there is one."""
+        if self._process is not None and self._owner == os.getpid():
+            self._process.terminate()
+            self._process.communicate()
+
+
+_HELPER = _Helper()
+atexit.register(_HELPER.close)
+
 
 _ALWAYS_MISSING = ("", "NaN", "nan", "NAN", "NA", "N/A", "null", "None")
 _GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
@@ -122,7 +251,7 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
 
 
 def read_table(
-    data: bytes, mapping: Mapping, where: str, path: Path | None = None, limits: LogLimits = WHOLE
+    data: bytes, mapping: LogMapping, where: str, path: Path | None = None, limits: LogLimits = WHOLE
 ) -> pl.DataFrame:
     """Turn the bytes of a CSV, CSV.gz or Parquet file into a table with clean column names.
 
@@ -179,7 +308,7 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
     return table.filter(~pl.all_horizontal(pl.all().is_null())) if table.height else table
 
 
-def _csv(data: bytes, mapping: Mapping, where: str, limits: LogLimits) -> pl.DataFrame:
+def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
     packed = next((how for magic, how in _PACKED.items() if text.startswith(magic)), None)
     if packed is not None:
@@ -207,7 +336,7 @@ def _csv(data: bytes, mapping: Mapping, where: str, limits: LogLimits) -> pl.Dat
     )
 
 
-def header_of(text: bytes, mapping: Mapping) -> bytes:
+def header_of(text: bytes, mapping: LogMapping) -> bytes:
     """The line of a text that names the columns; nothing where there is none, or its end is not there yet."""
     comment, place = (mapping.comment or "\0").encode(), 0
     while place < len(text):
@@ -224,12 +353,12 @@ def is_header(line: bytes, comment: bytes) -> bool:
     return bool(line.strip(b"\xef\xbb\xbf \r\n")) and not line.startswith(comment)
 
 
-def columns_of(header: bytes, mapping: Mapping) -> int:
+def columns_of(header: bytes, mapping: LogMapping) -> int:
     """How many columns a header names."""
     return header.count(mapping.delimiter.encode()) + 1
 
 
-def _unpacked(data: bytes, mapping: Mapping, where: str, limits: LogLimits) -> bytes:
+def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> bytes:
     """The text of a gzip file; refused as soon as it is too much."""
     pieces: list[bytes] = []
     size = rows = columns = 0
@@ -258,7 +387,7 @@ def _refuse_doubled(columns: Iterable[str], where: str) -> None:
         )
 
 
-def numbers(table: pl.DataFrame, name: str, mapping: Mapping, where: str) -> NDArray[np.float64]:
+def numbers(table: pl.DataFrame, name: str, mapping: LogMapping, where: str) -> NDArray[np.float64]:
     """Return one column as numbers, NaN where a cell is missing.
 
     Parameters
@@ -315,7 +444,7 @@ def _is_number(value: float | str) -> bool:
 
 
 def elapsed(
-    table: pl.DataFrame, mapping: Mapping, scale: float, where: str, origin: Origin | None = None
+    table: pl.DataFrame, mapping: LogMapping, scale: float, where: str, origin: Origin | None = None
 ) -> tuple[NDArray[np.float64], Origin]:
     """Return the time column as numbers from an origin, in its own unit, and the origin.
 

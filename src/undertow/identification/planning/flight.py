@@ -1,10 +1,10 @@
-"""Manoeuvres as the models predict them, shrunk until they stay within the limits."""
+"""Manoeuvres as the models predict them, and what they tell of the parameters (Fisher information)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,20 +12,206 @@ from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.predictor import Predictor
+from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.step import inverse_of, prior_of
+from undertow.identification.estimation.weak_form import WeakFit, fit_weak
+from undertow.identification.estimation.windows import late_by
+from undertow.identification.logs.run import Run
 from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Progress
 
-from ..compare.drive import late_by
-from ..compare.predictor import Predictor
-from ..logs import Run
-from ..weak.data import WeakData, prepare
-from ..weak.step import inverse_of
-from .axes import Axis
-from .families import Design
-from .information import Knowledge
-from .limits import MotionLimits, exceeded
-from .noise import ChannelNoise
+from .manoeuvres import (
+    Axis,
+    ChannelNoise,
+    CommandLimits,
+    Design,
+    Family,
+    MotionLimits,
+    Trim,
+    command_limits,
+    every_axis,
+    exceeded,
+    families,
+    planned_noise,
+    trim,
+)
+
+# A parameter of which nothing is known may be off by this many times its size.
+_VAGUE = 100.0
+# It counts as unknown as long as its standard error is a good part of that.
+_UNKNOWN = 0.3
+# Errors so many times wider than by noise alone are worth a remark.
+_WIDE = 1.5
+# Beyond this, fitted values make up for what is missing, and those of the vehicle file are better ones.
+_MISFIT = 5.0
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of the free parameters before a manoeuvre.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The model at the values that are planned with.
+    free : tuple of str
+        Parameters to be determined.
+    prior : (k, k) array
+        Information of the stated standard deviations.
+    logs : (k, k) array
+        Information in the logs, as far as what the model leaves in them allows.
+    spread : (k,) array
+        How many times wider errors were on the logs than noise alone would make them, at least 1.
+    """
+
+    vehicle: Vehicle
+    free: tuple[str, ...]
+    prior: Array
+    logs: Array
+    spread: Array
+
+    @property
+    def misfit(self) -> float:
+        """Median of the spread."""
+        return float(np.median(self.spread)) if len(self.spread) else 1.0
+
+    @cached_property
+    def scale(self) -> Array:
+        """Size of every parameter: its value, else what is stated of its error, else one."""
+        values = [self.vehicle.value_of(n) for n in self.free]
+        return np.array([abs(v.value) or v.sigma or 1.0 for v in values])
+
+    @cached_property
+    def vague(self) -> Array:
+        """Information that keeps what nothing determines finite, shape (k, k)."""
+        return np.diag((_VAGUE * self.scale) ** -2.0)
+
+    @cached_property
+    def now(self) -> Array:
+        """Information before the manoeuvre, shape (k, k)."""
+        return self.prior + self.logs + self.vague
+
+    def after(self, gram: Array) -> Array:
+        """Information after a manoeuvre with the information `gram` by noise alone, shape (k, k)."""
+        return np.asarray(self.now + gram / np.outer(self.spread, self.spread))
+
+    def errors(self, information: Array) -> Array:
+        """Standard errors, shape (k,); inf for a parameter that is not known."""
+        found = np.sqrt(np.diag(inverse_of(information)))
+        return np.where(found < _UNKNOWN * _VAGUE * self.scale, found, np.inf)
+
+
+def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Knowledge:
+    """What the vehicle file and logs say.
+
+    With logs, the model is fitted to them and planned with at the fitted values, unless these make up for
+    something that the model lacks.
+
+    Raises
+    ------
+    UndertowError
+        If the logs do not fit the vehicle or are too short.
+    """
+    if not runs:
+        return stated(vehicle, free)
+    known = knowledge_of(fit_weak(vehicle, prepare(runs, vehicle), free), runs)
+    return replace(known, vehicle=vehicle) if known.misfit >= _MISFIT else known
+
+
+def stated(vehicle: Vehicle, free: Sequence[str]) -> Knowledge:
+    """What the vehicle file says."""
+    nothing = np.zeros((len(free), len(free)))
+    return Knowledge(vehicle, tuple(free), _prior(vehicle, free), nothing, np.ones(len(free)))
+
+
+def knowledge_of(fit: WeakFit, runs: Sequence[Run]) -> Knowledge:
+    """What a fit to logs says, with the priors of the vehicle file as far as these are no such fit."""
+    logs, spread = _told_by(fit)
+    before = fit.model.functions.vehicle
+    new = [n if not _fitted_to(before, n, runs) else None for n in fit.model.free]
+    return Knowledge(fit.vehicle, fit.model.free, _prior(before, new), logs, spread)
+
+
+def _prior(vehicle: Vehicle, names: Sequence[str | None]) -> Array:
+    sigma = [None if n is None else vehicle.value_of(n).sigma for n in names]
+    return np.diag([0.0 if not s else s**-2.0 for s in sigma])
+
+
+def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
+    """What to know about the numbers before a manoeuvre."""
+    if not runs:
+        return ["no logs are given: what is known now is what the vehicle file states"]
+    remarks = []
+    twice = [n for n in known.free if _fitted_to(known.vehicle, n, runs)]
+    if twice:
+        names = ", ".join(twice)
+        remarks.append(f"stated errors of {names} come from a fit to these logs and do not count again")
+    widest = float(np.max(known.spread, initial=1.0))
+    if known.misfit >= _MISFIT:
+        remarks.append(
+            "the model misses too much of these logs to fit it: planned with the values of its file"
+        )
+    if widest > _WIDE:
+        remarks.append(
+            f"the model leaves more than noise on these logs: errors are up to {widest:.2g} times as wide as "
+            "by noise alone, now and after the manoeuvre; undertow diagnose looks for what is missing"
+        )
+    return remarks
+
+
+def _fitted_to(vehicle: Vehicle, name: str, runs: Sequence[Run]) -> bool:
+    """Whether the file says that a value comes from a fit to one of these logs."""
+    told, _, _ = vehicle.value_of(name).source.partition("; before: ")
+    return told.startswith("fit to ") and any(run.name in told for run in runs)
+
+
+def _told_by(fit: WeakFit) -> tuple[Array, Array]:
+    """Information of logs, and how much wider than by noise alone the errors are."""
+    weak_prior = np.diag(prior_of(fit.model)[1] ** 2)
+    robust = np.sqrt(np.diag(fit.covariance) / np.maximum(np.diag(inverse_of(fit.information)), 1e-300))
+    logs = fit.gram / np.outer(robust, robust)
+    parts = fit.model.linearise(fit.data, fit.p)
+    quiet = whitened(parts, fit.model.whitening(fit.data, fit.p)).J
+    best = np.diag(inverse_of(quiet.T @ quiet + weak_prior))
+    spread = np.sqrt(np.diag(inverse_of(logs + weak_prior)) / np.maximum(best, 1e-300))
+    return logs, np.maximum(spread, 1.0)
+
+
+def gram_along(model: WeakModel, data: WeakData, p: Array) -> Array | None:
+    """Information that a log will hold on the free parameters by noise alone, shape (k, k).
+
+    Parameters
+    ----------
+    model : WeakModel
+        The model and its free parameters.
+    data : WeakData
+        The log as it is predicted, without noise but with the noise that its channels will have.
+    p : (n_parameters,) array
+        All parameters.
+
+    Returns
+    -------
+    (k, k) array or None
+        None where the residual is not finite.
+    """
+    at = whitened(model.linearise(data, p), model.whitening(data, p))
+    return np.asarray(at.J.T @ at.J) if np.isfinite(at.J).all() else None
+
+
+def log_determinant(information: Array, wanted: Sequence[int]) -> float:
+    """Logarithm of the determinant of the information on some parameters, the others being free, too."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale)
+    others = [i for i in range(len(scale)) if i not in wanted]
+    whole = np.linalg.slogdet(scaled)[1] - 2 * np.sum(np.log(scale))
+    if not others:
+        return float(whole)
+    rest = np.linalg.slogdet(scaled[np.ix_(others, others)])[1] - 2 * np.sum(np.log(scale[others]))
+    return float(whole - rest)
+
 
 # Shares of the excitation that are tried, largest first.
 _SHARES = np.array([0.85, 0.7, 0.55, 0.4, 0.28, 0.18, 0.1])
@@ -313,3 +499,129 @@ def _slope(space: Airspace, plant: Plant, flight: Flight, name: str, scale: floa
         p[place] += sign * _STEP * scale
         ends.append(space.predicted(plant, flight.t, [flight.u], p)[0][:, column])
     return np.asarray((ends[0] - ends[1]) / (2 * _STEP * scale))
+
+
+# Work that a search takes by default, in seconds of a usual machine: the number of manoeuvres follows from
+# the sizes alone, so that it is the same everywhere.
+_SECONDS, _PER_CALL, _PER_NUMBER = 9.0, 6e-3, 8e-8
+_FEWEST_TRIES, _MOST_TRIES = 60, 600
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a plan.
+
+    Attributes
+    ----------
+    duration : float
+        Length, s.
+    rate : float
+        Samples per second, of the commands and of the log to come.
+    limits : mapping
+        Largest commands by name; "" for all that are not named.
+    noise : mapping
+        Standard deviation of the noise by channel, SI; inf for one that is not measured.
+    motion : MotionLimits
+        Largest motions.
+    depth : float, optional
+        Depth at the start, m; by default that of the logs, or 0.
+    seed : int
+        Of the random numbers.
+    tries : int, optional
+        Manoeuvres to be judged; by default as many as take some ten seconds.
+    compiled : bool, optional
+        As for `Simulator`.
+    report : callable
+        Told what share is done, and what is being done.
+    """
+
+    duration: float = 60.0
+    rate: float = 20.0
+    limits: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    motion: MotionLimits = field(default_factory=MotionLimits)
+    depth: float | None = None
+    seed: int = 0
+    tries: int | None = None
+    compiled: bool | None = None
+    report: Progress = lambda done, words: None
+
+
+class Ground:
+    """A request made concrete for a vehicle and its logs.
+
+    Parameters
+    ----------
+    request : Request
+        What is asked.
+    vehicle : Vehicle
+        The model without rivals.
+    plants : sequence of Plant
+        The models that predict; the first holds the actuators in trim.
+    runs : sequence of Run
+        Logs.
+    """
+
+    def __init__(
+        self, request: Request, vehicle: Vehicle, plants: Sequence[Plant], runs: Sequence[Run]
+    ) -> None:
+        refuse_samples(request.duration, request.rate)
+        self.request, self.vehicle, self.runs = request, vehicle, tuple(runs)
+        self.commands: CommandLimits = command_limits(vehicle, request.limits, runs)
+        if not len(self.commands.value):
+            raise UndertowError(
+                f"'{vehicle.name}' has no thruster and no known force: nothing can be planned"
+            )
+        self.noise: ChannelNoise = planned_noise(vehicle, request.noise, runs)
+        self.trim: Trim = trim(plants[0].functions, self.commands.value, self.depth)
+        self.space = Airspace(
+            plants,
+            request.duration,
+            request.rate,
+            self.trim.commands,
+            self.commands.value,
+            request.motion,
+            self.noise,
+            self.depth,
+        )
+
+    @property
+    def depth(self) -> float:
+        """Depth at the start, m."""
+        if self.request.depth is not None:
+            return self.request.depth
+        seen = [float(np.nanmedian(r.channels["z"])) for r in self.runs if r.has("z")]
+        return float(np.median(seen)) if seen else 0.0
+
+    @cached_property
+    def families(self) -> list[Family]:
+        """All manoeuvres that can be flown."""
+        motions, actuators = every_axis(self.vehicle, self.commands.value - np.abs(self.trim.commands))
+        return families([(axes, self.space.reach(axes)) for axes in (motions, actuators) if axes])
+
+    def tries(self, columns: int, calls: int = 1) -> int:
+        """How many manoeuvres to judge, when each takes so many sensitivities in so many calls."""
+        if self.request.tries is not None:
+            return self.request.tries
+        states = 2 * len(self.vehicle.degrees_of_freedom)
+        seconds = _PER_CALL * calls + _PER_NUMBER * len(self.space.t) * states * columns
+        return int(np.clip(_SECONDS / seconds, _FEWEST_TRIES, _MOST_TRIES))
+
+    def refuse_unsafe(self, strained: Flight | None) -> None:
+        """Say that no manoeuvre stays within the limits.
+
+        Raises
+        ------
+        UndertowError
+            Always; the limit that the gentlest manoeuvre exceeds is named.
+        """
+        name = "speed" if strained is None else strained.limit
+        option = {"depth": "--max-depth-change"}.get(name, f"--max-{name}")
+        why = "".join(
+            f"; the actuators cannot balance {value:.3g} N (or N m) in {dof} at rest"
+            for dof, value in self.trim.left.items()
+        )
+        raise UndertowError(
+            f"no manoeuvre of {self.request.duration:g} s stays within the limits, {option} is exceeded "
+            f"most{why}: raise it, or plan a shorter manoeuvre"
+        )

@@ -1,19 +1,20 @@
-"""A plan as a picture: commands, predicted motions, and what is known before and after."""
+"""A plan as a picture and as the table of commands that is flown."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
 from undertow.typing import Array
 
-from ..report.style import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
 from .parameters import Planned
 from .result import Known, Plan
-from .separate import SEPARATED
+from .separation import SEPARATED
 
 # Lines that stand side by side, told apart by colour and by dashes.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", INK, FAINT)
@@ -151,3 +152,21 @@ def _finish(axis: Any) -> None:
     axis.invert_yaxis()
     axis.grid(axis="x")
     axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=9, borderaxespad=0.2)
+
+
+_DIGITS = 6
+
+
+def command_csv(planned: Planned) -> str:
+    """The commands as CSV: t in s, then each command in its unit, named as in the vehicle file.
+
+    Numbers are cut off towards zero, so that none passes its limit.
+    """
+    commands, flight = planned.plan.commands, planned.flight
+    columns = [[f"{t:.9g}" for t in flight.t]]
+    for i, command in enumerate(commands):
+        places = max(_DIGITS - 1 - math.floor(math.log10(command.limit)), 0)
+        cut = np.trunc(flight.u[:, i] * 10.0**places) / 10.0**places
+        columns.append([f"{value:.{places}f}" for value in (cut + 0.0).tolist()])
+    head = ",".join(["t", *(c.name for c in commands)])
+    return "\n".join([head, *(",".join(row) for row in zip(*columns, strict=True))]) + "\n"

@@ -10,11 +10,11 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from undertow.identification.diagnosis.result import Ranked, Step
+from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
 from undertow.typing import Array
 
-from ..diagnosis.result import Ranked, Step
 from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
-from .style import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
 
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"

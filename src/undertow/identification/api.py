@@ -1,0 +1,527 @@
+"""What `import undertow` gives of identification; the commands call the same functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from undertow.errors import UndertowError
+from undertow.files import write_whole
+from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
+from undertow.model.catalogue import Catalogue, catalogue, lookup
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
+
+from .compare.comparison import compare
+from .diagnose import Outcome
+from .diagnose import diagnose as diagnosed
+from .diagnosis.addition import add_effect as added
+from .diagnosis.addition import lay_ground
+from .diagnosis.trial import FALSE_ALARM_RATE
+from .diagnosis.verdict import estimates
+from .doctor.examine import refuse_impossible
+from .estimation.data import channel_noise, prepare
+from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
+from .estimation.output_error import LossName, fit_output_error
+from .estimation.prediction_error import fit_prediction_error
+from .estimation.predictor import predict
+from .estimation.residual import without_spikes
+from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations
+from .estimation.test_functions import boxes, test_functions
+from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
+from .estimation.windows import Prediction, cut, prediction_error
+from .logs.mapping import LogMapping, read_mapping
+from .logs.pose_velocity import velocities_from_pose
+from .logs.reading import read_log as read
+from .logs.run import Run
+from .report.data import ReportData
+
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.figure import Figure
+
+
+Method = Literal["weak", "integral", "instrumental", "output-error", "prediction-error"]
+_FAMILIES = {"weak": test_functions, "integral": boxes}
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """How parameters are estimated.
+
+    Attributes
+    ----------
+    method : str
+        "weak", "integral" (the weak form with boxes for test functions), "instrumental" (the weak form with
+        simulated regressors), "output-error" or "prediction-error" (output error with a disturbance).
+    horizon : float or None
+        Length of the windows that output error and instrumental variables simulate, s; None for whole
+        stretches.
+    constraints : Constraints
+        What is asked of the parameters.
+    loss : str
+        "gaussian", or "huber" or "student-t" where there are outliers. Output error then weighs every sample
+        by its error; the weak form, whose residuals are sums over many samples, leaves samples out that stand
+        more than five standard deviations off their neighbours.
+    """
+
+    method: Method = "weak"
+    horizon: float | None = 5.0
+    constraints: Constraints = field(default_factory=Constraints)
+    loss: LossName = "gaussian"
+
+    def fit(
+        self,
+        vehicle: Vehicle,
+        runs: Sequence[Run],
+        free: Sequence[str] | None = None,
+        progress: Progress = lambda done, words: None,
+        *,
+        trust_log: bool = False,
+    ) -> Fitted:
+        """Fit the free parameters of a vehicle, by default those that its file marks.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            Model with starting values and priors.
+        runs : sequence of Run
+            Logs with the velocities and commands of the vehicle.
+        free : sequence of str, optional
+            Names of the parameters to fit.
+        progress : callable
+            Told what share is done, and what is being done.
+        trust_log : bool
+            Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+
+        Raises
+        ------
+        UndertowError
+            If a channel is missing, a log is too short or cannot be, constraints contradict each other, or
+            the method has no such loss.
+        """
+        refuse_impossible(vehicle, runs, trust_log=trust_log)
+        if self.method in _FAMILIES:
+            data = prepare(runs, vehicle, family=_FAMILIES[self.method])
+            data = data if self.loss == "gaussian" else without_spikes(data)
+            model = self.constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
+            require_equations(model, data, self.method)
+            return fit_weak(model, data)
+        if self.method in ("prediction-error", "instrumental"):
+            return self._by_squares(vehicle, runs, free, progress)
+        return fit_output_error(
+            vehicle,
+            runs,
+            free,
+            self.horizon,
+            constraints=self.constraints,
+            loss=self.loss,
+            progress=progress,
+        )
+
+    def _by_squares(
+        self, vehicle: Vehicle, runs: Sequence[Run], free: Sequence[str] | None, progress: Progress
+    ) -> Fitted:
+        """Methods that have no other loss."""
+        if self.loss != "gaussian":
+            raise UndertowError(
+                f"loss '{self.loss}' is none of --method {self.method}, which would take outliers for "
+                "something else: use output-error, or weak"
+            )
+        if self.method == "instrumental":
+            return fit_instrumental(vehicle, runs, free, self.horizon, constraints=self.constraints)
+        return fit_prediction_error(vehicle, runs, free, constraints=self.constraints, progress=progress)
+
+
+@dataclass(frozen=True, repr=False)
+class Refit:
+    """A refitted model, judged on data that it was not fitted to.
+
+    Attributes
+    ----------
+    stated : Vehicle
+        The model as given.
+    fit : Fitted
+        The fit.
+    estimator : Estimator
+        How it was made.
+    train, test : list of Run
+        Logs that were fitted, and logs kept aside.
+    before, after : Prediction
+        Kept-aside logs predicted by the model as given and as refitted.
+    """
+
+    stated: Vehicle
+    fit: Fitted
+    estimator: Estimator
+    train: list[Run]
+    test: list[Run]
+    before: Prediction
+    after: Prediction
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Velocity error ahead before and after, as a share of the motion."""
+        return prediction_error(self.before), prediction_error(self.after)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The refitted model."""
+        return self.fit.vehicle
+
+    @property
+    def parameters(self) -> pl.DataFrame:
+        """One row a parameter, in the units and signs of the vehicle file.
+
+        Columns: parameter, value, standard_error, bound (Cramér-Rao), unit, before, t (magnitude over
+        standard error), identified (what these logs determine); null where the logs say nothing.
+        """
+        import polars as pl  # whoever fits needs it; whoever reads --help does not
+
+        t, said, least = t_values(self.fit), verdicts(self.fit), cramer_rao(self.fit)
+        found = estimates(self.fit, self.stated)
+        return pl.DataFrame(
+            {
+                "parameter": [e.name for e in found],
+                "value": [e.value for e in found],
+                "standard_error": [e.standard_error for e in found],
+                "bound": [least[e.name] if least[e.name] < NOTHING_SAID else None for e in found],
+                "unit": [e.unit for e in found],
+                "before": [e.prior for e in found],
+                "t": [t[e.name] for e in found],
+                "identified": [said[e.name] for e in found],
+            },
+            schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
+        )
+
+    def summary(self) -> str:
+        """Parameters with standard errors, and the error on validation data before and after, as text."""
+        rows = self.parameters.iter_rows(named=True)
+        lines = [f"{r['parameter']:16} {r['value']:.5g}{_spread(r)} {r['unit']}".rstrip() for r in rows]
+        return "\n".join([self._headline, *lines])
+
+    @property
+    def _headline(self) -> str:
+        before, after = self.errors
+        ahead = self.before.windows.horizon
+        return (
+            f"{self.stated.name} by {self.estimator.method}: velocity error {ahead:.3g} s ahead on "
+            f"validation data {before:.3%} of the motion as given, {after:.3%} refitted"
+        )
+
+    def plot(self) -> Figure:
+        """The error of every velocity on validation data, as given and refitted, as a matplotlib figure."""
+        from .report.pictures import before_and_after
+
+        return before_and_after(self.before.relative, self.after.relative)
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(self._headline)}</p>{self.parameters._repr_html_()}"
+
+
+def _spread(row: Mapping[str, Any]) -> str:
+    return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
+
+
+def refit(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    holdout: Sequence[Run],
+    estimator: Estimator,
+    horizon: float,
+    tell: Progress = lambda done, words: None,
+    *,
+    trust_log: bool = False,
+) -> Refit:
+    """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
+
+    Raises
+    ------
+    UndertowError
+        If nothing is to be estimated, a channel is missing, a log is too short, or nothing moves.
+    """
+    if not free_parameters(vehicle):
+        raise UndertowError(
+            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
+            "X_u = { value = ..., estimate = true }"
+        )
+    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
+    train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
+    tell(0.0, "fitting")
+    # Whole logs have been looked at: what is left of them after some was kept aside need not be.
+    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
+    tell(0.8, "predicting kept-aside data")
+    longest = max(float(r.t[-1] - r.t[0]) for r in test)
+    windows = cut(test, vehicle, min(horizon, 0.9 * longest))
+    before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
+    return Refit(vehicle, fit, estimator, train, test, before, after)
+
+
+class Diagnosed(Outcome):
+    """A diagnosis with its models, ready to be read, shown in a notebook and written as a report."""
+
+    @property
+    def verdict(self) -> str:
+        """adequate, missing_effect, indistinguishable, unexplained or not_identifiable."""
+        return self.diagnosis.verdict
+
+    @property
+    def effects(self) -> list[str]:
+        """Ids of the effects that are named; empty where none is."""
+        return self.diagnosis.effects
+
+    def report(self, out: str | Path) -> None:
+        """Write the report: one HTML page with all pictures.
+
+        Raises
+        ------
+        UndertowError
+            If the file cannot be written.
+        """
+        write_whole(Path(out), _page(self))
+
+    def __repr__(self) -> str:
+        return f"{self.verdict}: {self.diagnosis.headline}"
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
+
+
+def read_log(
+    path: str | Path,
+    mapping: str | Path | LogMapping | None = None,
+    *,
+    window: tuple[float | None, float | None] = (None, None),
+    commands: Sequence[str] = (),
+) -> Run:
+    """Read a log: CSV, CSV.gz or Parquet.
+
+    Parameters
+    ----------
+    path : path
+        The log.
+    mapping : path or Mapping, optional
+        What the columns mean; without it they must have the channel names and SI units of undertow.
+    window : (t_min, t_max)
+        Part of the log that is used, s.
+    commands : sequence of str
+        Names of the commands of the vehicle; each must be in the log.
+
+    Returns
+    -------
+    Run
+        In SI, NED and forward-starboard-down axes; gaps are NaN.
+
+    Raises
+    ------
+    UndertowError
+        If a file cannot be read or holds what no log may hold.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import undertow as ut
+    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
+    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=["f1", "f2", "f3", "f4"])
+    >>> run.t.shape
+    (1200,)
+    """
+    meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    return read(path, meaning, commands, window=window)
+
+
+def fit(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    validation: Sequence[Run] = (),
+    *,
+    method: str = "weak",
+    horizon: float = 5.0,
+    loss: LossName = "gaussian",
+    equal: Sequence[str] = (),
+    dissipative: bool = False,
+    report: Progress = lambda done, words: None,
+    trust_log: bool = False,
+) -> Refit:
+    """Refit the parameters that a vehicle marks as estimated, and judge them on validation data.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs, validation : sequence of Run
+        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+    method : str
+        "weak", "integral", "instrumental", "output_error" or "prediction_error".
+    horizon : float
+        Length of the simulated windows, s.
+    loss : str
+        "gaussian", or "huber" or "student-t" where there are outliers.
+    equal : sequence of str
+        Parameters that are fitted as one, or as a multiple: "M_q = 0.9 N_r".
+    dissipative : bool
+        Let linear damping take energy from every motion.
+    report : callable
+        Told what share is done, and what is being done.
+    trust_log : bool
+        Take logs as they are, also those that cannot be.
+
+    Raises
+    ------
+    UndertowError
+        If there is no such method, nothing is to be estimated, or a log does not serve.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import undertow as ut
+    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
+    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
+    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
+    >>> fit = ut.fit(vehicle, [run])
+    >>> fit.parameters.columns[:3]
+    ['parameter', 'value', 'standard_error']
+    """
+    constraints = Constraints(read_equalities(equal, vehicle), dissipative)
+    estimator = Estimator(_method(method), horizon, constraints, loss)
+    logs, kept = _moving(vehicle, runs), _moving(vehicle, validation)
+    return refit(vehicle, logs, kept, estimator, horizon, report, trust_log=trust_log)
+
+
+def _method(name: str) -> Method:
+    methods: dict[str, Method] = {m.replace("-", "_"): m for m in get_args(Method)}
+    if name.replace("-", "_") not in methods:
+        raise UndertowError(f"method '{name}' is not known: choose one of {', '.join(methods)}")
+    return methods[name.replace("-", "_")]
+
+
+def _moving(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
+    """Logs with the velocities that they have a pose for only."""
+    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
+
+
+def diagnose(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    validation: Sequence[Run] = (),
+    *,
+    known: Catalogue | None = None,
+    report: Progress = lambda done, words: None,
+    false_alarms: float = FALSE_ALARM_RATE,
+    trust_log: bool = False,
+) -> Diagnosed:
+    """Find out which effect a model lacks, judged on validation data.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model; parameters marked `estimate` are refitted.
+    runs, validation : sequence of Run
+        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+    known : mapping, optional
+        Effects that may be missing, by id; the whole catalogue by default.
+    report : callable
+        Told what share is done, and what is being done.
+    false_alarms : float
+        Chance of naming an effect where nothing is missing, 0.005 to 0.2.
+    trust_log : bool
+        Take logs as they are, also those that cannot be.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import undertow as ut
+    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
+    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
+    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
+    >>> current = {"ocean_current": ut.catalogue()["ocean_current"]}
+    >>> ut.diagnose(vehicle, [run], known=current).effects
+    ['ocean_current']
+    """
+    done = diagnosed(
+        vehicle,
+        _moving(vehicle, runs),
+        _moving(vehicle, validation),
+        known=known,
+        report=report,
+        false_alarms=false_alarms,
+        trust_log=trust_log,
+    )
+    return Diagnosed(**{f.name: getattr(done, f.name) for f in fields(done)})
+
+
+def add_effect(
+    vehicle: Vehicle,
+    effect: str,
+    runs: Sequence[Run],
+    validation: Sequence[Run] = (),
+    *,
+    force: bool = False,
+) -> Vehicle:
+    """Put an effect into a model and refit it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    effect : str
+        Id of an effect of the catalogue.
+    runs, validation : sequence of Run
+        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+    force : bool
+        Put it in although it does not lower the error on validation data.
+
+    Raises
+    ------
+    UndertowError
+        If there is no such effect, the model has it already, or it does not help and `force` is not given.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import undertow as ut
+    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
+    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
+    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
+    >>> better = ut.add_effect(vehicle, "ocean_current", [run])
+    >>> "ocean_current" in [effect.id for effect in better.all_effects]
+    True
+    """
+    wanted = lookup(effect, catalogue())
+    done = added(wanted, lay_ground(vehicle, _moving(vehicle, runs), _moving(vehicle, validation)))
+    if not (done.helps or force):
+        raise UndertowError(
+            f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
+            f"without, {done.after.error:.3g} with it): force=True puts it in all the same"
+        )
+    return done.fit.vehicle
+
+
+def _page(outcome: Outcome) -> str:
+    """The report of a diagnosis as one HTML page."""
+    from .report.page import render_report  # brings matplotlib, which only a report needs
+
+    return render_report(outcome.diagnosis, _pictures_data(outcome))
+
+
+def _pictures_data(outcome: Outcome) -> ReportData:
+    """Comparison of the refitted model with the kept-aside runs, before and after."""
+    from .report.tables import report_data
+
+    before = compare(outcome.before, outcome.test)
+    added = outcome.diagnosis.last_step.changes
+    after = compare(outcome.after, outcome.test) if added else None
+    names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
+    return report_data(before, after, names=names)

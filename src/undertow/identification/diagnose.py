@@ -1,0 +1,442 @@
+"""The whole diagnosis: split the data, search, judge by simulation, and put it into words and numbers."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.identification.diagnosis.parallel import aside
+from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside, repeats
+from undertow.identification.doctor.examine import examine, refuse_impossible
+from undertow.identification.doctor.findings import Examination
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.logs.run import Run
+from undertow.identification.planning.separation import suggest
+from undertow.model.catalogue import Catalogue, catalogue
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
+from undertow.version import __version__
+
+from .diagnosis.candidates import possible
+from .diagnosis.evidence import Chain, FoundEffect, fitted, with_effects
+from .diagnosis.residual import remaining
+from .diagnosis.result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
+from .diagnosis.search import Search, last_fit, search
+from .diagnosis.trial import FALSE_ALARM_RATE, Bench, Score, error_of, noise_ratio, scored, told_apart
+from .diagnosis.validation import DECIDING, Referee, clearly_worse, sizes
+from .diagnosis.verdict import (
+    Judgement,
+    Left,
+    Relief,
+    absorbing,
+    changed_values,
+    equivalents,
+    estimate,
+    estimates,
+    instead_of_effects,
+    judge,
+    reliefs,
+    unique_ids,
+    with_values,
+)
+
+_MANOEUVRES = 20
+# Mean square of every equation, in units of the noise, below which next to nothing is left.
+_NEARLY_NOISE = 2.0
+
+
+class Story:
+    """The outcome of a search, judged under one noise model for all steps and by simulation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model as given.
+    found : Search
+        What the search found.
+    referee : Referee
+        Who simulates.
+    known : Catalogue
+        Effects that may be missing.
+    """
+
+    def __init__(self, vehicle: Vehicle, found: Search, referee: Referee, known: Catalogue) -> None:
+        self.vehicle, self.referee, self._known = vehicle, referee, known
+        self.found = found = decided(found, referee)
+        self.bench = found.bench
+        weak = found.steps()
+        refined = [referee.refined(f) for f in weak]
+        self.fits = [fit for fit, _ in refined]
+        self.simulated = [squares for _, squares in refined]
+        self.base, final = self.fits[0], self.fits[-1]
+        #: The model as given, refitted: `base` where no fixed value was found to be another.
+        self.given = referee.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        # All models are shown in units of the same noise, that of the sensors alone.
+        self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
+        self._quiet = quiet = referee.quiet(weak[-1], self.bench.test)
+        left = Left(
+            quiet=quiet,
+            confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
+            nearly=quiet or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
+            change="" if quiet else self._change(),
+        )
+        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
+        self.judgement: Judgement = judge(found, scores, self.bench.noise_level, left)
+
+    def _change(self) -> str:
+        """How the size of the one effect that was found changes in the course of the kept-aside data."""
+        winners = self.found.winners
+        if len(unique_ids(winners)) != 1:
+            return ""
+        own = [p for w in winners for p in w.trial.candidate.parameters]
+        return sizes(self.fits[-1], own, self.bench.test, self._whitening).change
+
+    @property
+    def after(self) -> Fitted:
+        """The fit with what is named, or the refitted model where nothing is."""
+        return self.fits[-1] if self.judgement.effects else self.base
+
+    def told(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
+        """The diagnosis."""
+        equivalent = self._equivalents()
+        doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
+        doubts += self._by_heart() if self.judgement.effects else []
+        left = remaining(self.after, self.bench.train, self.bench.test)
+        doubts += self._nowhere_alone(left)
+        return Diagnosis(
+            undertow=__version__,
+            vehicle=self.vehicle.name,
+            degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
+            signs=self.vehicle.signs,
+            runs=infos,
+            verdict=self.judgement.verdict,
+            headline=" ".join([self._headline(), *doubts]),
+            effects=unique_ids(self.judgement.effects),
+            ranking=[self._ranked(f) for f in self._in_order()],
+            steps=self._steps(),
+            indistinguishable=self._sets(),
+            equivalent=equivalent,
+            warnings=self._warnings(equivalent),
+            remaining=left,
+            parameters=estimates(self.after, self.vehicle),
+            false_alarm_rate=self.bench.false_alarms,
+            noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            seconds=seconds,
+        )
+
+    def _headline(self) -> str:
+        values = changed_values(self.vehicle, self.after, self.found.freed)
+        return with_values(self.judgement, values, self._quiet)
+
+    def _equivalents(self) -> list[Equivalent]:
+        model, bench = self.found.vehicle, self.bench
+        if self.judgement.effects and self._quiet:
+            return instead_of_effects(self.found.chain, model, bench, self.referee.quiet)
+        if self.judgement.verdict != "adequate":
+            return []
+        derived = bench.train.velocities_derived
+        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
+
+    def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
+        nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
+        if not nothing_found or any(r.excess_rms > 0.0 for r in left):
+            return []
+        return ["It stands out in the force of no degree of freedom by itself."]
+
+    def _by_heart(self) -> list[str]:
+        return [
+            f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
+            "by heart would look as good: judge by another one."
+            for kept, fitted in repeats(self.vehicle, self.referee.train, self.referee.test)
+        ]
+
+    def _sets(self) -> list[Indistinguishable]:
+        """The sets, each with the manoeuvre that would tell its effects apart."""
+        places = [i for i, rivals in enumerate(self.found.rivals) if rivals]
+        return [
+            s.model_copy(update={"separated_by": self._separating(i, s)})
+            for i, s in zip(places, self.judgement.sets, strict=False)
+        ]
+
+    def _separating(self, place: int, equals: Indistinguishable) -> str:
+        others = [f for i, f in enumerate(self.found.winners) if i != place]
+        chains = [self.found.chain, *self.found.rivals[place]]
+        values = {c.findings[place].id: c.findings[place].trial.fit.values for c in chains}
+        try:
+            return suggest(
+                with_effects(self.found.vehicle, others),
+                equals.effects,
+                self.referee.train,
+                values,
+                known=self._known,
+                tries=_MANOEUVRES,
+            )
+        except UndertowError as error:
+            return f"No manoeuvre can be suggested: {error}"
+
+    def _normalised(self, fit: Fitted) -> float:
+        """Error in units of the noise; what unknown first states leave open is left out on both sides."""
+        before, data = self._left_before, self.bench.test
+        after = scored(fit, data, self._whitening, before.r)
+        without, with_it = map(error_of, told_apart(before, after, data))
+        return self._before * with_it / without
+
+    @cached_property
+    def _left_before(self) -> Score:
+        return scored(self.base, self.bench.test, self._whitening)
+
+    @cached_property
+    def _before(self) -> float:
+        return self._left_before.error
+
+    def _steps(self) -> list[Step]:
+        ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
+        steps = [self._step(ids[:i], fit, self.simulated[i], freed) for i, fit in enumerate(self.fits)]
+        first = [self._step([], self.given, self.referee.squares(self.given))] if freed else []
+        return [*first, *steps]
+
+    def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
+        ahead = self.referee.ahead(fit.vehicle)
+        simulation = float(np.sqrt(np.mean(squares)))
+        return Step(
+            added=added,
+            error=self._normalised(fit),
+            prediction=ahead.get(f"{DECIDING:g} s", ahead["free run"]),
+            simulation=simulation if math.isfinite(simulation) else None,
+            ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
+            freed=list(freed),
+        )
+
+    def _in_order(self) -> list[FoundEffect]:
+        """The candidates as they look beside the model as it is, led by the one that was named in the end."""
+        leader = next(iter(unique_ids(self.judgement.effects)), None)
+        return sorted(self.found.rounds[0].findings, key=lambda f: f.id != leader)
+
+    def _ranked(self, finding: FoundEffect) -> Ranked:
+        trial = finding.trial
+        helps = finding.significant or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
+        names = finding.parameters if helps and trial.kept else ()
+        return Ranked(
+            effect=finding.id,
+            family=trial.candidate.effect.family,
+            about=trial.candidate.effect.about(),
+            parameters=[estimate(trial.fit, n, self.vehicle) for n in names],
+            error_before=self._before,
+            error_after=self._normalised(trial.fit) if helps else self._before,
+            explained=max(finding.explained, 0.0),
+            improvement=finding.evidence.mean,
+            interval=finding.evidence.interval,
+            # Where nothing is missing the simulation, which has the last word, needs none of them.
+            significant=finding.significant and self.judgement.verdict != "adequate",
+            p_value=finding.p_value if helps else None,
+            inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+        )
+
+    def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
+        named = tuple(unique_ids(self.judgement.effects))
+        claimed = {*named, *(e for s in self.judgement.sets for e in s.effects)}
+        helpers = [h for h in reliefs(self.found.rounds[0].findings) if claimed.issuperset(h.effects)]
+        if len(named) > 1:
+            helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
+        alike = {name: e.effects for e in equivalent for name in e.parameters}
+        return absorbing(self.vehicle, self.base, helpers, alike)
+
+
+def decided(found: Search, referee: Referee) -> Search:
+    """The search as far as it stands up to simulation.
+
+    An effect goes when the model simulates the kept-aside runs to within the noise before it is added to
+    others. All of a set of equally good effects are fitted by output error, started from the weak form, and
+    simulate the kept-aside runs; the best of them leads, and gets a last fit.
+    """
+    found = _without_surplus(found, referee)
+    for place in range(len(found.rivals)):
+        if found.rivals[place]:
+            best, *others = referee.standing([found.chain, *found.rivals[place]])
+            rivals: list[list[Chain]] = list(found.rivals)
+            rivals[place] = others
+            found = replace(found, chain=best, rivals=rivals)
+    return replace(found, chain=_last(found.chain, found.bench)) if found.winners else found
+
+
+def _last(chain: Chain, bench: Bench) -> Chain:
+    fit = last_fit(chain.fit, [f.trial.candidate for f in chain.findings])
+    return replace(chain, fit=fit, score=bench.judge(fit))
+
+
+def _without_surplus(found: Search, referee: Referee) -> Search:
+    """The search without effects that the simulation does not need."""
+    if _hidden_in_noise(found, referee):
+        return replace(found, chain=fitted(found.vehicle, [], found.bench), rivals=[])
+    for place in range(len(found.winners)) if len(found.winners) > 1 else ():
+        kept = [i for i in range(len(found.winners)) if i != place]
+        shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
+        if referee.leaves_only_noise(shorter.fit) and not referee.outdone(shorter.fit, found.chain.fit):
+            rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
+            return _without_surplus(replace(found, chain=shorter, rivals=rivals), referee)
+    return found
+
+
+def _hidden_in_noise(found: Search, referee: Referee) -> bool:
+    """Whether the model as it is leaves only noise, and simulates no worse than with what was found.
+
+    Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
+    of its own that an effect can take up.
+    """
+    if not found.winners or not referee.quiet(found.bench.base, found.bench.test):
+        return False
+    without = fitted(found.vehicle, [], found.bench)
+    squares = [referee.contender(c).squares for c in (without, found.chain)]
+    return not (clearly_worse(*squares) or referee.outdone(without.fit, found.chain.fit))
+
+
+def _only(chain: Chain, places: list[int]) -> Chain:
+    return replace(chain, findings=tuple(chain.findings[i] for i in places))
+
+
+def _either(equivalent: Equivalent) -> str:
+    return " or ".join(["wrong stated values", *equivalent.effects])
+
+
+HORIZON = DECIDING
+# Chances of a false alarm that evidence can be held to: less than the first no bootstrap of 1000 draws shows.
+_LEAST_RATE, _MOST_RATE = 0.005, 0.2
+
+
+Role = Literal["train", "holdout", "blocks"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis with the models it is about.
+
+    Attributes
+    ----------
+    diagnosis : Diagnosis
+        What is written to JSON.
+    before, after : Vehicle
+        The refitted model as it was, and with the named effects (the same where none is named).
+    train, test : list of Run
+        What was fitted to, and what was judged by.
+    fit : Fitted
+        The fit of `after`.
+    """
+
+    diagnosis: Diagnosis
+    before: Vehicle
+    after: Vehicle
+    train: list[Run]
+    test: list[Run]
+    fit: Fitted
+
+
+def diagnose(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    holdout: Sequence[Run] = (),
+    *,
+    known: Catalogue | None = None,
+    report: Progress = lambda done, words: None,
+    false_alarms: float = FALSE_ALARM_RATE,
+    trust_log: bool = False,
+) -> Outcome:
+    """Find out which effect a model lacks, judged on data kept aside.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model; parameters marked `estimate` are refitted.
+    runs : sequence of Run
+        Logs to fit to.
+    holdout : sequence of Run
+        Logs to judge by; without any, stretches of `runs` are kept aside.
+    known : mapping, optional
+        Effects that may be missing; the whole catalogue by default.
+    report : callable
+        Told what share is done, and what is being done.
+    false_alarms : float
+        Chance of naming an effect where nothing is missing, that the evidence is held to.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, a log is too short or cannot be, nothing moved in it, or `false_alarms` is
+        out of bounds.
+    """
+    check_false_alarms(false_alarms)
+    began = time.perf_counter()
+    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
+    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    train = prepare(train_runs, vehicle)
+    check_excitation(vehicle, train_runs, train.sigma)
+    with aside(lambda: examine(vehicle, [*runs, *holdout]).result) as examined:
+        test = prepare(test_runs, vehicle, sigma=train.sigma)
+        referee = Referee(vehicle, train_runs, test_runs, train.sigma)
+        effects = known or catalogue()
+        found = search(
+            vehicle,
+            train,
+            test,
+            effects,
+            lambda done, words: report(0.9 * done, words),
+            referee.quiet,
+            false_alarms,
+        )
+        report(0.9, "judging the result by simulation")
+        story = Story(vehicle, found, referee, effects)
+        roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
+        infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
+        diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
+    return Outcome(diagnosis, story.given.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
+
+
+def check_false_alarms(rate: float) -> None:
+    """Refuse a chance of false alarms that the evidence cannot be held to.
+
+    Raises
+    ------
+    UndertowError
+        If it is below what 1000 draws can show, or so high that a name would mean little.
+    """
+    if not _LEAST_RATE <= rate <= _MOST_RATE:
+        raise UndertowError(
+            f"a chance of false alarms of {rate:g} is not possible: choose one between {_LEAST_RATE:g} and "
+            f"{_MOST_RATE:g} ({FALSE_ALARM_RATE:g} by default)"
+        )
+
+
+def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
+    """The diagnosis with what the doctor found; mistakes come first among the warnings."""
+    told = [f"{f.severity}: {f.text}" for f in examined.mistakes]
+    ids = ", ".join(f.id for f in examined.mistakes)
+    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if told else []
+    return diagnosis.model_copy(
+        update={
+            "doctor": examined.findings,
+            "warnings": [*told, *diagnosis.warnings],
+            "headline": " ".join([*first, diagnosis.headline]),
+        }
+    )
+
+
+def _info(run: Run, role: Role) -> RunInfo:
+    duration = float(run.t[-1] - run.t[0])
+    return RunInfo(
+        name=run.name,
+        source=run.source,
+        sha256=run.sha256,
+        role=role,
+        samples=len(run.t),
+        duration=duration,
+        notes=list(run.notes),
+    )

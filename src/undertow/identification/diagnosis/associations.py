@@ -1,0 +1,603 @@
+"""What a residual force goes with: variables, a period, time, the run. Associations, never causes."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, permutations
+
+import numpy as np
+from scipy.stats import chi2, gamma
+
+from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.step import inverse_of
+from undertow.identification.logs.run import UNITS
+from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Index
+
+Column = tuple[str, ...]
+_COMMAND = "command "
+_ANGLES = ("psi", "phi", "theta")
+WAVE = re.compile(r"(sin|cos)\((2 )?(psi|phi|theta)\)")
+
+
+@dataclass(frozen=True)
+class Term:
+    """Columns that are judged together.
+
+    Attributes
+    ----------
+    label : str
+        What the term is called.
+    columns : tuple of Column
+        Factors of each column.
+    """
+
+    label: str
+    columns: tuple[Column, ...]
+
+
+def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
+    """Every term that the motions, the measured pose and the commands of a vehicle give."""
+    velocities, commands = vehicle.velocity_names, [_COMMAND + n for n in vehicle.command_names]
+    columns: list[Column] = [(), ("t",)]
+    for a in velocities:
+        columns += [(a,), (f"|{a}|", a), (a, a), ("t", a), ("t", f"|{a}|", a)]
+    columns += combinations(velocities, 2)
+    columns += [(f"|{a}|", b) for a, b in permutations(velocities, 2)]
+    columns += _by_commands(commands, velocities)
+    columns += [(n,) for n in pose if n in ("x", "y", "z")] + [
+        (f"sin({n})",) for n in pose if n in _ANGLES[1:]
+    ]
+    turns = [_heading("psi"), _heading("2 psi")] if "psi" in pose else []
+    if {"psi", "z"} <= set(pose):
+        turns.append(_heading("psi", "z"))
+    return [*(Term(label_of(c), (c,)) for c in columns), *turns]
+
+
+def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Column]:
+    for c in commands:
+        yield from ((c,), (f"|{c}|", c), (c, c))
+        yield from ((c, a) for a in velocities)
+        yield from ((f"|{c}|", a) for a in velocities)
+    for c, d in combinations(commands, 2):
+        yield from ((c, d), (f"|{c}|", f"|{d}|"))
+
+
+def _heading(angle: str, *factors: str) -> Term:
+    both = tuple((*factors, f"{f}({angle})") for f in ("sin", "cos"))
+    return Term(" ".join([*factors, f"sin and cos of {angle}"]), both)
+
+
+def label_of(column: Column) -> str:
+    """A column as people write it: ``|r| u``, ``t |u| u``."""
+    return " ".join(f.replace(_COMMAND, "") for f in column) or "a constant"
+
+
+def plain_of(factor: str) -> str:
+    """A factor without its bars: ``|r|`` gives ``r``."""
+    return factor[1:-1] if factor.startswith("|") and factor.endswith("|") else factor
+
+
+def command_of(factor: str) -> str | None:
+    """Name of the command in a factor, or None where it is none."""
+    plain = plain_of(factor)
+    return plain.removeprefix(_COMMAND) if plain.startswith(_COMMAND) else None
+
+
+def unit_of(factor: str) -> str:
+    """SI unit of a factor; that of a thruster's command is ``command``.
+
+    Raises
+    ------
+    KeyError
+        If the text is no factor.
+    """
+    name = command_of(factor)
+    if name is not None:
+        return UNITS.get(name, "command")
+    if WAVE.fullmatch(factor):
+        return "1"
+    plain = plain_of(factor)
+    return "s" if factor == "t" else {**UNITS, "t": ""}[plain]
+
+
+def coefficient_unit(force: str, column: Column) -> str:
+    """Unit of what multiplies a column to give a force in `force`: ``N/((m/s)^2 s)``."""
+    count = Counter(u for u in map(unit_of, column) if u != "1")
+    below = " ".join(_power(f"({u})" if "/" in u or " " in u else u, n) for u, n in count.items())
+    return f"{force}/({below})" if len(count) > 1 else f"{force}/{below}" if count else force
+
+
+def _power(unit: str, exponent: int) -> str:
+    return unit if exponent == 1 else f"{unit}^{exponent}"
+
+
+@dataclass(frozen=True)
+class Along:
+    """Motion and commands at N samples, from which columns are worked out.
+
+    Attributes
+    ----------
+    values : dict of (N,) arrays
+        Velocities through the water, pose and time.
+    commands : dict of (N,) arrays
+        What reaches each thruster, and known forces; held between samples.
+    """
+
+    values: dict[str, Array]
+    commands: dict[str, Array]
+
+    def smooth(self, column: Column) -> Array:
+        """Product of the factors that are no commands, shape (N,)."""
+        factors = [self._value(f) for f in column if command_of(f) is None]
+        return np.prod([np.ones_like(self.values["t"]), *factors], axis=0)
+
+    def held(self, column: Column) -> Array | None:
+        """Product of the factors that are commands, shape (N,); None where there is none."""
+        names = [(f, command_of(f)) for f in column]
+        found = [
+            np.abs(self.commands[n]) if f[0] == "|" else self.commands[n] for f, n in names if n is not None
+        ]
+        return np.prod(found, axis=0) if found else None
+
+    def _value(self, factor: str) -> Array:
+        wave = WAVE.fullmatch(factor)
+        if wave:
+            angle = (2 if wave[2] else 1) * self.values[wave[3]]
+            return np.asarray(np.sin(angle) if wave[1] == "sin" else np.cos(angle))
+        value = self.values[plain_of(factor)]
+        return np.abs(value) if factor.startswith("|") else value
+
+
+def is_factor(text: str) -> bool:
+    """Whether a text is a factor."""
+    return bool(WAVE.fullmatch(text)) or text in ("t", *POSE[:3]) or _is_motion(text)
+
+
+def _is_motion(text: str) -> bool:
+    return plain_of(text) in VELOCITY or command_of(text) is not None
+
+
+_PATTERNS = 1999
+# Share of a column's sum of squares that has to be left beside the model's own columns for it to be news.
+_NEWS = 1e-4
+# Terms that gain this share of what the best one does are told with it.
+_ALIKE = 0.9
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A residual in units of its noise.
+
+    Attributes
+    ----------
+    r : (m,) array
+        Residual.
+    own : (m, k) array
+        Its derivative in what the model may adjust.
+    columns : (m, q) array
+        Its derivative in the coefficients of all terms, side by side.
+    block : (m,) array of int
+        Block of time of each entry.
+    """
+
+    r: Array
+    own: Array
+    columns: Array
+    block: Index
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self.block.max(initial=-1)) + 1
+
+    @property
+    def square(self) -> float:
+        """Sum of squares."""
+        return float(np.sum(self.r**2))
+
+    def by_block(self, products: Array) -> Array:
+        """Sums over blocks, shape (blocks, ...)."""
+        total = np.zeros((self.blocks, *products.shape[1:]))
+        np.add.at(total, self.block, products)
+        return total
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The same residual three times.
+
+    Attributes
+    ----------
+    fitted, aside : Sample
+        On the data of the fit, and on data kept aside, with what is left counted as noise.
+    shown : Sample
+        On data kept aside, in units of the noise of the sensors alone.
+    """
+
+    fitted: Sample
+    aside: Sample
+    shown: Sample
+
+    def mapped(self, change: Callable[[Sample], Sample]) -> Samples:
+        """All three changed alike."""
+        return Samples(change(self.fitted), change(self.aside), change(self.shown))
+
+
+@dataclass(frozen=True)
+class Found:
+    """A term with what the data say of it.
+
+    Attributes
+    ----------
+    term : Term
+        The term.
+    coefficients, errors : (k,) array
+        Coefficient of each of its columns, and standard errors.
+    gain : float
+        Fall of the sum of squares on kept-aside data.
+    chance : float
+        Share of sign patterns with which the best of all terms gains as much.
+    alike : tuple of str
+        Labels of terms that gain nearly as much.
+    """
+
+    term: Term
+    coefficients: Array
+    errors: Array
+    gain: float
+    chance: float
+    alike: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """One term: products of its columns with the residual in each block, and with each other."""
+
+    term: Term
+    fitted: Array
+    aside: Array
+    inverse: Array
+    gram: Array
+
+    def gain(self, fitted: Array, aside: Array) -> Array:
+        """Fall of the kept-aside sum of squares for signs of the blocks, (patterns, blocks) each."""
+        step = -(fitted @ self.fitted) @ self.inverse
+        quadratic = np.einsum("si,ij,sj->s", step, self.gram, step)
+        return np.asarray(-2 * np.einsum("si,si->s", step, aside @ self.aside) - quadratic)
+
+
+@dataclass(frozen=True)
+class Association:
+    """A residual from which terms are taken one by one.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        What it may go with; their columns stand side by side in the samples.
+    samples : Samples
+        The residual.
+    stiffness : (k, k) array
+        What else (other equations, priors) says about the model's own parameters, as information.
+    taken : frozenset of str
+        Labels of the terms that were taken out.
+    """
+
+    terms: tuple[Term, ...]
+    samples: Samples
+    stiffness: Array
+    taken: frozenset[str] = frozenset()
+
+    def strongest(self) -> Found | None:
+        """The term that takes most of the kept-aside residual away; None where none takes any."""
+        tried = self._tried
+        counts = self.samples.fitted.blocks, self.samples.aside.blocks
+        gains = np.array([t.gain(*(np.ones((1, n)) for n in counts))[0] for t in tried])
+        if not np.any(gains > 0):
+            return None
+        rng = np.random.default_rng(0)
+        signs = [rng.choice([-1.0, 1.0], size=(_PATTERNS, n)) for n in counts]
+        by_chance = np.max([t.gain(*signs) for t in tried], axis=0)
+        order = np.argsort(-gains)
+        best = float(gains[order[0]])
+        alike = tuple(tried[i].term.label for i in order[1:] if gains[i] > _ALIKE * best)
+        chance = (1 + int(np.sum(by_chance >= best))) / (1 + _PATTERNS)
+        return self._told(tried[order[0]], best, chance, alike)
+
+    def without(self, found: Found) -> Association:
+        """What is left when a term is taken out; its coefficients stay free to adjust."""
+        place = self.places[found.term.label]
+        rest = self.samples.mapped(lambda s: self._moved(s, place, found.coefficients))
+        more = len(found.coefficients)
+        stiffness = np.pad(self.stiffness, ((0, more), (0, more)))
+        return replace(self, samples=rest, stiffness=stiffness, taken=self.taken | {found.term.label})
+
+    def _moved(self, s: Sample, place: slice, coefficients: Array) -> Sample:
+        own = np.column_stack([s.own, s.columns[:, place]])
+        return replace(s, r=s.r + self._beside(s)[:, place] @ coefficients, own=own)
+
+    def _beside(self, sample: Sample) -> Array:
+        """The columns together with the answer of the model's own parameters to them."""
+        return sample.columns - sample.own @ self._answer
+
+    @cached_property
+    def _answer(self) -> Array:
+        own, columns = self.samples.fitted.own, self.samples.fitted.columns
+        return np.asarray(inverse_of(own.T @ own + self.stiffness) @ (own.T @ columns))
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Where the columns of each term stand."""
+        places, first = {}, 0
+        for term in self.terms:
+            places[term.label] = slice(first, first := first + len(term.columns))
+        return places
+
+    @cached_property
+    def _tried(self) -> list[_Tried]:
+        fitted, aside = self.samples.fitted, self.samples.aside
+        first, second = self._beside(fitted), self._beside(aside)
+        gram, whole = first.T @ fitted.columns, np.sum(fitted.columns**2, axis=0)
+        a, b = fitted.by_block(first * fitted.r[:, None]), aside.by_block(second * aside.r[:, None])
+        news = np.diag(gram) > _NEWS * whole
+        return [
+            _Tried(t, a[:, c], b[:, c], inverse_of(gram[c, c]), second[:, c].T @ second[:, c])
+            for t in self.terms
+            for c in [self.places[t.label]]
+            if t.label not in self.taken and np.all(news[c])
+        ]
+
+    def _told(self, t: _Tried, gain: float, chance: float, alike: tuple[str, ...]) -> Found:
+        fitted = self.samples.fitted
+        coefficients = -t.inverse @ t.fitted.sum(axis=0)
+        column = self._beside(fitted)[:, self.places[t.term.label]]
+        scores = fitted.by_block(column * (fitted.r + column @ coefficients)[:, None])
+        spread = t.inverse @ (scores.T @ scores) @ t.inverse
+        return Found(t.term, coefficients, np.sqrt(np.diag(spread)), gain, chance, alike)
+
+
+_FEWEST_BLOCKS = 4
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Coefficients of the same columns in every run.
+
+    Attributes
+    ----------
+    values : (runs, k) array
+        The coefficients.
+    chance : float
+        Chance of so large differences when all runs are alike.
+    """
+
+    values: Array
+    chance: float
+
+
+def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference | None:
+    """Fit columns to a residual in every run by itself; None unless two runs are long enough.
+
+    Parameters
+    ----------
+    r : (m,) array
+        Residual in units of its noise.
+    columns : (m, k) array
+        Its derivative in the coefficients.
+    run, block : (m,) array of int
+        Run and block of time of each entry.
+    """
+    groups = [np.flatnonzero(run == i) for i in np.unique(run)]
+    if len(groups) < 2 or min(len(np.unique(block[g])) for g in groups) < _FEWEST_BLOCKS:
+        return None
+    fits = [_fitted(r[g], columns[g], block[g]) for g in groups]
+    values = np.array([value for value, _ in fits])
+    weights = [inverse_of(spread) for _, spread in fits]
+    mean = inverse_of(np.sum(weights, axis=0)) @ np.einsum("gij,gj->i", np.array(weights), values)
+    distance = sum(float((v - mean) @ w @ (v - mean)) for v, w in zip(values, weights, strict=True))
+    return Difference(values, float(chi2.sf(distance, (len(groups) - 1) * columns.shape[1])))
+
+
+def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:
+    """Coefficients and their covariance: what noise gives at least, and what the scatter of blocks shows."""
+    inverse = inverse_of(columns.T @ columns)
+    value = -inverse @ (columns.T @ r)
+    scores = columns * (r + columns @ value)[:, None]
+    summed = np.array([scores[block == b].sum(axis=0) for b in np.unique(block)])
+    scattered = np.sqrt(np.diag(inverse @ (summed.T @ summed) @ inverse) / np.diag(inverse))
+    inflation = np.maximum(1.0, scattered)
+    return value, inverse * np.outer(inflation, inflation)
+
+
+# Points of the grid for each frequency that a run of that length can tell from the next.
+_FINE = 8
+_FEWEST_PERIODS = 3.0
+# Median over mean of a power that is scattered like that of noise.
+_MEDIAN = float(np.log(2.0))
+_BAND = 0.1
+
+
+@dataclass(frozen=True)
+class Series:
+    """A series on the clock of its runs.
+
+    Attributes
+    ----------
+    t, r : (K,) array
+        Time, s, and value, in units of its noise.
+    run : (K,) array of int
+        Run of each entry.
+    """
+
+    t: Array
+    r: Array
+    run: Index
+
+    @property
+    def runs(self) -> list[Series]:
+        """Every run by itself."""
+        chosen = [self.run == i for i in np.unique(self.run)]
+        return [Series(self.t[k], self.r[k], self.run[k]) for k in chosen]
+
+    @property
+    def length(self) -> float:
+        """Length of the longest run, s."""
+        return max(float(np.ptp(s.t)) for s in self.runs)
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A frequency that stands out.
+
+    Attributes
+    ----------
+    frequency : float
+        Hz.
+    gain : float
+        Sum of squares of the kept-aside series in its band, above that of the neighbouring frequencies.
+    chance : float
+        Chance of so high a power at this frequency on kept-aside data when it does not stand out.
+    """
+
+    frequency: float
+    gain: float
+    chance: float
+
+
+def highest_peak(fitted: Series, aside: Series, fastest: float) -> Peak | None:
+    """The frequency with most power above that of its neighbours; None where no run is long enough.
+
+    Parameters
+    ----------
+    fitted, aside : Series
+        Data of a fit, and data kept aside; phases may differ from run to run.
+    fastest : float
+        Highest frequency that the series resolve, Hz.
+    """
+    slowest = _FEWEST_PERIODS / min(fitted.length, aside.length)
+    if slowest >= 0.5 * fastest:
+        return None
+    grid = np.arange(slowest, fastest, 1.0 / (_FINE * max(fitted.length, aside.length)))
+    first, second = power(fitted, grid), power(aside, grid)
+    place = int(np.argmax(first / _neighbours(first, grid)))
+    frequency = _summit(grid, first + second, place)
+    gain = _band_gain(second, frequency, grid, aside.length)
+    return Peak(frequency, gain, _chance(second, grid, place, len(aside.runs)))
+
+
+def power(series: Series, grid: Array) -> Array:
+    """Sum of squares that a sine of each frequency takes away, over all runs, phases free."""
+    return np.asarray(sum(_spectrum_power(s, grid) for s in series.runs))
+
+
+def _spectrum_power(s: Series, grid: Array) -> Array:
+    wave = np.exp(-2j * np.pi * np.outer(grid, s.t - s.t[0]))
+    return np.asarray(2.0 / len(s.t) * np.abs(wave @ s.r) ** 2)
+
+
+def _neighbours(power: Array, grid: Array) -> Array:
+    """Mean power that the neighbourhood suggests: from the median within a factor of two in frequency."""
+    coarse = grid[::_FINE]
+    low, high = np.searchsorted(grid, coarse / 2), np.searchsorted(grid, coarse * 2)
+    medians = [np.median(power[a:b]) for a, b in zip(low, high, strict=True)]
+    return np.asarray(np.interp(grid, coarse, medians) / _MEDIAN)
+
+
+def _summit(grid: Array, power: Array, place: int) -> float:
+    """Highest point of both data sets together within the width of the line."""
+    near = slice(max(place - _FINE, 0), place + _FINE + 1)
+    return float(grid[near][np.argmax(power[near])])
+
+
+def _chance(power: Array, grid: Array, place: int, runs: int) -> float:
+    """Chance of the highest power within the width of the line, about three independent draws."""
+    near = slice(max(place - _FINE, 0), place + _FINE + 1)
+    ratio = np.max(power[near]) / _neighbours(power, grid)[place]
+    return float(min(1.0, 3 * gamma.sf(runs * ratio, runs)))
+
+
+def _band_gain(power: Array, frequency: float, grid: Array, length: float) -> float:
+    """Sum of squares in the band around a frequency, above that of the neighbours."""
+    excess = power - _neighbours(power, grid)
+    wide = max(_BAND * frequency, 1.5 / length)
+    return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / _FINE, 0.0)
+
+
+def without_waves(r: Array, waves: Array, run: Index) -> tuple[Array, Array]:
+    """A series less what a cosine and a sine take away in every run, and their coefficients.
+
+    Parameters
+    ----------
+    r : (K,) array
+        Series.
+    waves : (K, 2) array
+        What a cosine and a sine of unit amplitude add to it.
+    run : (K,) array of int
+        Run of each entry.
+
+    Returns
+    -------
+    (K,) array, (runs, 2) array
+        What is left, and the coefficients in each run.
+    """
+    left, found = r.copy(), []
+    for i in np.unique(run):
+        k = run == i
+        coefficients = -np.linalg.lstsq(waves[k], r[k], rcond=None)[0]
+        left[k] += waves[k] @ coefficients
+        found.append(coefficients)
+    return left, np.array(found)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time and log of each test function.
+
+    Attributes
+    ----------
+    t : (K,) array
+        Middle of the test function, s.
+    log : (K,) array of int
+        Place of the log in `names`; pieces of one log count as one.
+    start : (K,) array
+        First time in the piece, s.
+    names : tuple of str
+        What the logs are called.
+    """
+
+    t: Array
+    log: Index
+    start: Array
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, data: WeakData) -> Clock:
+        """Clock of the rows of one force equation."""
+        row = data.equation == data.rows[0]
+        run = data.run_of[row]
+        sources = [r.source or r.name for r in data.runs]
+        known = list(dict.fromkeys(sources))
+        names = [data.runs[sources.index(s)].name.partition(" [")[0] for s in known]
+        log = np.array([known.index(s) for s in sources], dtype=np.intp)
+        first = np.array([r.t[0] for r in data.runs])
+        return cls(data.time[row], log[run], first[run], tuple(names))
+
+    @property
+    def step(self) -> float:
+        """Time from one test function to the next, s."""
+        return float(np.median(np.diff(self.t)))
+
+    def blocks(self, seconds: float) -> Index:
+        """Number of the block of time of each entry; blocks never span two pieces."""
+        within = (self.t - self.start) // seconds
+        pieces = np.column_stack([self.log, self.start, within])
+        return np.unique(pieces, axis=0, return_inverse=True)[1].ravel()
+
+    def series(self, r: Array) -> Series:
+        """A residual on this clock."""
+        return Series(self.t, r, self.log)

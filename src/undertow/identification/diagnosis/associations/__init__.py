@@ -1,1 +1,0 @@
-"""What a residual force goes with: variables, a period, time, the run. Associations, never causes."""

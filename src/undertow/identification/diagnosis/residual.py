@@ -1,0 +1,647 @@
+"""The residual force of each degree of freedom: how large, against the noise, and what it goes with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from scipy.sparse import bsr_array, csr_array, eye_array, kron
+
+from undertow.codegen.tape import mapped
+from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
+from undertow.identification.estimation.pointwise import Pointwise
+from undertow.identification.estimation.residual import Lateness, Linearised, whitened
+from undertow.identification.estimation.step import prior_of
+from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, VELOCITY
+from undertow.typing import Array
+
+from .associations import (
+    Along,
+    Association,
+    Clock,
+    Column,
+    Found,
+    Peak,
+    Sample,
+    Samples,
+    coefficient_unit,
+    difference,
+    highest_peak,
+    label_of,
+    plain_of,
+    terms_of,
+    without_waves,
+)
+from .result import BetweenRuns, Dependence, Remaining, Spectrum, Trend
+
+# Mean square, in units of the noise, up to which there is no disturbance to be matched.
+_NOISE_EXPLAINS = 1.3
+_MATCHING_STEPS = 12
+# Test functions that are taken together, and the mean square over noise from which their force stands out.
+_WIDTHS = (1, 2, 4, 8, 16)
+_STANDS_OUT = 1.5
+
+
+@dataclass(frozen=True)
+class ForceRow:
+    """One force equation of a fitted model along logs.
+
+    Attributes
+    ----------
+    parts : list of Linearised
+        For every segment the force that the model has beyond what the motion needs, and its derivative in the
+        free parameters, times the weight of the test functions, N s or N m s.
+    quiet : list of Whitening
+        Noise of the channels in it.
+    weight : float
+        Mean integral of a test function, s.
+    """
+
+    parts: list[Linearised]
+    quiet: list[Whitening]
+    weight: float
+
+    def whitened(self, disturbance: float, columns: Sequence[Array] | None = None) -> Linearised:
+        """Residual and derivatives in units of the noise, with further columns behind those of the model.
+
+        Parameters
+        ----------
+        disturbance : float
+            Intensity of what the model leaves beyond the noise, N^2 s or (N m)^2 s.
+        columns : sequence of (K, q) arrays, optional
+            Further derivatives, one table for each segment.
+        """
+        counts = [len(p.r) for p in self.parts]
+        noise = [w.with_disturbance(np.full(n, disturbance)) for w, n in zip(self.quiet, counts, strict=True)]
+        return whitened(self.parts if columns is None else _beside(self.parts, columns), noise)
+
+    @property
+    def ratio(self) -> float:
+        """Mean square in units of the noise of the channels alone."""
+        return float(np.mean(self.whitened(0.0).r ** 2))
+
+    @property
+    def rms(self) -> float:
+        """Rms of the force averaged under the test functions, N or N m."""
+        return float(np.sqrt(np.mean(np.concatenate([p.r for p in self.parts]) ** 2))) / self.weight
+
+    @property
+    def noise_rms(self) -> float:
+        """Rms that the noise of the channels gives to it, N or N m."""
+        variance = np.concatenate([w.covariance.diagonal() for w in self.quiet])
+        return float(np.sqrt(np.mean(variance))) / self.weight
+
+    @property
+    def excess_rms(self) -> float:
+        """Rms of the force beyond the noise, averaged over the shortest time in which it stands out of it."""
+        for width in _WIDTHS:
+            total, noise = self._averaged(width)
+            if total > _STANDS_OUT * noise:
+                break
+        return float(np.sqrt(max(total - noise, 0.0)))
+
+    def _averaged(self, width: int) -> tuple[float, float]:
+        """Mean square of the force over `width` test functions, and that of its noise."""
+        squares, variances = [], []
+        for part, noise in zip(self.parts, self.quiet, strict=True):
+            whole = len(part.r) // width * width
+            groups = csr_array(kron(eye_array(whole // width), np.ones((1, width))))
+            covariance = groups @ csr_array(noise.covariance)[:whole, :whole] @ groups.T
+            squares.append((groups @ part.r[:whole]) ** 2)
+            variances.append(covariance.diagonal())
+        if not sum(map(len, squares)):
+            return 0.0, 0.0
+        square, variance = (float(np.mean(np.concatenate(s))) for s in (squares, variances))
+        return square / (self.weight * width) ** 2, variance / (self.weight * width) ** 2
+
+    @cached_property
+    def disturbance(self) -> float:
+        """Intensity that makes the whitened mean square one, N^2 s; zero where noise explains it."""
+        if self.ratio < _NOISE_EXPLAINS:
+            return 0.0
+        level = self.rms**2 * self.weight
+        for _ in range(_MATCHING_STEPS):
+            square = float(np.mean(self.whitened(level).r ** 2))
+            level *= float(np.clip(square**1.5, 0.02, 50.0))
+        return level
+
+
+def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linearised]:
+    pairs = zip(parts, columns, strict=True)
+    return [Linearised(p.r, np.column_stack([p.J, c]), p.start, p.known) for p, c in pairs]
+
+
+class ForceRows:
+    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The model.
+    data : WeakData
+        Logs, those that it was fitted to or others.
+    """
+
+    def __init__(self, fit: Fitted, data: WeakData) -> None:
+        self._fit, self.data = fit, data
+        self._size = len(fit.model.functions.vehicle.dof_indices)
+
+    def row(self, dof: int) -> ForceRow:
+        """The equation of one degree of freedom, by its place among those of the vehicle."""
+        rows = len(self.data.rows)
+        parts, quiet = [], []
+        segments = zip(self.data.segments, self._residual, self._noise, self._mass, strict=True)
+        for s, part, noise, mass in segments:
+            to_force = self._to_force(mass[:, dof])
+            known = None if part.known is None else part.known // rows
+            parts.append(Linearised(to_force @ part.r, to_force @ part.J, to_force @ part.start, known))
+            covariance = banded(csr_array(to_force @ noise.covariance @ to_force.T))
+            quiet.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
+        weights = np.concatenate([s.functions.held.sum(axis=1) for s in self.data.segments])
+        return ForceRow(parts, quiet, float(np.mean(weights)))
+
+    def _to_force(self, mass: Array) -> csr_array:
+        """From accelerations of all equations to the force in one, shape (K, K rows)."""
+        count, rows = len(mass), len(self.data.rows)
+        blocks = np.concatenate([mass, np.zeros((count, rows - self._size))], axis=1)[:, None, :]
+        return csr_array(bsr_array((blocks, np.arange(count), np.arange(count + 1))))
+
+    @cached_property
+    def _residual(self) -> list[Linearised]:
+        return self._fit.model.linearise(self.data, self._fit.p)
+
+    @cached_property
+    def _noise(self) -> list[Whitening]:
+        return self._fit.model.whitening(self.data, self._fit.p)
+
+    @cached_property
+    def _mass(self) -> list[Array]:
+        """Mass matrix under every test function, shape (K, n, n)."""
+        return [self._mean(s, mass) for s, _, mass in self._along]
+
+    def _mean(self, s: Segment, mass: Array) -> Array:
+        weight = s.functions.value.sum(axis=1)[:, None]
+        mean = (s.functions.value @ mass.reshape(len(s.t), -1)) / weight
+        return np.asarray(mean.reshape(-1, self._size, self._size))
+
+    # --- further forces -----------------------------------------------------------------------
+    def columns(self, columns: Sequence[Column]) -> list[Array]:
+        """What forces with unit coefficients of columns add to a row, shape (K, columns) in every segment."""
+        return [_tested(s, along, columns) for s, along, _ in self._along]
+
+    def waves(self, frequency: float) -> list[Array]:
+        """The same for a cosine and a sine of unit amplitude in time, shape (K, 2); frequency in Hz."""
+        phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self._along]
+        return [s.functions.value @ np.column_stack([np.cos(a), np.sin(a)]) for s, a in phases]
+
+    @cached_property
+    def _along(self) -> list[tuple[Segment, Along, Array]]:
+        functions, p, data = self._fit.model.functions, self._fit.p, self.data
+        chain, motion, late = ActuatorStates(functions, ()), self._motion, Lateness(functions)
+        driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
+        found = []
+        for s in (late.in_time(s, p) for s in data.segments):
+            pose, velocity, mass = mapped(motion, [s.measured], p, s.t)
+            actuation = driven[s.run][s.samples]
+            reached = np.column_stack([actuation, s.u[:, actuation.shape[1] :]])
+            found.append((s, self._values(s.t, pose[:, :, 0], velocity[:, :, 0], reached), mass))
+        return found
+
+    def _values(self, t: Array, pose: Array, velocity: Array, commands: Array) -> Along:
+        vehicle = self._fit.model.functions.vehicle
+        names = (*vehicle.pose_names, *vehicle.velocity_names, "t")
+        values = dict(zip(names, np.column_stack([pose, velocity, t]).T, strict=True))
+        return Along(values, dict(zip(self.data.commands, commands.T, strict=True)))
+
+    @property
+    def _motion(self) -> ca.Function:
+        """Pose, velocity through the water and mass matrix, from what is measured."""
+        f = self._fit.model.functions
+        points = Pointwise(f, ())
+        relative = f.vehicle.composition.signals.nu_r.extract(list(f.vehicle.dof_indices), [0])
+        outputs = (f.eta, f.convert.matrix(relative), f.mass_matrix)
+        true = [ca.densify(ca.substitute(e, ca.vertcat(f.eta, f.nu), points.true_motion)) for e in outputs]
+        return ca.Function("motion", [points.measured, f.p, f.t], true)
+
+
+def _tested(s: Segment, along: Along, columns: Sequence[Column]) -> Array:
+    smooth, held = np.zeros((2, len(s.t), len(columns)))
+    for k, column in enumerate(columns):
+        motion, commands = along.smooth(column), along.held(column)
+        if commands is None:
+            smooth[:, k] = motion
+        else:
+            # The command is held over an interval, the motion is taken at both of its ends.
+            held[:, k] = commands * np.append(0.5 * (motion[1:] + motion[:-1]), motion[-1])
+    return np.asarray(s.functions.value @ smooth + s.functions.held @ held)
+
+
+def measured_pose(data: WeakData) -> tuple[str, ...]:
+    """Pose channels that all runs have."""
+    return tuple(n for n in data.names if n in POSE and all(r.has(n) for r in data.runs))
+
+
+MOST_TERMS = 4
+# Chance, over all terms of a degree of freedom, above which an association is not told.
+_CHANCE = 0.002
+_CHANCE_OF_A_LINE = 1e-4
+_CHANCE_OF_RUNS = 1e-4
+_SMALLEST_SHARE = 0.1
+# Share of what a line takes away with a phase of its own in every run, from which it keeps its phase.
+_IN_STEP = 0.7
+# Frequencies that are tried around a line for a phase that all runs have in common, per width of the line.
+_FINE = 8
+_TREND_SECONDS = 100.0
+
+
+@dataclass
+class Character:
+    """What is known of the residual force of one degree of freedom."""
+
+    depends_on: list[Dependence] = field(default_factory=list)
+    spectrum: Spectrum | None = None
+    trend: Trend | None = None
+    between_runs: list[BetweenRuns] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Sitting:
+    """One residual force, ready to be looked at.
+
+    Attributes
+    ----------
+    association : Association
+        The residual with the terms that it may go with.
+    clocks : (Clock, Clock)
+        Clock of the data of the fit, and of those kept aside.
+    rows : three of (ForceRows, ForceRow, float)
+        Where each of the three samples comes from, with the disturbance that it was whitened with.
+    unit : str
+        Unit of the force.
+    """
+
+    association: Association
+    clocks: tuple[Clock, Clock]
+    rows: tuple[tuple[ForceRows, ForceRow, float], ...]
+    unit: str
+
+    def waves(self, frequency: float) -> list[Array]:
+        """What a cosine and a sine in time add to each of the three samples, shape (K, 2)."""
+        return [row.whitened(level, rows.waves(frequency)).J[:, -2:] for rows, row, level in self.rows]
+
+
+class Portrait:
+    """The search for what one residual goes with."""
+
+    def __init__(self, sitting: Sitting) -> None:
+        self._sitting, self._left = sitting, sitting.association
+        shown = self._left.samples.shown
+        self._excess = max(shown.square - len(shown.r), 1e-9)
+        self._character = Character()
+
+    def drawn(self) -> Character:
+        """Everything that is found."""
+        while len(self._character.depends_on) < MOST_TERMS and self._next():
+            pass
+        self._character.between_runs = list(filter(None, map(self._between_runs, _COMPARED)))
+        return self._character
+
+    def _next(self) -> bool:
+        term, peak = self._left.strongest(), self._peak()
+        if term is not None and term.chance > _CHANCE:
+            term = None
+        if peak is not None and (term is None or peak.gain > term.gain):
+            return self._take_line(peak)
+        return term is not None and self._take(term)
+
+    def _accept(self, after: Association) -> float:
+        """Go on with what is left; the share that went away, or zero where it is too small to be told."""
+        fall = self._left.samples.shown.square - after.samples.shown.square
+        share = float(np.clip(fall / self._excess, 0.0, 1.0))
+        if share < _SMALLEST_SHARE:
+            return 0.0
+        self._left = after
+        return share
+
+    # --- variables ----------------------------------------------------------------------------
+    def _take(self, found: Found) -> bool:
+        share = self._accept(self._left.without(found))
+        if share:
+            told = _dependence(found, share, self._sitting.unit)
+            self._character.depends_on.append(told)
+            self._character.trend = self._character.trend or _trend(told)
+        return share > 0.0
+
+    # --- a line -------------------------------------------------------------------------------
+    def _peak(self) -> Peak | None:
+        if self._character.spectrum is not None:
+            return None
+        samples, clocks = self._left.samples, self._sitting.clocks
+        # A test function is four steps wide: of what is faster than that it leaves nothing.
+        fastest = 1.0 / (4.0 * clocks[0].step)
+        peak = highest_peak(clocks[0].series(samples.fitted.r), clocks[1].series(samples.aside.r), fastest)
+        return peak if peak is not None and peak.chance < _CHANCE_OF_A_LINE else None
+
+    def _take_line(self, peak: Peak) -> bool:
+        frequency, in_step = self._phase(peak.frequency)
+        after, amplitude = self._without_line(frequency)
+        share = self._accept(after)
+        if share:
+            self._character.spectrum = Spectrum(
+                period=1.0 / frequency, amplitude=amplitude, share=share, chance=peak.chance, in_step=in_step
+            )
+        return share > 0.0
+
+    def _without_line(self, frequency: float) -> tuple[Association, float]:
+        samples, clocks = self._left.samples, self._sitting.clocks
+        logs = (clocks[0].log, clocks[1].log, clocks[1].log)
+        kept, sizes = [], []
+        for s, waves, log in zip(_three(samples), self._sitting.waves(frequency), logs, strict=True):
+            left, coefficients = without_waves(s.r, waves, log)
+            kept.append(replace(s, r=left))
+            sizes.append(np.linalg.norm(coefficients, axis=1))
+        amplitude = float(np.mean(np.concatenate(sizes[:2])))
+        return replace(self._left, samples=Samples(*kept)), amplitude
+
+    def _phase(self, frequency: float) -> tuple[float, bool]:
+        """Whether all runs have the same phase since their start; then the frequency that suits them best."""
+        width = 1.0 / max(c.series(c.t).length for c in self._sitting.clocks)
+        near = frequency + width * np.arange(-_FINE, _FINE + 1) / _FINE
+        fits = [self._common(f) for f in near]
+        best = int(np.argmax([fall for fall, _ in fits]))
+        aside = self._left.samples.aside
+        own = aside.square - _square(
+            without_waves(aside.r, self._sitting.waves(frequency)[1], self._sitting.clocks[1].log)[0]
+        )
+        in_step = fits[best][1] > _IN_STEP * own
+        return (float(near[best]) if in_step else frequency), in_step
+
+    def _common(self, frequency: float) -> tuple[float, float]:
+        """Fall of the sum of squares by one wave for all runs: on the data of the fit, and kept aside."""
+        waves = self._sitting.waves(frequency)
+        samples = self._left.samples
+        coefficients = -np.linalg.lstsq(waves[0], samples.fitted.r, rcond=None)[0]
+        falls = [
+            s.square - _square(s.r + w @ coefficients)
+            for s, w in zip((samples.fitted, samples.aside), waves, strict=False)
+        ]
+        return falls[0], falls[1]
+
+    # --- the run ------------------------------------------------------------------------------
+    def _between_runs(self, compared: tuple[str, str]) -> BetweenRuns | None:
+        label, of = compared
+        places = self._left.places
+        if label not in places:
+            return None
+        pair, clocks = (self._left.samples.fitted, self._left.samples.aside), self._sitting.clocks
+        names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
+        logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
+        found = difference(
+            np.concatenate([s.r for s in pair]),
+            np.vstack([s.columns[:, places[label]] for s in pair]),
+            np.concatenate(logs),
+            np.concatenate([pair[0].block, pair[1].block + pair[0].blocks]),
+        )
+        if found is None or found.chance > _CHANCE_OF_RUNS:
+            return None
+        values = {n: v.tolist() for n, v in zip(names, found.values, strict=True)}
+        return BetweenRuns(of=of, values=values, unit=self._sitting.unit, chance=found.chance)
+
+
+_COMPARED = (("a constant", "mean force"), ("sin and cos of psi", "force that turns with the heading"))
+
+
+def _three(samples: Samples) -> tuple[Sample, Sample, Sample]:
+    return samples.fitted, samples.aside, samples.shown
+
+
+def _square(r: Array) -> float:
+    return float(np.sum(r**2))
+
+
+def _dependence(found: Found, share: float, unit: str) -> Dependence:
+    return Dependence(
+        term=found.term.label,
+        columns=[list(c) for c in found.term.columns],
+        coefficients=found.coefficients.tolist(),
+        standard_errors=found.errors.tolist(),
+        units=[coefficient_unit(unit, c) for c in found.term.columns],
+        share=share,
+        chance=found.chance,
+        alike=list(found.alike),
+    )
+
+
+def _trend(told: Dependence) -> Trend | None:
+    """What a term that grows with time says about 100 s."""
+    column = tuple(told.columns[0])
+    if "t" not in column:
+        return None
+    rest = tuple(f for f in column if f != "t")
+    unit = coefficient_unit(told.units[0].partition("/")[0], rest)
+    return Trend(of=label_of(rest), change=_TREND_SECONDS * told.coefficients[0], unit=unit, share=told.share)
+
+
+_SHOWN_ALIKE = 2
+_FASTER = {
+    "u": "the faster it moves ahead or astern",
+    "v": "the faster it moves sideways",
+    "w": "the faster it rises or sinks",
+    "p": "the faster it rolls",
+    "q": "the faster it pitches",
+    "r": "the faster it turns",
+    "t": "the longer the run lasts",
+}
+
+
+def sentence(left: Remaining, loud: bool) -> str:
+    """One sentence: ``surge: 0.8 N rms is left beyond the noise; 71 % of it goes with |r| u (slows ...)``."""
+    if not loud:
+        return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms is left, which is noise"
+    size = f"{left.excess_rms:.2g} {left.unit} rms is left beyond the noise"
+    parts = list(_parts(left)) or ["it goes with none of the variables in the logs, and no period stands out"]
+    return f"{left.degree_of_freedom}: {'; '.join([size, *parts])}"
+
+
+def _parts(left: Remaining) -> Iterator[str]:
+    for told in left.depends_on:
+        does = how(told, left.degree_of_freedom, left.unit)
+        yield f"{_percent(told.share)} of it goes with {_named(told)} ({does})"
+    if left.spectrum is not None:
+        yield _period(left.spectrum, left.unit)
+    yield from map(_by_run, left.between_runs)
+
+
+def how(told: Dependence, degree_of_freedom: str, unit: str) -> str:
+    """What a term does to the motion, as far as its sign says."""
+    coefficients, column = told.coefficients, told.columns[0]
+    if len(coefficients) > 1:
+        return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {told.units[0]}"
+    if not column:
+        return f"{coefficients[0]:.2g} {unit}"
+    own = VELOCITY[DOFS.index(degree_of_freedom)]
+    others = [f for f in column if f != own]
+    even = all(f == "t" or f.startswith("|") for f in others)
+    if column.count(own) == 1 and even:
+        faster = [_FASTER[plain_of(f)] for f in others if plain_of(f) in _FASTER]
+        does = f"slows {degree_of_freedom}" if coefficients[0] < 0 else f"drives {degree_of_freedom} on"
+        return ", ".join([does, f"the more {' and '.join(faster)}"] if faster else [does])
+    return f"{'falls' if coefficients[0] < 0 else 'rises'} as {told.term} grows"
+
+
+def _named(told: Dependence) -> str:
+    others = "".join(f" or {a}" for a in told.alike[:_SHOWN_ALIKE])
+    return f"{told.term}{others}"
+
+
+def _period(spectrum: Spectrum, unit: str) -> str:
+    phase = "" if spectrum.in_step else ", another phase in every run"
+    size = f"amplitude {spectrum.amplitude:.2g} {unit}, {_percent(spectrum.share)} of it{phase}"
+    return f"period {spectrum.period:.3g} s stands out ({size})"
+
+
+def _by_run(told: BetweenRuns) -> str:
+    values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in told.values.values()]
+    return f"the {told.of} differs from run to run ({min(values):.2g} to {max(values):.2g} {told.unit})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+# Mean square in units of the noise from which something is left; for short logs, spreads of that of noise.
+_LOUD = 1.3
+_SPREADS = 5.0
+_FEWEST_BLOCKS = 6
+# A residual has forgotten what is this little correlated with it; blocks are that many times as long.
+_FORGOTTEN = 0.3
+_MEMORIES = 3.0
+
+
+class Characteriser:
+    """Residual forces of a fitted model, on the data of the fit and on data kept aside.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The model.
+    known, aside : WeakData
+        Logs that it was fitted to, and logs that it was not.
+    """
+
+    def __init__(self, fit: Fitted, known: WeakData, aside: WeakData) -> None:
+        vehicle = fit.model.functions.vehicle
+        self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
+        self._fitted, self._aside = ForceRows(fit, known), ForceRows(fit, aside)
+        self._terms = tuple(terms_of(vehicle, measured_pose(aside)))
+        self._prior = prior_of(fit.model)[1]
+
+    @cached_property
+    def rows(self) -> list[ForceRow]:
+        """Force equations on the kept-aside data."""
+        return [self._aside.row(i) for i in range(len(self._units))]
+
+    def is_loud(self, dof: int) -> bool:
+        """Whether more is left in a degree of freedom than the noise explains."""
+        row = self.rows[dof]
+        count = sum(len(p.r) for p in row.parts)
+        return row.ratio > max(_LOUD, 1.0 + _SPREADS * float(np.sqrt(2.0 / count)))
+
+    def of(self, dof: int) -> Character:
+        """Describe what is left in a degree of freedom, by its place among those of the vehicle."""
+        fitted, aside = self._fitted_rows[dof], self.rows[dof]
+        rows = (self._fitted, fitted, fitted.disturbance), (self._aside, aside, fitted.disturbance)
+        sitting = Sitting(
+            self._association(dof), self._clocks, (*rows, (self._aside, aside, 0.0)), self._units[dof]
+        )
+        return Portrait(sitting).drawn()
+
+    def _association(self, dof: int) -> Association:
+        level, own = self._fitted_rows[dof].disturbance, len(self._prior)
+        first, second = self._columns
+        tables = [
+            self._fitted_rows[dof].whitened(level, first),
+            self.rows[dof].whitened(level, second),
+            self.rows[dof].whitened(0.0, second),
+        ]
+        seconds = self._block_seconds(tables[0].r)
+        blocks = [c.blocks(seconds) for c in (*self._clocks, self._clocks[1])]
+        samples = [Sample(t.r, t.J[:, :own], t.J[:, own:], b) for t, b in zip(tables, blocks, strict=True)]
+        return Association(self._terms, Samples(*samples), self._stiffness(dof))
+
+    def _block_seconds(self, r: Array) -> float:
+        """Blocks that forget each other, but enough of them on the kept-aside data."""
+        covariance = np.correlate(r, r, "full")[len(r) - 1 :]
+        memory = self._clocks[0].step * int(np.argmax(covariance < _FORGOTTEN * covariance[0]))
+        data = self._aside.data
+        total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
+        return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
+
+    def _stiffness(self, dof: int) -> Array:
+        """What priors and the equations of the other motions say about the parameters, as information."""
+        others = [self._information[i] for i in range(len(self._units)) if i != dof]
+        return np.asarray(np.diag(self._prior**2) + sum(others, np.zeros((len(self._prior),) * 2)))
+
+    @cached_property
+    def _fitted_rows(self) -> list[ForceRow]:
+        return [self._fitted.row(i) for i in range(len(self._units))]
+
+    @cached_property
+    def _clocks(self) -> tuple[Clock, Clock]:
+        return Clock.of(self._fitted.data), Clock.of(self._aside.data)
+
+    @cached_property
+    def _information(self) -> list[Array]:
+        jacobians = [row.whitened(row.disturbance).J for row in self._fitted_rows]
+        return [J.T @ J for J in jacobians]
+
+    @cached_property
+    def _columns(self) -> tuple[list[Array], list[Array]]:
+        """What each term adds to a row, on the data of the fit and on those kept aside."""
+        columns = [c for t in self._terms for c in t.columns]
+        return self._fitted.columns(columns), self._aside.columns(columns)
+
+
+def remaining(fit: Fitted, known: WeakData, aside: WeakData) -> list[Remaining]:
+    """Residual force of every degree of freedom on kept-aside data.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The model.
+    known, aside : WeakData
+        Data that it was fitted to, and data kept aside.
+
+    Returns
+    -------
+    list of Remaining
+        In the order of the vehicle's degrees of freedom. The rms is that of the force averaged under the
+        test functions, in N or N m; the normalised error weighs slow parts, where there is little noise, as
+        heavily as they deserve.
+    """
+    characteriser = Characteriser(fit, known, aside)
+    return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
+
+
+def _left(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
+    vehicle, row, loud = fit.model.functions.vehicle, characteriser.rows[i], characteriser.is_loud(i)
+    error = float(np.sqrt(row.ratio))
+    left = Remaining(
+        degree_of_freedom=vehicle.degrees_of_freedom[i],
+        normalised_error=error,
+        residual_rms=row.rms,
+        noise_rms=row.noise_rms,
+        unit=FORCE_UNITS[vehicle.dof_indices[i]],
+        excess_rms=row.excess_rms if loud else 0.0,
+        note=f"{error:.1f} times what the noise explains" if loud else "explained by the noise",
+    )
+    if loud:
+        for name, found in vars(characteriser.of(i)).items():
+            setattr(left, name, found)
+    left.summary = sentence(left, loud)
+    return left

@@ -1,0 +1,661 @@
+"""The usual mistakes in how a log is read: units, axes, signs, angles; and how each is undone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from undertow.identification.logs.mapping import (
+    FLIPPED_BODY,
+    LogMapping,
+    swap_attitude,
+    swap_body,
+    swap_position,
+    velocity_to_body,
+)
+from undertow.identification.logs.run import Run
+from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.units import scale_offset
+from undertow.typing import Array
+
+from .findings import (
+    Edit,
+    Edits,
+    Finding,
+    attitude_of,
+    column_edit,
+    column_of,
+    edited,
+    frames_edits,
+    reassigned,
+)
+from .kinematics import Kinematics
+
+Channels = dict[str, Array]
+Undo = Callable[[Run], Run]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake in how a log is read.
+
+    Attributes
+    ----------
+    id : str
+        Name of the kind.
+    told : str
+        What is wrong, as a clause: "the heading is in degrees, read as radians".
+    undo : callable
+        Takes a run with the mistake and returns it as it would be without.
+    edits : callable
+        Takes the mapping that the log was read by and returns what to change in it.
+    count : int
+        How many single things would have had to go wrong: of two explanations the simpler one is believed.
+    vehicle : str
+        What to change in the vehicle file to the same end; empty where nothing there can.
+    """
+
+    id: str
+    told: str
+    undo: Undo
+    edits: Callable[[LogMapping], Edits]
+    count: int = 1
+    vehicle: str = ""
+
+
+def with_channels(run: Run, channels: Mapping[str, Array]) -> Run:
+    """A run with some channels replaced."""
+    return replace(run, channels={**run.channels, **channels})
+
+
+def scaling(factors: Mapping[str, float]) -> Undo:
+    """Multiply channels by factors, and what is known of their noise."""
+
+    def undo(run: Run) -> Run:
+        sigma = {n: abs(f) * run.sigma[n] for n, f in factors.items() if n in run.sigma}
+        scaled = {n: f * run.channels[n] for n, f in factors.items() if run.has(n)}
+        return replace(with_channels(run, scaled), sigma={**run.sigma, **sigma})
+
+    return undo
+
+
+def turning(swap: Callable[[Mapping[str, Array]], Channels]) -> Undo:
+    """Apply a change of axes to all channels."""
+    return lambda run: replace(run, channels=swap(run.channels))
+
+
+def both(first: Mistake, second: Mistake) -> Mistake:
+    """Two mistakes at once."""
+
+    def edits(mapping: LogMapping) -> Edits:
+        before = first.edits(mapping)
+        return (*before, *second.edits(edited(mapping, before)))
+
+    return Mistake(
+        f"{first.id}+{second.id}",
+        f"{first.told}, and {second.told}",
+        lambda run: second.undo(first.undo(run)),
+        edits,
+        first.count + second.count,
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """From where on a log is not only suspicious but cannot be.
+
+    Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles,
+    every effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real
+    data sets, and well below the factors of the units that it is to find.
+
+    Attributes
+    ----------
+    contradiction : float
+        Share of the motion (mean square) by which pose rates and velocities disagree, if one usual mistake
+        explains it. Misaligned sensors reach 0.12, a current that is as fast as the vehicle is told apart.
+    other_unit : float
+        The same where a unit explains it: a factor is no matter of frames or angles. Knots make 0.19, the
+        largest scale error of a sensor (see `scale`) 0.09.
+    agreement : float
+        Share of the motion by which the two may still disagree once a mistake is undone: beyond a half they
+        have more apart than in common, and a motion that is scaled away agrees with anything.
+    weakest, strongest : float
+        Force that the motion needs over the one commanded. Simulated logs stay within 0.3 and 3, lags
+        included; a work-class ROV answers in yaw with 0.08 of what its file has. Degrees make 57, cm/s 100,
+        the usual pulse widths 0.02 and less.
+    doubtful : float
+        Force that the motion needs over the one commanded from which the doctor asks for the unit; weak
+        thrusters and added mass that is held too small stay below.
+    alike : float
+        Factor within which a unit must explain that.
+    near : float
+        Factor within which the two must agree once a mistake is undone.
+    errors : float
+        Standard errors by which a gain stands out of its scatter.
+    share : float
+        Of the motion, beside what other forces explain, that commands must explain to be a witness. With a
+        gain below `weakest`, commands of a sound log explain a hundredth of that.
+    froude : float
+        Speed over sqrt(g V^(1/3)), V the volume of the mass in water: torpedoes reach 11, fast ships 4.
+    slowest, fastest : float
+        That limit is never taken below or above these speeds, m/s: small racing boats, and the fastest hulls.
+    turning : float
+        Centripetal acceleration at V^(1/3) from the axis, in g: small vehicles on the spot reach 0.2.
+    limit : float
+        Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the
+        limit; thousandths and pulse widths (1500) are far beyond.
+    scale : float
+        Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
+    ratio : float
+        Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do
+        less, and neighbouring units of time are farther apart.
+    command : float
+        Factor beyond which no unit of a command is off: kN, percent, microseconds and rpm are within.
+    quick, slow : float
+        Usual steps, s, between which vehicles are logged: at 0.2 to 250 Hz. A log that is outside as it is
+        read, and inside in another unit of time, is likelier in that than anything else is wrong with it.
+    samples : int
+        Samples that are looked at, the liveliest: more would only cost time.
+    width : float
+        Width of test functions, in the narrowest that the sampling allows: what is faster is noise.
+    cluster : int
+        Neighbouring test functions that count as one, since they overlap.
+    distinct : float
+        Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
+        follow from others.
+    """
+
+    contradiction: float = 0.3
+    other_unit: float = 0.12
+    agreement: float = 0.5
+    weakest: float = 0.025
+    strongest: float = 20.0
+    doubtful: float = 2.5
+    alike: float = 1.25
+    near: float = 4.0
+    errors: float = 8.0
+    share: float = 0.3
+    froude: float = 12.0
+    slowest: float = 10.0
+    fastest: float = 75.0
+    turning: float = 1.0
+    limit: float = 10.0
+    scale: float = 0.35
+    ratio: float = 0.3
+    command: float = 2e4
+    quick: float = 0.004
+    slow: float = 5.0
+    samples: int = 4000
+    width: float = 2.0
+    cluster: int = 8
+    distinct: float = 1e-4
+
+
+SETTINGS = Settings()
+
+
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+# Units that people log in, the likelier first; the unit of a velocity stands below that of its position.
+_LENGTHS = {"m": "m/s", "mm": "mm/s", "cm": "cm/s", "ft": "ft/s"}
+_SPEEDS = ("m/s", "mm/s", "cm/s", "knot", "km/h", "ft/s")
+POSITIONS, SPEEDS = ("x", "y", "z"), ("u", "v", "w")
+UNITS_OF_MOTION = frozenset({"length_unit", "speed_unit", "motion_unit"})
+"""Ids of the mistakes in units of position and velocity."""
+
+
+# --- time ---------------------------------------------------------------------------------------
+def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping) -> Mistake | None:
+    """The unit of the time column in which pose rates and velocities have the same size.
+
+    Where only positions, or only angles, can be held against velocities, a unit of those explains the same; a
+    usual step that is far too short or too long then speaks for the time.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        What pose rates are held against.
+    runs : sequence of Run
+        Logs with velocities that were measured, not derived from the pose.
+    mapping : Mapping
+        How they were read.
+    """
+    if not kinematics or any(run.derived for run in runs):
+        return None
+    ratio = _pose_rate_over_velocity(kinematics, runs)
+    linear = {*kinematics.rows} & {*POSITIONS}
+    both = bool(linear) and len(linear) < len(kinematics.rows)
+    units = _time_units(mapping) if both else _likely(runs, mapping)
+    return next((m for m, factor in units if abs(ratio / factor - 1.0) < SETTINGS.ratio), None)
+
+
+def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[Mistake]:
+    """Units of the time column in which logs have a usual step, where they have none as they are read."""
+    return (mistake for mistake, _ in _likely(runs, mapping))
+
+
+def _likely(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
+    step = float(np.median(np.concatenate([np.diff(run.t) for run in runs])))
+    if SETTINGS.quick <= step <= SETTINGS.slow:
+        return
+    for mistake, factor in _time_units(mapping):
+        if SETTINGS.quick <= factor * step <= SETTINGS.slow:
+            yield mistake, factor
+
+
+def _time_units(mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
+    """Every other unit of the time column, and what it multiplies times by."""
+    unit = mapping.time.unit
+    for other, seconds in _SECONDS.items():
+        if unit in _SECONDS and other != unit:
+            factor = seconds / _SECONDS[unit]
+            yield (
+                Mistake(
+                    "time_unit",
+                    f"the times are in {other}, read as {unit}",
+                    lambda run, factor=factor: _slower(run, factor),  # type: ignore[misc]
+                    lambda m, other=other: (Edit("time", "unit", other),),  # type: ignore[misc]
+                ),
+                factor,
+            )
+
+
+def _slower(run: Run, factor: float) -> Run:
+    """A run whose clock goes by a factor; what was derived from its pose is slower by it."""
+    moved = with_channels(run, {n: run.channels[n] / factor for n in run.derived})
+    return replace(moved, t=factor * run.t, resolution=factor * run.resolution)
+
+
+def _pose_rate_over_velocity(kinematics: Kinematics, runs: Sequence[Run]) -> float:
+    """Ratio of the rms of both, the same for every pose rate; NaN where they differ in it."""
+    rates = kinematics.rates(runs)
+    pose, velocity = (np.sqrt(np.mean(a**2, axis=0)) for a in (rates.pose, rates.velocity))
+    ratios = pose / np.maximum(velocity, 1e-30)
+    middle = float(np.median(ratios))
+    return middle if np.all(np.abs(ratios / middle - 1.0) < SETTINGS.ratio) else float("nan")
+
+
+# --- lengths and speeds -------------------------------------------------------------------------
+def other_units_of_motion(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """Velocities, positions or both in another unit; all of a kind, or some of them."""
+    for names in _present((SPEEDS, *((n,) for n in SPEEDS)), moving):
+        yield from (_in_unit("speed_unit", mapping, names, unit, unit) for unit in _SPEEDS)
+    for names in _present((POSITIONS, ("x", "y"), ("z",)), moving):
+        yield from (_in_unit("length_unit", mapping, names, unit, unit) for unit in _LENGTHS)
+    positions, speeds = (tuple(n for n in group if n in moving) for group in (POSITIONS, SPEEDS))
+    if positions and speeds:
+        names = (*positions, *speeds)
+        yield from (_in_unit("motion_unit", mapping, names, *both) for both in _LENGTHS.items())
+
+
+def _present(groups: Sequence[tuple[str, ...]], moving: set[str]) -> Iterator[tuple[str, ...]]:
+    """What there is of each group, each set once."""
+    found = (tuple(n for n in group if n in moving) for group in groups)
+    yield from dict.fromkeys(names for names in found if names)
+
+
+def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str, speed: str) -> Mistake:
+    """Some channels in a unit of length, or of speed, that the mapping does not say."""
+    units = {n: length if n in POSITIONS else speed for n in names}
+    read_as = {n: _read_as(mapping, n) for n in names}
+    factors = {n: scale_offset(units[n], read_as[n])[0] for n in names}
+
+    def edits(m: LogMapping) -> Edits:
+        return tuple(column_edit(m, n, unit=unit) for n, unit in units.items())
+
+    told = " and ".join(dict.fromkeys(units.values()))
+    was = " and ".join(dict.fromkeys(read_as.values()))
+    verb = "is" if len(names) == 1 else "are"
+    return Mistake(kind, f"{', '.join(names)} {verb} in {told}, read as {was}", scaling(factors), edits)
+
+
+def _read_as(mapping: LogMapping, name: str) -> str:
+    return column_of(mapping, name)[1].unit or ("m" if name in POSITIONS else "m/s")
+
+
+ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")
+_SWAPS: dict[str, Callable[[Mapping[str, Array]], Channels]] = {
+    "position": swap_position,
+    "body": swap_body,
+    "attitude": swap_attitude,
+}
+_OTHER = {"NED": "ENU", "ENU": "NED", "FRD": "FLU", "FLU": "FRD"}
+_UPWARDS = {"z": "z counts upwards (it is height, and undertow's z is depth)"}
+
+
+def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
+    """All of them, the likelier ones first.
+
+    Parameters
+    ----------
+    mapping : Mapping
+        How the log was read: what it says may itself be the mistake.
+    runs : sequence of Run
+        Logs; channels that they lack, or that never change, are left out, and so are mistakes without which
+        a log would lack a channel that it has, as one with x but no y in other axes.
+    """
+    moving = {
+        n
+        for n in (*POSE, *VELOCITY)
+        if all(r.has(n) and n not in r.derived for r in runs) and any(_changes(r, n) for r in runs)
+    }
+    # North taken for east leaves no north where only one of them was logged: that cannot be tried.
+    few = [run.head(2) for run in runs]
+    known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
+    return [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]
+
+
+def _changes(run: Run, name: str) -> bool:
+    return bool(np.nanmax(run.channels[name]) > np.nanmin(run.channels[name]))
+
+
+# --- units ------------------------------------------------------------------------------------
+def read_in_degrees(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """Angles, rates or both in degrees and read as radians, or the other way round."""
+    tilt, turn = (("phi", "theta"), ("p", "q")), (("psi",), ("r",))
+    groups = [
+        (*ANGLES, *RATES),
+        ANGLES,
+        RATES,
+        *((*angles, *rates) for angles, rates in (tilt, turn)),
+        *tilt,
+        *turn,
+    ]
+    found = (tuple(n for n in group if n in moving) for group in groups)
+    for names in filter(None, dict.fromkeys(found)):
+        deg = any("deg" in (column_of(mapping, n)[1].unit or "") for n in names)
+        is_in, read_as = ("radians", "degrees") if deg else ("degrees", "radians")
+        factor = 180 / np.pi if deg else np.pi / 180
+        yield Mistake(
+            "radians_for_degrees" if deg else "degrees_for_radians",
+            f"{_listed(names)} in {is_in}, read as {read_as}",
+            _rescaled(names, factor, np.pi / 2 if attitude_of(mapping) == "ENU" else 0.0),
+            lambda m, names=names, deg=deg: _unit_edits(m, names, "rad" if deg else "deg"),  # type: ignore[misc]
+        )
+
+
+def _rescaled(names: tuple[str, ...], factor: float, heading_zero: float) -> Undo:
+    """Rescale angles as the log has them, and unwrap them afterwards."""
+
+    def undo(run: Run) -> Run:
+        new = scaling(dict.fromkeys(names, factor))(run)
+        if "psi" in names and run.has("psi"):
+            given = run.wrapped.get("psi", run.channels["psi"])
+            new = with_channels(new, {"psi": unwrapped(heading_zero + factor * (given - heading_zero))})
+        return new
+
+    return undo
+
+
+def unwrapped(angle: Array) -> Array:
+    """An angle without jumps by turns; missing samples stay missing."""
+    there, result = np.isfinite(angle), angle.copy()
+    result[there] = np.unwrap(angle[there])
+    return result
+
+
+def _unit_edits(mapping: LogMapping, names: tuple[str, ...], unit: str) -> Edits:
+    return tuple(column_edit(mapping, n, unit=unit + ("/s" if n in RATES else "")) for n in names)
+
+
+# --- axes -------------------------------------------------------------------------------------
+def other_frames(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """ENU for NED and FLU for FRD, for position, attitude and body axes apart or together."""
+    spec = mapping.frames
+    now = {"position": spec.position, "body": spec.body, "attitude": attitude_of(mapping)}
+    bodies = (False, True) if moving & {*FLIPPED_BODY} else (False,)
+    choices = [c for c in product((False, True), bodies, (False, True)) if any(c)]
+    for chosen in sorted(choices, key=sum):
+        wrong = [key for key, yes in zip(now, chosen, strict=True) if yes]
+        meant = {key: _OTHER[value] if key in wrong else value for key, value in now.items()}
+        # ENU with FLU is a convention of its own (ROS): taking it for NED and FRD is one mistake.
+        together = len(wrong) == 3
+        yield Mistake(
+            "frame",
+            _frames_told(wrong, meant),
+            _turned([_SWAPS[key] for key in wrong]),
+            lambda m, meant=meant: frames_edits(m, **meant),  # type: ignore[misc]
+            1 if together else len(wrong),
+        )
+
+
+_FRAMES = {
+    "NED": "x, y, z are north, east, down (NED), read as east, north, up",
+    "ENU": "x, y, z are east, north, up (ENU), read as north, east, down",
+    "FRD": "body axes are forward, starboard, down (FRD), read as forward, left, up",
+    "FLU": "body axes are forward, left, up (FLU), read as forward, starboard, down",
+}
+_HEADINGS = {
+    "NED": "the heading counts from north clockwise (NED), read as from east anticlockwise",
+    "ENU": "the heading counts from east anticlockwise (ENU), read as from north clockwise",
+}
+
+
+def _frames_told(wrong: list[str], meant: dict[str, str]) -> str:
+    if len(wrong) == 3:
+        read = "NED and FRD" if meant["body"] == "FLU" else "ENU and FLU"
+        return f"the log is in {meant['position']} and {meant['body']} axes, read as {read}"
+    return ", and ".join((_HEADINGS if key == "attitude" else _FRAMES)[meant[key]] for key in wrong)
+
+
+def _turned(swaps: list[Callable[[Mapping[str, Array]], Channels]]) -> Undo:
+    def swap(channels: Mapping[str, Array]) -> Channels:
+        result = dict(channels)
+        for one in swaps:
+            result = one(result)
+        return result
+
+    return turning(swap)
+
+
+def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """Velocities north, east, down (or east, north, up) given as body velocities."""
+    if mapping.frames.velocity != "body" or not {"u", "v", "psi"} <= moving:
+        return
+    flu = mapping.frames.body == "FLU"
+    for axes, told in (("NED", "north, east, down"), ("ENU", "east, north, up")):
+
+        def swap(channels: Mapping[str, Array], axes: str = axes) -> Channels:
+            given = swap_body(channels) if flu else channels
+            linear = {n: given[n] for n in ("u", "v", "w") if n in given}
+            return velocity_to_body({**channels, **linear}, axes)
+
+        yield Mistake(
+            "velocity_in_ned",
+            f"u, v, w are velocities {told}, read as velocities along body axes",
+            turning(swap),
+            lambda m, axes=axes: (Edit("frames", "velocity", axes),),  # type: ignore[misc]
+        )
+
+
+def swapped_position(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """East and north in each other's place, with depth as it should be."""
+    if {"x", "y"} <= moving:
+        yield _moved(
+            "swapped_position", "x and y are in each other's place (x is north, y is east)", _EAST_NORTH
+        )
+
+
+_EAST_NORTH = {"x": ("y", 1.0), "y": ("x", 1.0)}
+
+
+def _moved(kind: str, told: str, places: dict[str, tuple[str, float]]) -> Mistake:
+    """Columns that stand for other channels: channel to (channel that it stands for now, sign)."""
+
+    def undo(run: Run) -> Run:
+        return with_channels(run, {n: sign * run.channels[source] for n, (source, sign) in places.items()})
+
+    return Mistake(kind, told, undo, lambda m: reassigned(m, places))
+
+
+# --- signs and quarter turns ------------------------------------------------------------------
+def flipped(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """One channel with the opposite sign."""
+    for name in (*POSE, *VELOCITY):
+        if name not in moving or (name == "psi" and attitude_of(mapping) == "ENU"):
+            continue  # a heading from east does not count from zero inside
+        yield Mistake(
+            "flipped_axis",
+            _UPWARDS.get(name, f"{name} has the opposite sign"),
+            scaling({name: -1.0}),
+            lambda m, name=name: (column_edit(m, name, times=-1.0),),  # type: ignore[misc]
+        )
+
+
+def turned_heading(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """A heading that counts from another direction than north, by a quarter or half turn."""
+    sign = -1.0 if attitude_of(mapping) == "ENU" else 1.0
+    for quarters in (1, -1, 2) if "psi" in moving else ():
+        angle = quarters * np.pi / 2
+
+        def undo(run: Run, angle: float = angle) -> Run:
+            return with_channels(run, {"psi": run.channels["psi"] + angle})
+
+        def edits(m: LogMapping, angle: float = angle) -> Edits:
+            column = column_of(m, "psi")[1]
+            shift = sign * (np.degrees(angle) if column.unit == "deg" else angle)
+            return (column_edit(m, "psi", offset=column.offset + round(shift, 6)),)
+
+        yield Mistake("heading_offset", f"psi is off by {90 * quarters:+d} degrees", undo, edits)
+
+
+def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """A velocity sensor mounted a quarter or half turn about the vertical from the body axes."""
+    turns = {
+        "90 degrees clockwise": {"u": ("v", -1.0), "v": ("u", 1.0)},
+        "90 degrees anticlockwise": {"u": ("v", 1.0), "v": ("u", -1.0)},
+        "by half a turn": {"u": ("u", -1.0), "v": ("v", -1.0)},
+    }
+    for how, places in turns.items() if {"u", "v"} <= moving else ():
+        yield _moved("turned_velocity", f"u and v are of a sensor that is mounted turned {how}", places)
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    verb = "is" if len(names) == 1 else "are"
+    return f"{', '.join(names)} {verb}"
+
+
+KINDS: tuple[Callable[[LogMapping, set[str]], Iterator[Mistake]], ...] = (
+    read_in_degrees,
+    other_units_of_motion,
+    other_frames,
+    velocity_along_the_earth,
+    swapped_position,
+    flipped,
+    turned_heading,
+    turned_velocity,
+)
+
+
+_TURN = 2 * np.pi
+_NEAR = 0.3
+_QUIET = 0.5
+# Pitch ends upright: a share of the samples beyond that is none; and rad that no vehicle turns in a second.
+_UPRIGHT, _OFTEN, _FASTEST = 1.05 * np.pi / 2, 0.01, np.pi
+
+
+def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
+    """Angles that jump by a whole turn, and how often."""
+    for name in ANGLES:
+        count = sum(_jumps(run, name) for run in runs)
+        if count:
+            yield (
+                Mistake(
+                    "wrapped_angle",
+                    f"{name} jumps by a turn {count} times",
+                    lambda run, name=name: _unwrapped(run, name),  # type: ignore[misc]
+                    lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
+                ),
+                count,
+            )
+
+
+def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Mistake | None:
+    """Pitch that is too large, or a heading that turns too fast, to be in radians.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs without velocities to ask.
+    mapping : Mapping
+        How they were read.
+    names : sequence of str
+        Pose coordinates that matter.
+    """
+    tilted = "theta" in names and any(_beyond_upright(run) > _OFTEN for run in runs)
+    turning = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
+    if not tilted and turning < _FASTEST:
+        return None
+    known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
+    wanted = {n for n in (ANGLES if tilted else ("psi",)) if runs[0].has(n)}
+    found = next((m for m in known if _changed(m, runs[0]) == wanted), None)
+    if found is None:
+        return None
+    reason = (
+        f"theta reaches {max(np.abs(_present_angles(r, 'theta')).max() for r in runs):.3g} in the log"
+        if tilted
+        else f"psi changes by {turning:.3g} in an ordinary second"
+    )
+    return replace(found, told=f"{found.told}: {reason}")
+
+
+def _changed(mistake: Mistake, run: Run) -> set[str]:
+    """Channels that undoing a mistake changes."""
+    after = mistake.undo(run)
+    return {n for n in run.channels if not np.array_equal(after.channels[n], run.channels[n], equal_nan=True)}
+
+
+def _beyond_upright(run: Run) -> float:
+    data = _present_angles(run, "theta")
+    return float(np.mean(np.abs(data) > _UPRIGHT)) if len(data) else 0.0
+
+
+def _turned_in_a_second(run: Run) -> float:
+    """Median change of the heading in a second, as it is in the log: jumps of a wrapped angle are few."""
+    given = run.wrapped.get("psi", run.channels.get("psi", np.zeros(0)))
+    there = np.flatnonzero(np.isfinite(given))
+    if len(there) < 3:
+        return 0.0
+    t, psi = run.t[there], given[there]
+    later = np.searchsorted(t, t + 1.0)
+    inside = later < len(t)
+    return float(np.median(np.abs(psi[later[inside]] - psi[inside]))) if np.any(inside) else 0.0
+
+
+def _unwrapped(run: Run, name: str) -> Run:
+    return with_channels(run, {name: unwrapped(run.channels[name])}) if run.has(name) else run
+
+
+def _jumps(run: Run, name: str) -> int:
+    """Steps by a turn between small ones: where those beside them are large, too, it only turns fast."""
+    step = np.abs(np.diff(_present_angles(run, name)))
+    beside = np.pad(step, 1)
+    alone = np.maximum(beside[:-2], beside[2:]) < 2 * _QUIET
+    return int(np.sum((np.abs(step - _TURN) < _NEAR) & alone))
+
+
+def _present_angles(run: Run, name: str) -> Array:
+    data = run.channels.get(name, np.zeros(0))
+    return data[np.isfinite(data)]
+
+
+def halfway(runs: Sequence[Run]) -> Iterator[Finding]:
+    """An angle that takes a turn in two steps: it was interpolated, or averaged, across its jump."""
+    for run in runs:
+        for name in ANGLES:
+            step = np.diff(_present_angles(run, name))
+            if len(step) < 10 or np.median(np.abs(step)) > _QUIET:
+                continue
+            two = np.abs(step[1:] + step[:-1])
+            split = np.minimum(np.abs(step[1:]), np.abs(step[:-1])) > _QUIET
+            count = int(np.sum((np.abs(two - _TURN) < _NEAR) & split))
+            if count:
+                yield Finding(
+                    id="angle_across_its_jump",
+                    severity="warning",
+                    text=f"{run.name}: {name} takes a whole turn in two samples, {count} times: it was "
+                    "averaged or interpolated across its jump; log it as it is measured",
+                    evidence={"times": float(count)},
+                )

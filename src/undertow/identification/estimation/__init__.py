@@ -1,0 +1,1 @@
+"""Estimators: weak form, instrumental variables, output error, prediction error."""

@@ -1,0 +1,610 @@
+"""Logs prepared for the weak form: segments, noise of the channels and its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky_banded
+from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Index
+
+from .test_functions import (
+    Entries,
+    TestFunctions,
+    Windows,
+    boxes,
+    knot_spacing,
+    meeting,
+    products,
+    solved,
+    test_functions,
+)
+
+# What rows feel is laid out for as many windows at a time as fit in this.
+_BYTES = 32_000_000
+
+
+def residual_covariance(
+    functions: TestFunctions,
+    slopes: Entries,
+    sigma: Array,
+    rows: Sequence[int],
+    derived: Sequence[int] = (),
+    t: Array | None = None,
+) -> Array:
+    """Covariance of the weak residual from noise on the measured channels.
+
+    Parameters
+    ----------
+    functions : TestFunctions
+        K test functions over N samples.
+    slopes : Entries
+        Derivative of the 5n pointwise rows in the 2n measured poses and velocities, at the samples.
+    sigma : (2n,) or (N, 2n) array
+        Standard deviations of the measured channels, the same at all samples or not.
+    rows : sequence of int
+        Equations that are used, among the 2n (forces first, then kinematics).
+    derived : sequence of int
+        Channels that are the time derivative of a pose: their noise is that of the pose, differentiated.
+    t : (N,) array, optional
+        Time of the samples, s; needed with `derived`.
+
+    Returns
+    -------
+    (b, K len(rows)) array
+        Its lower half in LAPACK's banded storage, ordered by test function, then by equation.
+    """
+    n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
+    # The noise of a rate is that of its pose.
+    direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
+    bands = _in_pieces(functions.windows, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
+    if derived and t is not None:
+        levels = {c: sigma[..., c - n] for c in derived}
+        rates = _in_pieces(
+            functions.windows,
+            rows,
+            levels,
+            lambda w: (w.first - 1, _differenced(_felt(w, entries, rows, levels), w, t)),
+        )
+        bands = banded_sum(bands, rates)
+    return bands
+
+
+def _in_pieces(
+    windows: Windows,
+    rows: Sequence[int],
+    levels: Mapping[int, Array],
+    felt: Callable[[Windows], tuple[Index, Array]],
+) -> Array:
+    """Products of the rows of all windows, a few windows and those that they overlap at a time."""
+    count, width = windows.weights.shape[1:]
+    each = 8 * len(rows) * (width + 2) * max(len(levels), 1)
+    reach = int(np.max(np.searchsorted(windows.first, windows.first + width + 2) - np.arange(count)))
+    piece = max(_BYTES // each - reach, reach)
+    found = []
+    for begin in range(0, count, piece):
+        bands = products(*felt(windows.part(slice(begin, begin + piece + reach))))
+        found.append(bands[:, : len(rows) * piece])
+    deepest = max(map(len, found))
+    return np.hstack([np.pad(bands, ((0, deepest - len(bands)), (0, 0))) for bands in found])
+
+
+def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
+    """Which weights, equation and channel each entry belongs to, and its values at the samples."""
+    kind, equation = meeting(slopes.row, n)
+    return list(zip(kind, equation, slopes.column, np.ascontiguousarray(slopes.data.T), strict=True))
+
+
+def _felt(
+    windows: Windows,
+    entries: list[tuple[int, int, int, Array]],
+    rows: Sequence[int],
+    levels: Mapping[int, Array],
+) -> Array:
+    """What each row feels of a unit of each channel's noise at each sample, (K, rows, W, channels)."""
+    row, channel = ({x: i for i, x in enumerate(them)} for them in (rows, levels))
+    index = windows.index
+    table = np.zeros((len(row), len(channel), *index.shape))
+    for kind, i, j, values in entries:
+        if i in row and j in channel:
+            weights = windows.weights[kind]
+            table[row[i], channel[j]] += np.where(weights == 0, 0.0, weights * values[index])
+    for j, level in levels.items():
+        known = np.where(level > 0, level, 0.0)
+        table[:, channel[j]] *= known[index] if known.ndim else known
+    return np.ascontiguousarray(table.transpose(2, 0, 3, 1))
+
+
+def _differenced(felt: Array, windows: Windows, t: Array) -> Array:
+    """What is felt of a pose whose central differences are felt like this; windows begin a sample earlier."""
+    count = len(t)
+    after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)
+    step = 1.0 / (t[after] - t[before])
+    rate = felt * step[windows.index][:, None, :, None]
+    # At its ends a log has no sample on the other side: the one there stands for it.
+    first, last = (np.where(windows.index == end, 1.0, 0.0)[:, None, :, None] for end in (0, count - 1))
+    size = list(rate.shape)
+    size[2] += 2
+    total = np.zeros(size)
+    total[:, :, 2:] += rate * (1.0 - last)
+    total[:, :, 1:-1] += rate * (last - first)
+    total[:, :, :-2] -= rate * (1.0 - first)
+    return total
+
+
+def banded(matrix: csr_array) -> Array:
+    """Lower half of a symmetric banded matrix in LAPACK's storage: a row for each diagonal."""
+    coordinates = matrix.tocoo()
+    offset = coordinates.row - coordinates.col
+    bands = np.zeros((int(np.max(offset, initial=0)) + 1, matrix.shape[0]))
+    lower = offset >= 0
+    bands[offset[lower], coordinates.col[lower]] = coordinates.data[lower]
+    return bands
+
+
+def banded_sum(one: Array, other: Array) -> Array:
+    """Sum of two symmetric banded matrices in LAPACK's storage."""
+    total = np.zeros((max(len(one), len(other)), one.shape[1]))
+    total[: len(one)] = one
+    total[: len(other)] += other
+    return total
+
+
+def unbanded(bands: Array) -> csr_array:
+    """The whole symmetric matrix of LAPACK's banded storage."""
+    size = bands.shape[1]
+    lower = dia_array((bands, -np.arange(len(bands))), shape=(size, size)).tocsr()
+    lower.eliminate_zeros()
+    return csr_array(lower + tril(lower, -1).T)
+
+
+_ORDERS = range(3, 9)
+_GAUSSIAN_MAD = 1.4826
+# Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
+_OUTLYING, _SHARE_WITHIN = 3.5, 0.9939
+# Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
+_CLEARLY = 4.0
+
+
+def white_noise(t: Array, y: Array) -> float:
+    """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
+
+    A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is
+    smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly
+    less: then the lower one takes a fast signal for noise.
+    """
+    if len(t) <= 4 * _ORDERS[0]:
+        return 0.0  # too few samples to tell noise from motion
+    steps = np.diff(t)
+    even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
+    found = [_by_difference(y, even, k) for k in _ORDERS if len(y) > 4 * k]
+    known = [f for f in found if np.isfinite(f)]
+    clearly = 1.0 + _CLEARLY / np.sqrt(len(y))
+    return next((f for f in known if f <= clearly * min(known)), 0.0)
+
+
+def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
+    difference = np.diff(y, n=order)
+    usable = np.convolve(even, np.ones(order), mode="valid") > order - 0.5
+    kept = difference[usable & np.isfinite(difference)]
+    if len(kept) < 10:
+        return np.inf
+    rough = _GAUSSIAN_MAD * float(np.median(np.abs(kept)))
+    # Of what is not a kink or a jump the mean square is known twice as well as the median.
+    within = kept[np.abs(kept) <= _OUTLYING * rough]
+    return float(np.sqrt(np.mean(within**2) / _SHARE_WITHIN / comb(2 * order, order)))
+
+
+class Whitening:
+    """Turns residuals into ones of unit variance, by a banded Cholesky factor.
+
+    Parameters
+    ----------
+    covariance : (b, m) array
+        Covariance of the residual from the noise of the channels, rows ordered by test function,
+        then by equation; its lower half in LAPACK's banded storage.
+    overlap : (b, m) array
+        Integrals of products of test functions of the same equation: the covariance of a white disturbance.
+    intensity : (m,) array
+        Intensity of the disturbance in each row's equation: what the model leaves beyond the noise.
+    """
+
+    def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
+        self._bands = covariance, overlap
+        self._take(intensity)
+
+    def _take(self, intensity: Array) -> None:
+        """Factor with a disturbance."""
+        measured, white = self._bands
+        if not np.any(intensity):
+            self._factor = _cholesky(measured)
+            return
+        spread, disturbance = np.sqrt(intensity), np.zeros_like(white)
+        for offset, diagonal in enumerate(white):
+            last = len(spread) - offset
+            disturbance[offset, :last] = spread[offset:] * diagonal[:last] * spread[:last]
+        self._factor = _cholesky(banded_sum(measured, disturbance))
+
+    @cached_property
+    def covariance(self) -> csr_array:
+        """Covariance of the residual from the noise of the channels alone, in the order of its rows."""
+        return unbanded(self._bands[0])
+
+    def with_disturbance(self, intensity: Array) -> Whitening:
+        """The same noise with another disturbance."""
+        other = copy(self)
+        other._take(intensity)
+        return other
+
+    def __call__(self, right: Array) -> Array:
+        """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
+        table = np.asarray(right)
+        return solved(self._factor, table.reshape(len(table), -1)).reshape(table.shape)
+
+    def noise_sample(self, rng: np.random.Generator) -> Array:
+        """What the noise of the channels alone would look like after whitening: one draw, shape (m,)."""
+        factor = _cholesky(self._bands[0])
+        draw = np.asarray(rng.standard_normal(factor.shape[1]))
+        return self(_times(factor, draw))
+
+
+def _cholesky(bands: Array) -> Array:
+    """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
+    banded = bands.copy()
+    # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
+    banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
+    return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+
+
+def _times(factor: Array, vector: Array) -> Array:
+    """Product of a lower banded factor and a vector."""
+    size = factor.shape[1]
+    result = np.zeros(size)
+    for offset, diagonal in enumerate(factor):
+        result[offset:] += diagonal[: size - offset] * vector[: size - offset]
+    return result
+
+
+def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
+    """Covariance of the weak residual under a white disturbance of unit intensity, in bands."""
+    step = np.append(np.diff(t), 1.0)
+    gram = functions.held @ diags_array(1.0 / step) @ functions.held.T
+    return banded(csr_array(kron(gram, eye_array(equations))))
+
+
+# Half-widths in samples of the fits that a rate is taken from, from narrow to wide.
+_WIDTHS = (3, 5, 8, 13, 20, 32)
+_DEGREE = 3
+# Samples at which the widths are tried.
+_LOOKS = 300
+# Square of what a fit leaves, relative to what noise leaves, from which it bends the signal.
+_BENT = 1.2
+
+
+def around(at: Index, width: int, count: int) -> Index:
+    """Indices of the 2 width + 1 samples around each instant, moved inwards at the ends of the signal."""
+    first = np.clip(at - width, 0, count - 2 * width - 1)
+    return np.asarray(first[:, None] + np.arange(2 * width + 1))
+
+
+def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> tuple[Array, Array, Array]:
+    """Least squares fit of a polynomial to the 2 width + 1 samples around some samples of a signal.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Time, s; N at least 2 width + 1.
+    y : (N, c) array
+        Signals, without gaps.
+    at : (k,) array of int
+        Samples to evaluate at.
+
+    Returns
+    -------
+    value, rate, misfit : (k, c) arrays
+        The polynomials there, in the units of y, their derivatives, per s, and their sums of squared errors.
+    """
+    near = around(at, width, len(t))
+    span = t[near[:, -1]] - t[near[:, 0]]
+    place = (t[near] - t[at][:, None]) / span[:, None]
+    design = place[:, :, None] ** np.arange(degree + 1)
+    across = np.swapaxes(design, 1, 2)
+    # Around the sample itself, so that a large offset (a position) costs no digits.
+    samples = y[near] - y[at][:, None]
+    coefficients = np.linalg.solve(across @ design, across @ samples)
+    misfit = np.sum((samples - design @ coefficients) ** 2, axis=1)
+    return y[at] + coefficients[:, 0], coefficients[:, 1] / span[:, None], misfit
+
+
+def smooth_rate(t: Array, y: Array) -> Array:
+    """Derivative of noisy signals, per s, from cubics over as many samples as they fit within the noise.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Time, s.
+    y : (N, c) array
+        Signals, without gaps.
+
+    Returns
+    -------
+    (N, c) array
+    """
+    if len(t) <= 2 * _WIDTHS[0]:
+        return np.gradient(y, t, axis=0)
+    rate, every = np.empty_like(y), np.arange(len(t))
+    width = _widest(t, y)
+    for chosen in np.unique(width).tolist():
+        columns = np.flatnonzero(width == chosen)
+        rate[:, columns] = local_polynomial(t, y[:, columns], every, chosen, _DEGREE)[1]
+    return rate
+
+
+def _widest(t: Array, y: Array) -> Index:
+    """Half-width of the widest fits that leave no more than noise at most instants, by signal."""
+    noise = np.array([white_noise(t, column) for column in y.T])
+    some = np.unique(np.linspace(0, len(t) - 1, _LOOKS).astype(np.intp))
+    found = np.full(y.shape[1], _WIDTHS[0])
+    for width in (w for w in _WIDTHS if 2 * w < len(t)):
+        misfit = local_polynomial(t, y, some, width, _DEGREE)[2]
+        found[np.median(misfit, axis=0) <= _BENT * noise**2 * (2 * width - _DEGREE)] = width
+    return found
+
+
+Family = Callable[[Array, float], TestFunctions | None]
+# Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
+_WIDER_FOR_DERIVED = 2.0
+# Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there a
+# cubic B-spline has its first zero in frequency.
+_KNOTS_PER_RESOLUTION = 2 * np.pi
+_BLOCKS = 24
+_LONGEST_BLOCK = 5.0
+_SHORTEST_BLOCK = 1.0
+# Quadrature over samples is not exact, so no channel counts as better known than this share of its change
+# in 1 s.
+_FINEST = 2e-3
+# Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the covariance
+# of the residual stays well conditioned.
+DOUBT = 30.0
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of a run without gaps.
+
+    Attributes
+    ----------
+    run : int
+        Place of the run among the runs.
+    first : int
+        Index of the first sample in the run.
+    t : (N,) array
+        Time, s.
+    measured : (N, 2n) array
+        Pose and velocity of the degrees of freedom; pose that the log lacks is zero.
+    u : (N, n_commands) array
+        Commands.
+    functions : TestFunctions
+        Test functions on the segment.
+    doubted : (N, 2n) array of bool or None
+        Samples that count as hardly known.
+    """
+
+    run: int
+    first: int
+    t: Array
+    measured: Array
+    u: Array
+    functions: TestFunctions
+    doubted: NDArray[np.bool_] | None = None
+
+    @property
+    def samples(self) -> slice:
+        """Where the segment stands in its run."""
+        return slice(self.first, self.first + len(self.t))
+
+    @cached_property
+    def rate(self) -> Array:
+        """Derivative of `measured`, shape (N, 2n), per s; smoothed as far as the noise allows."""
+        return smooth_rate(self.t, self.measured)
+
+
+@dataclass(frozen=True)
+class WeakData:
+    """Runs prepared for a vehicle's degrees of freedom and commands.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        The logs.
+    segments : tuple of Segment
+        Their usable stretches.
+    sigma : (2n,) array
+        Noise of the channels, in their units.
+    rows : tuple of int
+        Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1).
+    names : tuple of str
+        Names of the 2n channels.
+    commands : tuple of str
+        Names of the command columns.
+    """
+
+    runs: tuple[Run, ...]
+    segments: tuple[Segment, ...]
+    sigma: Array
+    rows: tuple[int, ...]
+    names: tuple[str, ...]
+    commands: tuple[str, ...]
+
+    @cached_property
+    def derived(self) -> tuple[int, ...]:
+        """Velocities among the 2n channels that were taken from the pose, whose noise is known."""
+        size = len(self.names) // 2
+        taken = [i for i in range(size, 2 * size) if any(self.names[i] in r.derived for r in self.runs)]
+        return tuple(i for i in taken if self.sigma[i - size] > 0)
+
+    @property
+    def velocities_derived(self) -> bool:
+        """Whether all velocities were taken from the pose: no sensor measured them."""
+        return len(self.derived) == len(self.names) // 2
+
+    @cached_property
+    def equation(self) -> NDArray[np.intp]:
+        """Equation of every residual entry."""
+        return np.concatenate([np.tile(self.rows, s.functions.count) for s in self.segments])
+
+    @cached_property
+    def time(self) -> Array:
+        """Middle of the test function of every residual entry, s."""
+        return np.concatenate([np.repeat(s.functions.centre, len(self.rows)) for s in self.segments])
+
+    @cached_property
+    def run_of(self) -> NDArray[np.intp]:
+        """Run of every residual entry."""
+        return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
+
+    @cached_property
+    def block_seconds(self) -> float:
+        """Length of blocks: long against the memory of vehicles, short enough that there are many."""
+        total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
+        return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
+
+    @cached_property
+    def block(self) -> NDArray[np.intp]:
+        """Number of the time block that every residual entry belongs to; blocks never span two runs."""
+        seconds = self.block_seconds
+        start = np.array([r.t[0] for r in self.runs])[self.run_of]
+        within = ((self.time - start) // seconds).astype(np.intp)
+        pairs = np.column_stack([self.run_of, within])
+        return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+
+
+def prepare(
+    runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None, family: Family = test_functions
+) -> WeakData:
+    """Cut runs into segments and put test functions on them.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs with the body velocities (and, as far as there, the pose) of the vehicle's degrees of freedom.
+    vehicle : Vehicle
+        Whose degrees of freedom and commands are wanted.
+    sigma : (2n,) array, optional
+        Noise of the channels; estimated from the runs where it is not given.
+    family : callable
+        Makes the test functions on a segment from its times and their spacing: B-splines, or boxes for the
+        integral form.
+
+    Raises
+    ------
+    UndertowError
+        If a velocity or a command is missing, or no stretch is long enough.
+    """
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    for run in runs:
+        _require(run, [*vehicle.velocity_names, *vehicle.command_names], vehicle.name)
+    measured_pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
+    segments = [
+        s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle, family)
+    ]
+    if not segments:
+        raise UndertowError(_too_short(runs, family))
+    derived = any(r.derived for r in runs)
+    size = len(vehicle.dof_indices)
+    kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
+    noise = _floored(channel_noise(runs, names), runs, names) if sigma is None else sigma
+    return WeakData(
+        tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names
+    )
+
+
+def _too_short(runs: Sequence[Run], family: Family) -> str:
+    spacing = max((_spacing(r) for r in runs if len(r.t) > 1), default=0.0)
+    step = min((float(np.median(np.diff(r.t))) for r in runs if len(r.t) > 1), default=1.0)
+    lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
+    enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
+    needed = next(enough) if spacing else 2
+    blurred = any(_spacing(r) > knot_spacing(r.t) * _WIDER_FOR_DERIVED for r in runs if len(r.t) > 1)
+    form = "integral form" if family is boxes else "weak form"
+    why = (
+        "; the velocities were taken from a pose that tells nothing of faster motion: "
+        "give longer runs, or measured velocities"
+    )
+    return (
+        f"no stretch without gaps is long enough for the {form} (of {lengths}): {needed} samples are "
+        f"needed without a gap{why if blurred else ''}"
+    )
+
+
+def _require(run: Run, names: list[str], vehicle: str) -> None:
+    for name in names:
+        if not run.has(name):
+            raise UndertowError(
+                f"run '{run.name}' has no channel '{name}', which vehicle '{vehicle}' needs; it has "
+                f"{', '.join(run.channels)}; name the column in a mapping file (--map)"
+            )
+
+
+def _segments(
+    index: int,
+    run: Run,
+    names: tuple[str, ...],
+    pose: tuple[str, ...],
+    vehicle: Vehicle,
+    family: Family,
+) -> list[Segment]:
+    needed = [n for n in names if n in pose or n in vehicle.velocity_names]
+    commands = run.matrix(vehicle.command_names)
+    spacing = _spacing(run) if len(run.t) > 1 else 1.0
+    found = []
+    for piece in run.segments([*needed, *vehicle.command_names]):
+        t = run.t[piece]
+        functions = family(t, spacing) if len(t) > 1 else None
+        if functions is not None:
+            columns = [run.channels[n][piece] if n in needed else np.zeros(len(t)) for n in names]
+            found.append(Segment(index, piece.start, t, np.column_stack(columns), commands[piece], functions))
+    return found
+
+
+def _spacing(run: Run) -> float:
+    """Distance of the knots, s."""
+    plain = knot_spacing(run.t)
+    return max(_WIDER_FOR_DERIVED * plain, _KNOTS_PER_RESOLUTION * run.resolution) if run.derived else plain
+
+
+def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:
+    """Standard deviation of the noise of channels, in their units; zero for a channel that no run has."""
+    return np.array([_channel_noise([r for r in runs if r.has(n)], n) for n in names])
+
+
+def _channel_noise(present: Sequence[Run], name: str) -> float:
+    known = [r.sigma[name] for r in present if name in r.sigma]
+    found = known or [white_noise(r.t, r.channels[name]) for r in present]
+    return float(np.median(found or [0.0]))
+
+
+def _floored(noise: Array, runs: Sequence[Run], names: Sequence[str]) -> Array:
+    """Noise, but at least what the quadrature over samples resolves."""
+    change = [[_change_in_a_second(r, n) for r in runs if r.has(n)] for n in names]
+    return np.maximum(noise, [_FINEST * float(np.median(c or [0.0])) for c in change])
+
+
+def _change_in_a_second(run: Run, name: str) -> float:
+    """Rms change of a channel from one second to the next."""
+    step = float(np.median(np.diff(run.t)))
+    lag = int(np.clip(round(1.0 / step), 1, len(run.t) - 1))
+    change = run.channels[name][lag:] - run.channels[name][:-lag]
+    known = change[np.isfinite(change)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0

@@ -1,0 +1,309 @@
+"""What every estimator returns, and how far its parameters can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
+
+from .residual import WeakModel
+from .step import at_bounds, inverse_of
+
+# Share of the largest eigenvalue of the scaled information below which a direction is not seen at all.
+NOTHING = 1e-10
+_TOUCHED = 1e-3
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum of parameters that the data determine.
+
+    Attributes
+    ----------
+    coefficients : dict of float
+        Factor of each parameter in it; one for the first.
+    """
+
+    coefficients: dict[str, float]
+
+    def __str__(self) -> str:
+        (first, _), *others = self.coefficients.items()
+        return " ".join([first, *(_term(name, factor) for name, factor in others)])
+
+
+def _term(name: str, factor: float) -> str:
+    size = abs(factor)
+    return f"{'-' if factor < 0 else '+'} {'' if abs(size - 1.0) < 1e-4 else f'{size:.4g} '}{name}"
+
+
+def undetermined(gram: Array, free: Sequence[str], nothing: float = NOTHING) -> list[list[str]]:
+    """Parameters that data do not determine, in groups that hang together.
+
+    Parameters
+    ----------
+    gram : (k, k) array
+        Information J'J of the data, without priors.
+    free : sequence of str
+        Names of the parameters.
+    nothing : float
+        Share of the largest eigenvalue of the scaled information below which a direction is not seen.
+
+    Returns
+    -------
+    list of list of str
+        A group of one does not show at all; of a larger one only combinations show.
+    """
+    _, vectors, unseen = _directions(gram, nothing)
+    null = vectors[:, unseen]
+    projector = null @ null.T
+    groups: list[list[int]] = []
+    left = [i for i in range(len(free)) if projector[i, i] > _TOUCHED]
+    while left:
+        group = [left.pop(0)]
+        for i in group:
+            group += [j for j in left if abs(projector[i, j]) > _TOUCHED]
+            left = [j for j in left if j not in group]
+        groups.append(sorted(group))
+    return [[free[i] for i in group] for group in groups]
+
+
+def base_parameters(gram: Array, free: Sequence[str], nothing: float = NOTHING) -> list[Combination]:
+    """The combinations that stand in for parameters which data determine together only.
+
+    They span what the information of each group of `undetermined` sees, in reduced row echelon form: each
+    begins with a parameter that is in no other.
+
+    Parameters
+    ----------
+    gram, free, nothing
+        As for `undetermined`.
+    """
+    size, vectors, unseen = _directions(gram, nothing)
+    found = []
+    for group in undetermined(gram, free, nothing):
+        places = [list(free).index(name) for name in group]
+        # A functional is seen if it vanishes along every direction that is not.
+        null = vectors[places][:, unseen] / np.where(size > 0, size, 1.0)[places, None]
+        basis, weight, _ = np.linalg.svd(null)
+        rank = int(np.sum(weight > _ROUNDING * max(weight.max(initial=0.0), 1e-300)))
+        found += [_named(row, group) for row in _echelon(basis[:, rank:].T)]
+    return found
+
+
+def _directions(gram: Array, nothing: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Scale of the parameters, eigenvectors of the scaled information, and which of them are not seen."""
+    size = np.sqrt(np.diag(gram))
+    scale = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 1.0)
+    weight, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
+    return size, vectors, weight < nothing * max(float(weight.max(initial=0.0)), 1e-300)
+
+
+def _echelon(rows: Array) -> Array:
+    """Reduced row echelon form."""
+    table = rows.copy()
+    done = 0
+    for column in range(table.shape[1]):
+        if done == len(table):
+            break
+        pivot = done + int(np.argmax(np.abs(table[done:, column])))
+        if abs(table[pivot, column]) < _ROUNDING:
+            continue
+        table[[done, pivot]] = table[[pivot, done]]
+        table[done] /= table[done, column]
+        others = np.arange(len(table)) != done
+        table[others] -= np.outer(table[others, column], table[done])
+        done += 1
+    return table[:done]
+
+
+def _named(row: Array, group: Sequence[str]) -> Combination:
+    return Combination({n: float(c) for n, c in zip(group, row, strict=True) if abs(c) > _ROUNDING})
+
+
+#: |value| over its standard error below which a parameter could as well be zero.
+SURE = 2.0
+#: Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
+#: likelihood ratio, which white noise brings above this once in 18 000 times at the most on kept-aside data.
+MORE_THAN_CHANCE = 15.0
+# The same for a parameter that is known, if not well.
+_CLEAR = 5.0
+# Correlation between the errors of two parameters beyond which only a combination of both is known, unless
+# each is this many standard errors from zero all the same.
+_TIED = 0.95
+_WELL = 10.0
+# Standard deviations of prior and fit together beyond which a value is far from what was stated.
+_FAR = 3.0
+
+
+class Estimates(Protocol):
+    """Values with their errors."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimated values, SI and SNAME signs."""
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors, SI."""
+
+
+class Fitted(Estimates, Protocol):
+    """A fit of the free parameters of a model, whatever the estimator."""
+
+    @property
+    def model(self) -> WeakModel:
+        """Model and names of the free parameters."""
+
+    @property
+    def p(self) -> Array:
+        """All parameters of the model, in its order."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle with fitted values and standard errors."""
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the free parameters."""
+
+    @property
+    def gram(self) -> Array:
+        """Information J'J of the data as they were weighed, without priors."""
+
+    @property
+    def noise_gram(self) -> Array:
+        """The same if nothing but the noise of the sensors were in the data."""
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the scaled regressor."""
+
+    @property
+    def active(self) -> list[str]:
+        """Constraints that hold the estimates back, by name."""
+
+
+Verdict = Literal["identified", "weakly identified", "not identifiable"]
+
+
+def verdicts(fit: Fitted) -> dict[str, Verdict]:
+    """Whether this experiment determines each parameter.
+
+    Not identifiable: within two standard errors of zero, or not felt by the data at all. Weakly identified:
+    within five, known only together with another, or at the limit of what is physical.
+    """
+    sure = t_values(fit)
+    open_ = {name for group in undetermined(fit.gram, fit.model.free) for name in group}
+    doubtful = {*_tied(fit), *_bound(fit)}
+    return {n: _verdict(sure[n], n in open_, n in doubtful) for n in fit.model.free}
+
+
+def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
+    if t < SURE or undetermined:
+        return "not identifiable"
+    return "weakly identified" if t < _CLEAR or doubtful else "identified"
+
+
+def cramer_rao(fit: Fitted) -> dict[str, float]:
+    """Least standard error that an unbiased estimator can have by the noise of the sensors, by parameter.
+
+    What comes on top of it in the standard errors is what the model leaves beyond the noise. Stated priors
+    are no data, and do not count. For the weak form the data are the products with its test functions.
+    """
+    return dict(zip(fit.model.free, np.sqrt(np.diag(inverse_of(fit.noise_gram))).tolist(), strict=True))
+
+
+def correlation(fit: Fitted) -> Array:
+    """Correlation of the errors of the free parameters, shape (k, k)."""
+    spread = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+    return np.asarray(fit.covariance / np.outer(spread, spread))
+
+
+def t_values(fit: Estimates) -> dict[str, float]:
+    """Magnitude of every estimate over its standard error."""
+    errors = fit.standard_errors
+    return {n: t_value(v, errors[n]) for n, v in fit.values.items()}
+
+
+def t_value(value: float, error: float) -> float:
+    """Magnitude of a value over its standard error."""
+    return abs(value) / error if error > 0 else float("inf")
+
+
+def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
+    """What speaks against a fitted value, by parameter: not identifiable, at a bound, far from its prior.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The fit.
+    stated : Vehicle
+        The vehicle with the values and priors that were stated before.
+    """
+    found: dict[str, list[str]] = {n: [] for n in fit.model.free}
+    for part in (_unsure(fit), _tied(fit), _bound(fit), _moved(fit, stated)):
+        for name, text in part.items():
+            found[name].append(text)
+    return found
+
+
+def _unsure(fit: Fitted) -> dict[str, str]:
+    return {n: f"not identifiable: |t| = {t:.1f}" for n, t in t_values(fit).items() if t < SURE}
+
+
+def _tied(fit: Fitted) -> dict[str, str]:
+    between, names, sure = correlation(fit), fit.model.free, t_values(fit)
+    np.fill_diagonal(between, 0.0)
+    partner = np.argmax(np.abs(between), axis=1).tolist() if len(names) > 1 else []
+    return {
+        names[i]: f"known only together with {names[j]}: correlation {between[i, j]:.3f}"
+        for i, j in enumerate(partner)
+        if abs(between[i, j]) > _TIED and sure[names[i]] < _WELL
+    }
+
+
+def _bound(fit: Fitted) -> dict[str, str]:
+    return dict.fromkeys(at_bounds(fit.model, fit.p), "at the limit of what is physical")
+
+
+def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:
+    found = {}
+    for name, value in fit.values.items():
+        prior = stated.value_of(name)
+        if prior.sigma:
+            distance = abs(value - prior.value) / np.hypot(prior.sigma, fit.standard_errors[name])
+            if distance > _FAR:
+                found[name] = f"{distance:.1f} standard deviations from its prior"
+    return found
+
+
+class Triangle:
+    """Any number of rows of a regression as the triangular factor of their QR decomposition.
+
+    Rows are added in blocks and not kept: what is held are (k + 1)^2 numbers for k parameters. The solution
+    is that of all rows together, with the precision of a QR decomposition (not that of normal equations).
+
+    Parameters
+    ----------
+    parameters : int
+        How many there are.
+    """
+
+    def __init__(self, parameters: int) -> None:
+        self.factor, self.count = np.zeros((0, parameters + 1)), 0
+
+    def add(self, rows: Array, count: int) -> None:
+        """Take in rows, target in the last column, or few rows with the products of `count` samples."""
+        self.factor = np.asarray(np.linalg.qr(np.vstack([self.factor, rows]), mode="r"), dtype=float)
+        self.count += count
+
+    def split(self) -> tuple[Array, Array]:
+        """Regressor and target with few rows that have the same products as all."""
+        return self.factor[:, :-1], self.factor[:, -1]

@@ -1,0 +1,439 @@
+"""What drives a model between samples: actuator states along the commands, zero-order hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.linalg.lapack import dtbtrs
+
+from undertow.codegen.functions import Functions
+from undertow.codegen.tape import call, mapped
+from undertow.codegen.virtual import runge_kutta
+from undertow.errors import UndertowError
+from undertow.typing import Array, Index
+
+
+def change(values: Array) -> Array:
+    """Change since the sample before."""
+    return np.diff(values, axis=0, prepend=values[:1])
+
+
+def share_of_step(t: Array, delay: float) -> tuple[Array, Array]:
+    """Where in the step after each sample a jump that is so late arrives, and its rate in the delay."""
+    step = np.append(np.diff(t), np.inf)
+    index = np.minimum(_at_work(t, delay), len(t) - 2)
+    return np.clip((t[index + 1] + delay - t) / step, 0.0, 1.0), 1.0 / step
+
+
+def _at_work(t: Array, delay: float) -> Index:
+    """From which sample on was held what was at work just before each sample, `delay` seconds late.
+
+    Just before, for a delay that is a multiple of the step can only grow where it is zero.
+    """
+    slack = 1e-12 * float(t[-1] - t[0])
+    return np.maximum(np.searchsorted(t, t - delay - slack) - 1, 0)
+
+
+def without_gaps(u: Array) -> Array:
+    """Commands with the last known value where one is missing; nothing is judged inside such gaps."""
+    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
+    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
+    return np.nan_to_num(filled, nan=0.0)
+
+
+def shifted_mean(t: Array, held: Array, delay: float) -> Array:
+    """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first
+    value.
+    """
+    total = _integral(t, held)
+    late = _at(t, total, held, t - delay)
+    step = np.diff(t)[:, None]
+    return np.vstack([np.diff(late, axis=0) / step, held[-1:]])
+
+
+def shift_rate(t: Array, held: Array, delay: float) -> Array:
+    """Minus the derivative of `shifted_mean` in the delay."""
+    start = held[_at_work(t, delay)]
+    step = np.diff(t)[:, None]
+    return np.vstack([np.diff(start, axis=0) / step, np.zeros_like(held[:1])])
+
+
+def _integral(t: Array, held: Array) -> Array:
+    return np.vstack([np.zeros_like(held[:1]), np.cumsum(held[:-1] * np.diff(t)[:, None], axis=0)])
+
+
+def _at(t: Array, total: Array, held: Array, when: Array) -> Array:
+    index = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 1)
+    return total[index] + held[index] * (when - t[index])[:, None]
+
+
+_SUBSTEPS = 4
+At = Callable[[ca.SX, float], ca.SX]
+
+
+class Inputs(NamedTuple):
+    """What drives a state over one interval: columns that vary from sample to sample, parameters, its begin
+    and its length in seconds.
+    """
+
+    columns: list[ca.SX]
+    p: ca.SX
+    t: ca.SX
+    dt: ca.SX
+
+
+class Carried:
+    """States under given rates over the intervals between samples, and the mean of an output along each.
+
+    The states alone follow one after the other. At known states, the derivatives of all intervals are worked
+    out side by side; what is then left of carrying derivatives along is one banded triangular solution.
+
+    Parameters
+    ----------
+    z : (n,) expression
+        The states.
+    inputs : Inputs
+        What drives them.
+    free : (m,) expression
+        Parameters that derivatives are taken in.
+    rate, output : callable
+        Rate of the states, and the output, from the states and the share of the interval that has passed.
+    """
+
+    def __init__(self, z: ca.SX, inputs: Inputs, free: ca.SX, rate: At, output: At) -> None:
+        self._z, self._inputs, self._free = z, inputs, free
+        self._end, self._mean = _integrated(rate, output, z, inputs.dt)
+
+    @cached_property
+    def _step(self) -> ca.Function:
+        columns, p, t, dt = self._inputs
+        return ca.Function("carried", [self._z, *columns, t, dt, p], ca.cse([self._end]))
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        columns, p, t, dt = self._inputs
+        tables = [ca.jacobian(v, x) for v in (self._end, self._mean) for x in (self._z, self._free)]
+        results = ca.cse([ca.densify(v) for v in (*tables, self._mean)])
+        return ca.Function("slopes", [self._z, *columns, dt, p, t], results)
+
+    def states(self, start: Array, columns: list[Array], p: Array, t: Array, dt: Array) -> Array:
+        """States at the samples and after the last interval, shape (N + 1, n)."""
+        count = len(t)
+        fixed = np.tile(p, (count, 1))
+        (flat,) = call(_accumulated(self._step, count), [start, *columns, t, dt, fixed])
+        return np.vstack([start, flat.reshape(count, -1)])
+
+    def along(
+        self, start: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """States (N + 1, n) and means over the intervals (N, k), each with its derivatives.
+
+        Derivatives are those in the free parameters, then in the first states: shapes (N + 1, n, m + n) and
+        (N, k, m + n); `slope`, (n, m), has those of the first states in the free parameters.
+        """
+        states = self.states(start, columns, p, t, dt)
+        inside = [states[:-1], *columns, dt[:, None]]
+        by_state, free, mean_by_state, mean_free, mean = mapped(self._slopes, inside, p, t)
+        first = np.hstack([slope, np.eye(len(start))])
+        slopes = _carried_slopes(first, by_state, _with_start(free, len(start)))
+        means = mean_by_state @ slopes[:-1] + _with_start(mean_free, len(start))
+        return states, slopes, mean[:, :, 0], means
+
+
+def _with_start(direct: Array, states: int) -> Array:
+    """Derivatives in the parameters, and none in the first states."""
+    return np.concatenate([direct, np.zeros((*direct.shape[:2], states))], axis=2)
+
+
+def _carried_slopes(first: Array, factor: Array, added: Array) -> Array:
+    """Solution of S_k+1 = A_k S_k + B_k from S_0, shapes (N, n, n) and (N, n, m): (N + 1, n, m)."""
+    count, size, _ = factor.shape
+    right = np.concatenate([first[None], added]).reshape((count + 1) * size, -1)
+    bands = np.zeros((2 * size, (count + 1) * size))
+    for i in range(size):
+        for j in range(size):
+            bands[size + i - j, j::size][:count] = -factor[:, i, j]
+    solution, info = dtbtrs(bands, right, uplo="L", diag="U")
+    assert info == 0
+    return np.asarray(solution).reshape(count + 1, size, -1)
+
+
+def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Runge-Kutta over one interval, and Simpson's mean of an output along it."""
+    h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
+    mean = output(z, 0.0)
+    for step in range(_SUBSTEPS):
+
+        def rates(at: Sequence[ca.SX], reach: float, begin: float = step * share) -> list[ca.SX]:
+            return [rate(at[0], begin + reach * share)]
+
+        (z,) = runge_kutta(rates, [z], [h])
+        weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
+        mean = mean + weight * output(z, (step + 1) * share)
+    return z, mean / (3 * _SUBSTEPS)
+
+
+@lru_cache(maxsize=64)
+def _accumulated(function: ca.Function, count: int) -> ca.Function:
+    return function.mapaccum("accumulated", count)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A driven signal with its derivative in the free parameters.
+
+    Attributes
+    ----------
+    value : (N, k) array
+        Value at each sample, or mean over the interval that follows it.
+    slope : (N, k, n_free) array
+        Its derivative.
+    start : (N, k, n_states) array
+        Its derivative in the states that it started from, which no log tells.
+    """
+
+    value: Array
+    slope: Array
+    start: Array
+
+
+@dataclass(frozen=True)
+class Actuated(Driven):
+    """Actuation along a log.
+
+    Attributes
+    ----------
+    before : Driven
+        What it was before it changed at each sample; the same where it follows the commands without jumps.
+    """
+
+    before: Driven
+
+    @classmethod
+    def of(cls, now: Driven, before: Driven) -> Actuated:
+        """What it is, and what it was."""
+        return cls(now.value, now.slope, now.start, before)
+
+
+class ActuatorStates:
+    """Actuation along the logged commands: mean output over each sampling interval.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    free : tuple of int
+        Places in p of the free parameters.
+
+    Raises
+    ------
+    UndertowError
+        If a step of the chain feels the motion: the chain follows the commands, before any motion is known.
+    """
+
+    def __init__(self, functions: Functions, free: tuple[int, ...]) -> None:
+        self.functions, self.free = functions, free
+        _refuse_motion(functions)
+
+    def along(self, t: Array, u: Array, p: Array) -> Actuated:
+        """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
+        size, count = self.functions.actuation.shape[0], len(t)
+        if size == 0:
+            nothing = _nothing(count, len(self.free))
+            return Actuated.of(nothing, nothing)
+        mean = self._carried_along(t, u, p) if self._has_states else self._static(t, u, p)
+        late = self._delayed(t, mean, p)
+        return Actuated.of(late, late if self._has_states else self._before(t, late, p))
+
+    @property
+    def _has_states(self) -> bool:
+        return bool(self.functions.actuator_states.shape[0])
+
+    @property
+    def moves(self) -> bool:
+        """Whether the actuation depends on a free parameter or on states."""
+        composition = self.functions.vehicle.composition
+        return self._has_states or bool(self._felt) or composition.dead_time != 0
+
+    def _carried_along(self, t: Array, u: Array, p: Array) -> Driven:
+        step = np.append(np.diff(t), 0.0)
+        start, slope = (np.asarray(v) for v in self._rest(u[0], p, t[0]))
+        _, _, mean, slopes = self._carried.along(start[:, 0], slope, [u], p, t, step)
+        return _driven(mean, slopes, self._felt, len(self.free))
+
+    def _static(self, t: Array, u: Array, p: Array) -> Driven:
+        """A chain without states: its output in the middle of every interval."""
+        middle = t + np.append(np.diff(t), 0.0) / 2
+        value, slope = mapped(self._output, [u], p, middle)
+        return _driven(value[:, :, 0], slope, self._felt, len(self.free))
+
+    @cached_property
+    def _output(self) -> ca.Function:
+        f = self.functions
+        slope = ca.densify(ca.jacobian(f.chain_output, self._free))
+        return ca.Function("output", [f.u, f.p, f.t], [ca.densify(f.chain_output), slope])
+
+    @cached_property
+    def _rest(self) -> ca.Function:
+        """States at rest, and their derivatives."""
+        f = self.functions
+        slope = ca.jacobian(f.chain_rest, self._free)
+        return ca.Function("rest", [f.u, f.p, f.t], [ca.densify(f.chain_rest), ca.densify(slope)])
+
+    @cached_property
+    def _felt(self) -> list[int]:
+        """Which of the free parameters the chain depends on."""
+        f = self.functions
+        return _dependence(f, self.free, ca.vertcat(f.chain_output, f.chain_rates, f.chain_rest))
+
+    @property
+    def _free(self) -> ca.SX:
+        return _chosen(self.functions, [self.free[k] for k in self._felt])
+
+    @cached_property
+    def _carried(self) -> Carried:
+        f, dt = self.functions, ca.SX.sym("dt")
+        z = f.actuator_states
+        rates, output = (
+            ca.Function("step", [z, f.u, f.p, f.t], [v]) for v in (f.chain_rates, f.chain_output)
+        )
+        return Carried(
+            z,
+            Inputs([f.u], f.p, f.t, dt),
+            self._free,
+            lambda state, share: rates(state, f.u, f.p, f.t + share * dt),
+            lambda state, share: output(state, f.u, f.p, f.t + share * dt),
+        )
+
+    @cached_property
+    def _dead_time(self) -> ca.Function:
+        f = self.functions
+        expression = f.convert(f.vehicle.composition.dead_time)
+        slope = ca.jacobian(expression, _chosen(f, list(self.free)))
+        return ca.Function("dead_time", [f.p], [expression, ca.densify(slope)])
+
+    def _delayed(self, t: Array, driven: Driven, p: Array) -> Driven:
+        if self.functions.vehicle.composition.dead_time == 0:
+            return driven
+        delay, slope = (np.asarray(v) for v in self._dead_time(p))
+        seconds = float(delay[0, 0])
+        value = shifted_mean(t, driven.value, seconds)
+        moved, start = (
+            shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape)
+            for s in (driven.slope, driven.start)
+        )
+        per_second = -shift_rate(t, driven.value, seconds)
+        return Driven(value, moved + per_second[:, :, None] * slope.ravel(), start)
+
+    def seconds_late(self, p: Array) -> float:
+        """Dead time between commands and what they bring about, s."""
+        return float(self._dead_time(p)[0]) if self.functions.vehicle.composition.dead_time != 0 else 0.0
+
+    def _before(self, t: Array, driven: Driven, p: Array) -> Driven:
+        """What a chain without states gave before each sample.
+
+        A jump that falls between samples bends the velocity there: trapezoids over a kink at the share s of a
+        step are off by 1 - 6 s (1 - s) times what they are off by over one at a sample.
+        """
+        if not self.moves:
+            return Driven(np.concatenate([driven.value[:1], driven.value[:-1]]), driven.slope, driven.start)
+        delay, slope = (np.asarray(v) for v in self._dead_time(p))
+        share, per_second = share_of_step(t, float(delay[0, 0]))
+        weight = 1.0 - 6.0 * share * (1.0 - share)
+        value, by_free, by_start = (change(a) for a in (driven.value, driven.slope, driven.start))
+        turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
+        return Driven(
+            driven.value - weight[:, None] * value,
+            driven.slope - weight[:, None, None] * by_free + turned[:, :, None] * slope.ravel(),
+            driven.start - weight[:, None, None] * by_start,
+        )
+
+
+class Memory:
+    """States of wrenches along the measured motion, at the samples of a segment.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    true_motion : CasADi expression
+        Pose and velocity in terms of `measured`.
+    """
+
+    def __init__(
+        self, functions: Functions, free: tuple[int, ...], measured: ca.SX, true_motion: ca.SX
+    ) -> None:
+        self.functions, self.free = functions, free
+        self._measured, self._true_motion = measured, true_motion
+
+    def along(self, t: Array, measured: Array, actuation: Array, u: Array, p: Array) -> Driven:
+        """States at the samples, zero at the first; the motion is taken as linear between samples."""
+        size, count = self.functions.memory.shape[0], len(t)
+        if size == 0:
+            return _nothing(count, len(self.free))
+        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
+        start, slope = np.zeros(size), np.zeros((size, len(self._felt)))
+        states, slopes, _, _ = self._carried.along(start, slope, columns, p, t[:-1], np.diff(t))
+        return _driven(states, slopes, self._felt, len(self.free))
+
+    @cached_property
+    def _rates(self) -> ca.SX:
+        f = self.functions
+        return ca.substitute(f.memory_rates, ca.vertcat(f.eta, f.nu), self._true_motion)
+
+    @cached_property
+    def _felt(self) -> list[int]:
+        """Which of the free parameters the memory depends on."""
+        return _dependence(self.functions, self.free, self._rates)
+
+    @cached_property
+    def _carried(self) -> Carried:
+        f, dt, after = self.functions, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
+        rate = ca.Function("rate", [f.memory, self._measured, f.actuation, f.u, f.p, f.t], [self._rates])
+
+        def at(state: ca.SX, share: float) -> ca.SX:
+            here = self._measured + share * (after - self._measured)
+            return rate(state, here, f.actuation, f.u, f.p, f.t + share * dt)
+
+        return Carried(
+            f.memory,
+            Inputs([self._measured, after, f.actuation, f.u], f.p, f.t, dt),
+            _chosen(f, [self.free[k] for k in self._felt]),
+            at,
+            lambda state, share: ca.SX(0, 1),
+        )
+
+
+def _refuse_motion(functions: Functions) -> None:
+    f = functions
+    if ca.depends_on(ca.vertcat(f.chain_output, f.chain_rates), ca.vertcat(f.eta, f.nu)):
+        raise UndertowError(
+            f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can follow: "
+            "state what the motion takes from the thrust as a Wrench in s.actuation"
+        )
+
+
+def _nothing(count: int, n_free: int) -> Driven:
+    return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)), np.zeros((count, 0, 0)))
+
+
+def _chosen(functions: Functions, places: list[int]) -> ca.SX:
+    return ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
+
+
+def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) -> list[int]:
+    pattern = ca.jacobian_sparsity(expression, functions.p)
+    used = set(pattern.get_col())
+    return [k for k, place in enumerate(free) if place in used]
+
+
+def _driven(value: Array, slopes: Array, felt: list[int], n_free: int) -> Driven:
+    """Values, and slopes put in the columns of the parameters that they belong to."""
+    slope = np.zeros((*value.shape, n_free))
+    slope[:, :, felt] = slopes[:, :, : len(felt)]
+    return Driven(value, slope, slopes[:, :, len(felt) :])

@@ -1,0 +1,430 @@
+"""Output error: parameters from simulations of many windows, with the start of each estimated, too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
+
+from .data import prepare
+from .residual import Linearised, WeakModel
+from .shooting import Reduced, Shooting
+from .step import Constraints, Solution, bounds_of, clustered, limited_step, physical, prior_cost, prior_of
+from .weak_form import fit_weak, free_parameters
+from .windows import Windows, cut
+
+_MAX_ITERATIONS = 40
+# Fall of the sum of squares below which nothing is left to gain.
+_ENOUGH = 1e-3
+_ROUNDS, _ROBUST_ROUNDS = 3, 20
+_SETTLED = 0.05
+# A log without noise would weigh infinitely: no channel counts as better known than this share of its rms.
+_FINEST = 1e-6
+_DAMPING = (1e-3, 1e-9, 1e9)
+
+
+@dataclass(frozen=True)
+class OutputErrorFit(Solution):
+    """A model fitted to logs by its simulation error.
+
+    Attributes
+    ----------
+    model : WeakModel
+        Model and names of the free parameters.
+    p : (n_parameters,) array
+        All parameters.
+    windows : Windows
+        What was simulated.
+    starts : (b, 2n) array
+        Estimated true pose and velocity at the start of every window.
+    at : Reduced
+        Linearised problem at p.
+    dispersion : (2n,) array
+        Mean square of the simulation error over the noise that a channel was weighted with, at least 1.
+    iterations : int
+        Steps taken in all.
+    """
+
+    model: WeakModel
+    p: Array
+    windows: Windows
+    starts: Array
+    at: Reduced
+    dispersion: Array
+    iterations: int
+
+    @property
+    def gram(self) -> Array:
+        """J' J of the weighted error with the starts eliminated, shape (n_free, n_free)."""
+        return self.at.J.T @ self.at.J
+
+    @cached_property
+    def noise_gram(self) -> Array:
+        """J' J in units of the noise of the sensors alone, the starts eliminated."""
+        weight = channel_weights(self.windows)
+        shooting = Shooting(self.model.functions, self.windows, self.model.free, weight, compiled=False)
+        J = shooting.linearise(self.p, self.starts).J
+        return np.asarray(J.T @ J)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the free parameters: at least what noise gives, robust to what the model leaves.
+
+        Windows (or stretches of five seconds in longer ones) are taken as independent: a sandwich estimator
+        with clusters inflates the covariance where errors of one window hang together.
+        """
+        information = self.gram + np.diag(prior_of(self.model)[1] ** 2)
+        groups = len(self.at.scores)
+        return clustered(information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares of the simulation error."""
+        return self.at.cost
+
+    def mean_square(self) -> Array:
+        """Mean square of the simulation error over the noise, by channel; NaN where one is not used."""
+        return _mean_square(self.at, self.starts, self.dispersion)
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a descent has come to.
+
+    Attributes
+    ----------
+    p : (n_parameters,) array
+        All parameters.
+    starts : (b, 2n) array
+        True pose and velocity at the start of every window.
+    at : Reduced
+        Linearised problem there.
+    damping : float
+        Of the next step.
+    """
+
+    p: Array
+    starts: Array
+    at: Reduced
+    damping: float
+
+
+class Descent:
+    """Levenberg-Marquardt on the parameters, with the best starts for every step.
+
+    Parameters
+    ----------
+    model : WeakModel
+        Model and names of the free parameters.
+    windows : Windows
+        What is simulated.
+    compiled : bool, optional
+        As for `Simulator`.
+    progress : callable
+        Told what share is done, and what is being done.
+    enough : float
+        Fall of the sum of squares below which nothing is left to gain.
+    """
+
+    def __init__(
+        self,
+        model: WeakModel,
+        windows: Windows,
+        compiled: bool | None = None,
+        progress: Progress = lambda done, words: None,
+        enough: float = _ENOUGH,
+    ) -> None:
+        self._enough = enough
+        self.model, self.windows = model, windows
+        self._weight = channel_weights(windows)
+        self._shooting = Shooting(model.functions, windows, model.free, self._weight, compiled=compiled)
+        self._bounds, self._prior = bounds_of(model), prior_of(model)
+        self._progress = progress
+        self._steps = 0
+
+    def fit(self, p: Array) -> OutputErrorFit:
+        """Descend, weigh every channel by what the model leaves in it, until that settles."""
+        starts = self._shooting.settled_starts(p)
+        dispersion = np.ones(len(self.windows.names))
+        state = self.settled(p, starts)
+        for round_ in range(1, _ROUNDS):
+            self._progress(round_ / _ROUNDS, "output error")
+            found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
+            if np.max(np.abs(np.log(found / dispersion))) < _SETTLED:
+                break
+            dispersion = found
+            self._shooting.weight = self._weight / np.sqrt(dispersion)
+            state = self.settled(state.p, state.starts)
+        return OutputErrorFit(
+            self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
+        )
+
+    def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
+        """Descend with weights for each sample by its error, until the parameters settle."""
+        starts = self._shooting.settled_starts(p)
+        state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
+        for round_ in range(_ROBUST_ROUNDS):
+            self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")
+            scale = self._weighed(state, loss)
+            before, state = state.p, self.settled(state.p, state.starts)
+            if self._moved(state, before) < _SETTLED:
+                break
+        return self._robust(state, scale, loss)
+
+    def _weighed(self, state: State, loss: Loss) -> Array:
+        """Weigh channels and samples by their errors at a state; scale of the errors of each channel."""
+        self._shooting.weight = self._weight
+        errors = self._shooting.errors(state.p, state.starts)
+        scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
+        scale = np.where(scale > 0, scale, 1.0)
+        self._shooting.weight = self._weight / scale
+        self._shooting.trust = loss.weight(np.nan_to_num(errors / scale))
+        return scale
+
+    def _moved(self, state: State, before: Array) -> float:
+        """How far the parameters have come, in the standard deviations of the fit."""
+        places = list(self.model.places)
+        return float(np.linalg.norm(state.at.J @ (state.p[places] - before[places])))
+
+    def _robust(self, state: State, scale: Array, loss: Loss) -> OutputErrorFit:
+        """The fit with weights by which its covariance is that of an estimate by this loss."""
+        errors = self._shooting.errors(state.p, state.starts)
+        found = [
+            loss.correction(e[np.isfinite(e)]) if used else (1.0, 1.0)
+            for e, used in zip(np.moveaxis(errors, 2, 0), state.at.counts > 0, strict=True)
+        ]
+        variance, score = np.array(found).T
+        self._shooting.weight = self._weight / (scale * np.sqrt(variance))
+        at = self._shooting.linearise(state.p, state.starts)
+        at = replace(at, scores=at.scores * float(np.average(score, weights=at.counts)))
+        return OutputErrorFit(
+            self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
+        )
+
+    def settled(self, p: Array, starts: Array) -> State:
+        """Where steps from these parameters and starts lead, with the weights as they are.
+
+        Raises
+        ------
+        UndertowError
+            If the simulation diverges with these parameters.
+        """
+        state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
+        if not np.isfinite(state.at.cost):
+            raise UndertowError(
+                "the simulation diverges with the starting values of the parameters: give a shorter horizon, "
+                "or values nearer to the truth"
+            )
+        for _ in range(_MAX_ITERATIONS):
+            self._steps += 1
+            state, gained = self._stepped(state)
+            if gained < self._enough:
+                break
+        return state
+
+    def _stepped(self, state: State) -> tuple[State, float]:
+        """The next state and the fall of the cost; the same state and zero where no step helps."""
+        places = list(self.model.places)
+        damping = state.damping
+        while damping < _DAMPING[2]:
+            step = limited_step(self.model, _damped(state.at, damping), state.p, self._bounds, self._prior)
+            p = state.p.copy()
+            p[places] = np.clip(p[places] + step, *self._bounds)
+            starts = state.starts + state.at.start_step + state.at.start_slope @ step
+            # Most steps help: to simulate with derivatives at once is cheaper than to look first.
+            at = self._shooting.linearise(p, starts)
+            before, after = self._cost(state.p, state.at.cost), self._cost(p, at.cost)
+            if after < before:
+                return State(p, starts, at, max(damping / 10, _DAMPING[1])), before - after
+            if before - self._promised(state, step) < self._enough:
+                break
+            damping *= 10
+        return state, 0.0
+
+    def _cost(self, p: Array, squares: float) -> float:
+        return squares + prior_cost(self._prior, p[list(self.model.places)])
+
+    def _promised(self, state: State, step: Array) -> float:
+        """Cost after a step by the linearised problem."""
+        p = state.p.copy()
+        p[list(self.model.places)] += step
+        return self._cost(p, float(np.sum((state.at.r + state.at.J @ step) ** 2)))
+
+
+def _damped(at: Reduced, damping: float) -> Linearised:
+    """The linearised problem with steps held back, relative to how well each parameter is determined."""
+    hold = np.diag(np.sqrt(damping) * np.linalg.norm(at.J, axis=0))
+    r, J = np.concatenate([at.r, np.zeros(len(hold))]), np.vstack([at.J, hold])
+    return Linearised(r, J, np.zeros((len(r), 0)))
+
+
+def channel_weights(windows: Windows) -> Array:
+    """One over the noise of each channel; zero for what is not measured, or derived from what is."""
+    with_data = np.isfinite(windows.measured)
+    count = with_data.sum(axis=(0, 1))
+    size = np.sqrt(np.nansum(windows.measured**2, axis=(0, 1)) / np.maximum(count, 1))
+    derived = {name for run in windows.runs for name in run.derived}
+    used = (count > 0) & np.array([name not in derived for name in windows.names])
+    noise = np.maximum(windows.sigma, _FINEST * size)
+    return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
+
+
+def _mean_square(at: Reduced, starts: Array, dispersion: Array) -> Array:
+    """Mean square by channel in units of the noise; estimated starts and parameters take up part of it."""
+    total = float(at.counts.sum())
+    left = max(total - starts.size - at.J.shape[1], 1.0) / max(total, 1.0)
+    found = np.full(len(dispersion), np.nan)
+    used = at.counts > 0
+    found[used] = at.squares[used] / (at.counts[used] * left)
+    return found * dispersion
+
+
+# --- what counts as an error ----------------------------------------------------------------------
+LossName = Literal["gaussian", "huber", "student-t"]
+# Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber, Robust
+# Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
+_HUBER = 1.345
+# Degrees of freedom, kept fixed (Lange, Little and Taylor, J. American Statistical Association 84, 1989).
+_FREEDOM = 4.0
+_GAUSSIAN_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A loss by what iterated reweighting needs of it.
+
+    Attributes
+    ----------
+    weight : callable
+        Weight of an error z in standard deviations: influence over error.
+    slope : callable
+        Derivative of the influence.
+    """
+
+    weight: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+    def correction(self, z: Array) -> tuple[float, float]:
+        """What the covariance of weighted least squares lacks for errors such as z.
+
+        Returns
+        -------
+        float, float
+            Factor on the variance where errors are independent, mean(w) mean(psi^2) / mean(psi')^2, and on
+            scores in a sandwich, mean(w) / mean(psi').
+        """
+        weight, slope = self.weight(z), max(float(np.mean(self.slope(z))), 0.1)
+        mean = float(np.mean(weight))
+        return mean * float(np.mean((weight * z) ** 2)) / slope**2, mean / slope
+
+
+def _huber_weight(z: Array) -> Array:
+    return np.asarray(_HUBER / np.maximum(np.abs(z), _HUBER))
+
+
+def _huber_slope(z: Array) -> Array:
+    return (np.abs(z) < _HUBER).astype(float)
+
+
+def _student_weight(z: Array) -> Array:
+    return np.asarray((_FREEDOM + 1) / (_FREEDOM + z**2))
+
+
+def _student_slope(z: Array) -> Array:
+    return np.asarray((_FREEDOM + 1) * (_FREEDOM - z**2) / (_FREEDOM + z**2) ** 2)
+
+
+LOSSES: dict[str, Loss] = {
+    "huber": Loss(_huber_weight, _huber_slope),
+    "student-t": Loss(_student_weight, _student_slope),
+}
+
+
+def robust_scale(errors: Array) -> float:
+    """Standard deviation of errors by their median magnitude: up to half of them may be anything."""
+    return _GAUSSIAN_MAD * float(np.median(np.abs(errors))) if len(errors) else 1.0
+
+
+HORIZON = 5.0
+_PLAIN = Constraints()
+
+
+def fit_output_error(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    free: Sequence[str] | None = None,
+    horizon: float | None = HORIZON,
+    *,
+    start: Mapping[str, float] | None = None,
+    compiled: bool | None = None,
+    constraints: Constraints = _PLAIN,
+    loss: LossName = "gaussian",
+    progress: Progress = lambda done, words: None,
+) -> OutputErrorFit:
+    """Fit the free parameters of a vehicle to several logs at once by the error of their simulation.
+
+    The logs are cut into windows. The parameters are shared, and the true motion at the start of every window
+    is estimated with them. Channels are weighted by their noise, and by what the model leaves beyond it.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Model with priors.
+    runs : sequence of Run
+        Logs with the velocities and commands of the vehicle; velocities that were derived from a pose take no
+        part, the pose itself does.
+    free : sequence of str, optional
+        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
+    horizon : float or None
+        Length of a window in s; None: each stretch without gaps is one.
+    start : mapping, optional
+        Starting values; by default those of a weak-form fit.
+    compiled : bool, optional
+        As for `Simulator`.
+    constraints : Constraints
+        What else is asked of the parameters.
+    loss : str
+        "gaussian" squares every error; "huber" and "student-t" let no outlier pull without limit, by weights
+        for each sample, worked out anew until they settle.
+    progress : callable
+        Told what share is done, and what is being done.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, no stretch is as long as the horizon, or the simulation diverges.
+    """
+    names = free_parameters(vehicle) if free is None else tuple(free)
+    progress(0.0, "weak-form fit")
+    model = constraints.model(vehicle, names)
+    p = started(model, weak_start(model, runs) if start is None else start)
+    windows = cut(runs, vehicle, horizon)
+    descent = Descent(model, windows, compiled, progress)
+    return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
+
+
+def weak_start(model: WeakModel, runs: Sequence[Run]) -> dict[str, float]:
+    """Values that a weak-form fit gives the free parameters; none where the runs are too short for one."""
+    try:
+        data = prepare(runs, model.functions.vehicle)
+    except UndertowError:  # too short for test functions; the values of the file have to do
+        return {}
+    return fit_weak(model, data).values
+
+
+def started(model: WeakModel, start: Mapping[str, float]) -> Array:
+    """All parameters at the start of a search: the vehicle's, some replaced, made physical."""
+    p = np.array(model.functions.values(), dtype=float)
+    for name, value in start.items():
+        p[model.functions.parameter_names.index(name)] = value
+    places, bounds = list(model.places), bounds_of(model)
+    p[places] = np.clip(p[places], *bounds)
+    return physical(model, p, bounds)

@@ -1,0 +1,345 @@
+"""What the weak form needs of a model at one sample, as CasADi functions mapped over all samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from undertow.codegen.functions import Functions, solve_symmetric
+from undertow.codegen.tape import call
+from undertow.model.effect import Wrench
+from undertow.typing import Array
+
+
+class Pointwise:
+    """Terms of the weak form at a sample, for one vehicle.
+
+    The measured pose and velocity are first turned back into the true ones (inverse of the measurement
+    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration
+    by the
+    commands; n rows each. The equations of motion are divided by the mass matrix: their noise then
+    hardly depends on the
+    parameters, and least squares is not drawn to small inertia, as it is where the noise is multiplied
+    by what is
+    estimated.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    free : tuple of int
+        Places in p of the parameters that derivatives are taken in.
+    chain_moves : bool
+        Whether what reaches the thrusters depends on any of these, or on states.
+    """
+
+    def __init__(self, functions: Functions, free: tuple[int, ...], *, chain_moves: bool = True) -> None:
+        self.functions, self.free, self.chain_moves = functions, free, chain_moves
+        self.size = len(functions.vehicle.dof_indices)
+        self.measured = ca.SX.sym("measured", 2 * self.size)
+        self.jump = ca.SX.sym("jump", self.size)
+        self.delay = ca.SX.sym("delay")
+        # Every segment of a log asks for the same one.
+        self._inverted: tuple[bytes, Array] = (b"", np.zeros(0))
+
+    @cached_property
+    def inverse(self) -> ca.SX:
+        """Inverse of the mass matrix: a number from outside where it does not depend on the motion."""
+        if self.mass_is_constant:
+            return ca.SX.sym("inverse", self._coupled)
+        return solve_symmetric(self._true(self.functions.mass_matrix), ca.SX.eye(self.size))
+
+    @cached_property
+    def mass_is_constant(self) -> bool:
+        """Whether the mass matrix is the same at all samples."""
+        f = self.functions
+        return not ca.depends_on(ca.vec(f.mass_matrix), ca.vertcat(f.eta, f.nu, f.t))
+
+    @cached_property
+    def _coupled(self) -> ca.Sparsity:
+        """Where the inverse of the mass matrix can differ from zero: between motions that inertia couples."""
+        one = ca.DM(self.functions.mass_matrix.sparsity(), 1)
+        reach = ca.DM.eye(self.size) + one + one.T
+        for _ in range(self.size):
+            reach = reach @ reach > 0
+        return ca.sparsify(ca.DM(reach)).sparsity()
+
+    def mass_inverse(self, p: Array) -> Array:
+        """Nonzeros of `inverse` at parameters p; empty where it varies from sample to sample."""
+        if not self.mass_is_constant:
+            return np.zeros(0)
+        key = p.tobytes()
+        if self._inverted[0] != key:
+            (mass,) = call(self._mass, [p])
+            inverse = np.linalg.inv(mass.reshape(self.size, self.size))
+            self._inverted = key, inverse[self._coupled.row(), self._coupled.get_col()]
+        return self._inverted[1]
+
+    @cached_property
+    def _mass(self) -> ca.Function:
+        return ca.Function("mass", [self.functions.p], [ca.densify(self.functions.mass_matrix)])
+
+    def _true(self, expression: ca.SX, later: ca.SX | None = None) -> ca.SX:
+        """An expression at the true motion, or at one that is faster by so much."""
+        f, motion = self.functions, self.true_motion
+        if later is not None:
+            motion = ca.vertcat(motion[: self.size], motion[self.size :] + later)
+        return ca.substitute(expression, ca.vertcat(f.eta, f.nu), motion)
+
+    @cached_property
+    def _smooth(self) -> tuple[ca.SX, ca.SX]:
+        """Forcing without the commands, and pose rate, at the velocity that quadrature wants.
+
+        Where the commands jump, velocity has a kink, and so has what depends on it. A sum over samples h
+        apart is off by h^2/12 times the jump of the slope there, and right again if the value there is that
+        at a velocity which is more by h/12 times the jump of the acceleration.
+        """
+        f, later = self.functions, self.delay * self.jump
+        still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
+        return self._true(still, later), self._true(f.pose_rate, later)
+
+    @cached_property
+    def _driven(self) -> ca.SX:
+        """Forcing by the commands."""
+        return self._true(self._by_commands)
+
+    @cached_property
+    def _rows(self) -> ca.SX:
+        f, (still, rate) = self.functions, self._smooth
+        velocity, pose = self._true(f.nu), self._true(f.eta)
+        rows = ca.vertcat(velocity, self.inverse @ still, pose, rate, self.inverse @ self._driven)
+        return ca.cse(self._jumped(rows))
+
+    @cached_property
+    def _change(self) -> ca.SX:
+        """Jump of the force of the commands since what the drive was before."""
+        return self._driven - ca.substitute(self._driven, self._drive, self.previous)
+
+    def _jumped(self, expression: ca.SX) -> ca.SX:
+        """An expression with the jump of the acceleration put in its place."""
+        return ca.substitute(expression, self.jump, ca.densify(self.inverse @ self._change))
+
+    def _slope(self, variables: ca.SX) -> ca.SX:
+        """Derivative of the rows: that of an acceleration M^-1 h is M^-1 (dh - dM M^-1 h)."""
+        f, (still, rate) = self.functions, self._smooth
+        velocity, pose = (ca.jacobian(self._true(e), variables) for e in (f.nu, f.eta))
+        jump = self._turned(self._change, variables)
+        force = self._turned(still, variables) + self.inverse @ ca.jacobian(still, self.jump) @ jump
+        rates = ca.jacobian(rate, variables) + ca.jacobian(rate, self.jump) @ jump
+        driven = self._turned(self._driven, variables)
+        return self._jumped(ca.vertcat(velocity, force, pose, rates, driven))
+
+    def _turned(self, force: ca.SX, variables: ca.SX) -> ca.SX:
+        """Derivative of M^-1 h."""
+        acceleration = ca.SX.sym("acceleration", self.size)
+        slope = ca.jacobian(force - self._true(self.functions.mass_matrix) @ acceleration, variables)
+        # Without commands, a force may be empty.
+        return self.inverse @ ca.substitute(slope, acceleration, ca.densify(self.inverse @ force))
+
+    @cached_property
+    def previous(self) -> ca.SX:
+        """What the drive was before the sample."""
+        return ca.SX.sym("previous", self._drive.shape[0])
+
+    @cached_property
+    def _drive(self) -> ca.SX:
+        f = self.functions
+        return ca.vertcat(f.actuation, f.u[f.actuation.shape[0] :])
+
+    @cached_property
+    def _by_commands(self) -> ca.SX:
+        """Part of the forcing that the commands bring in."""
+        f = self.functions
+        slope = ca.jacobian(f.forcing, self._drive)
+        if not ca.depends_on(slope, ca.vertcat(self._drive, f.eta, f.nu)):
+            return slope @ self._drive
+        return f.forcing - ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
+
+    @cached_property
+    def true_motion(self) -> ca.SX:
+        """Pose and velocity from what sensors report: the attitude first, since all else may turn with it."""
+        f = self.functions
+        motion, places = ca.vertcat(f.eta, f.nu), range(2 * self.size)
+        turned = [i for i, dof in enumerate(f.vehicle.dof_indices) if dof > 2]
+        moved = [i for i in places if i not in turned]
+        attitude = _solved(f.reported[turned], motion[turned], self.measured[turned])
+        report = ca.substitute(f.reported[moved], motion[turned], attitude)
+        true = ca.SX.zeros(motion.shape)
+        true[turned] = attitude
+        true[moved] = _solved(report, motion[moved], self.measured[moved])
+        return true
+
+    @cached_property
+    def _inputs(self) -> list[ca.SX]:
+        f = self.functions
+        constant = ca.vertcat(*self.inverse.nonzeros()) if self.mass_is_constant else ca.SX(0, 1)
+        return [self.measured, f.actuation, f.memory, f.u, constant, self.previous, self.delay, f.p, f.t]
+
+    @cached_property
+    def value_and_derivatives(self) -> ca.Function:
+        """The rows, and their (sparse) derivatives in the free parameters, the actuation, what it was before,
+        and the memory.
+        """
+        f = self.functions
+        free = ca.vertcat(*[f.p[i] for i in self.free])
+        # A chain in which nothing is free gives the same whatever the free parameters are.
+        chain = f.actuation if self.chain_moves else f.actuation[:0]
+        before = self.previous[: chain.shape[0]]
+        derivatives = [ca.sparsify(self._slope(v)) for v in (free, chain, before, f.memory)]
+        results = ca.cse([ca.densify(self._rows), *derivatives])
+        return ca.Function("weak_derivatives", self._inputs, results)
+
+    @cached_property
+    def noise(self) -> ca.Function:
+        """Derivative of the rows in the measured pose and velocity, shape (5n, 2n), sparse."""
+        return ca.Function("weak_noise", self._inputs, [ca.sparsify(self._slope(self.measured))])
+
+    @cached_property
+    def held_depends_on_motion(self) -> bool:
+        """Whether the force of the commands depends on the motion."""
+        motion = ca.vertcat(self.functions.eta, self.functions.nu)
+        return bool(ca.depends_on(ca.vertcat(self._by_commands, ca.vec(self.functions.mass_matrix)), motion))
+
+
+def _solved(report: ca.SX, motion: ca.SX, measured: ca.SX) -> ca.SX:
+    """The motion that makes a report, affine in it, equal what was measured."""
+    zero = ca.SX.zeros(motion.shape)
+    slope = ca.jacobian(report, motion)
+    rest = measured - ca.substitute(report, motion, zero)
+    return rest if slope.is_eye() else ca.solve(ca.substitute(ca.densify(slope), motion, zero), rest)
+
+
+# Least eigenvalue of the mass matrix, as a share of the stated inertia of each motion.
+_LEAST_MASS = 1e-3
+# Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at it.
+ROUNDING, _AT_LIMIT = 1e-7, 1e-5
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Linear inequality slope' step >= lacking on a step of the free parameters."""
+
+    slope: Array
+    lacking: float
+
+
+class Limits:
+    """Which parameters a model can have together.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    places : sequence of int
+        Places in p of the free parameters.
+    dissipative : bool
+        Whether linear damping has to take energy from every motion, D + D' >= 0. It is not asked for by
+        itself: at speed, the coefficients of a hull hold lift and the Munk moment too, which need not.
+    """
+
+    def __init__(self, functions: Functions, places: Sequence[int], *, dissipative: bool = False) -> None:
+        self._places = list(places)
+        free = ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
+        stated = np.array(functions.values(), dtype=float)
+        found = [
+            _Matrix("mass matrix M > 0", m, free, functions, stated, _LEAST_MASS) for m in _masses(functions)
+        ]
+        if dissipative and (damping := _linear_damping(functions)) is not None:
+            found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
+        self._all, self._matrices = found, [matrix for matrix in found if matrix.felt]
+
+    def cuts(self, p: Array) -> list[Cut]:
+        """What a step from p has to do for every matrix to be positive; nothing where all are."""
+        return [cut for matrix in self._matrices for cut in matrix.cuts(p)]
+
+    def broken(self, p: Array) -> bool:
+        """Whether a matrix is not positive at p."""
+        return any(matrix.least(p) < -ROUNDING for matrix in self._matrices)
+
+    def impossible(self, p: Array) -> list[str]:
+        """Names of all matrices that are not positive at p, those that no free parameter changes too."""
+        return [matrix.told(p) for matrix in self._all if matrix.least(p) < -ROUNDING]
+
+    def moved(self, p: Array, step: Array) -> Array:
+        """All parameters after a step of the free ones."""
+        found = p.copy()
+        found[self._places] += step
+        return found
+
+    def active(self, p: Array) -> list[str]:
+        """Names of the limits that hold the parameters back, with the motions that they concern."""
+        return [matrix.told(p) for matrix in self._matrices if matrix.least(p) < _AT_LIMIT]
+
+
+class _Matrix:
+    """One symmetric matrix with the least eigenvalue that it may have, relative to its stated diagonal."""
+
+    def __init__(
+        self, name: str, expression: ca.SX, free: ca.SX, functions: Functions, stated: Array, least: float
+    ) -> None:
+        self.name, self._least = name, least
+        self._motions = functions.vehicle.degrees_of_freedom
+        self._size = expression.shape[0]
+        symmetric = ca.densify((expression + expression.T) / 2)
+        slope = ca.jacobian(ca.vec(symmetric), free)
+        self.felt = slope.nnz() > 0
+        self._function = ca.Function("limit", [functions.p], [symmetric, ca.densify(slope)])
+        diagonal = np.diag(self._values(stated)[0])
+        self._scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+
+    def _values(self, p: Array) -> tuple[Array, Array]:
+        matrix, slope = call(self._function, [p])
+        return matrix.reshape(self._size, self._size), slope.reshape(-1, self._size, self._size)
+
+    def _directions(self, p: Array) -> tuple[Array, Array]:
+        matrix = self._values(p)[0]
+        weights, vectors = np.linalg.eigh(matrix * np.outer(self._scale, self._scale))
+        return weights - self._least, vectors
+
+    def least(self, p: Array) -> float:
+        """Least eigenvalue above its limit, in shares of the stated inertia or damping."""
+        return float(self._directions(p)[0][0])
+
+    def cuts(self, p: Array) -> Iterator[Cut]:
+        over, vectors = self._directions(p)
+        if over[0] >= -ROUNDING:
+            return
+        slope = self._values(p)[1]
+        for excess, vector in zip(over, vectors.T, strict=True):
+            if excess < -ROUNDING:
+                motion = vector * self._scale
+                yield Cut(np.einsum("i,kij,j->k", motion, slope, motion), -float(excess))
+
+    def told(self, p: Array) -> str:
+        direction = self._directions(p)[1][:, 0]
+        part = np.abs(direction) > 0.1 * np.max(np.abs(direction))
+        return f"{self.name} ({', '.join(m for m, there in zip(self._motions, part, strict=True) if there)})"
+
+
+def _masses(functions: Functions) -> list[ca.SX]:
+    """The mass matrix at rest, or ahead and astern where it depends on the motion."""
+    f, mass = functions, functions.mass_matrix
+    around = ca.vertcat(f.eta, f.nu, f.memory, f.actuation, f.t)
+    if not ca.depends_on(ca.vec(mass), around):
+        return [mass]
+    others = ca.SX.zeros(around.shape[0] - f.nu.shape[0])
+    rest = ca.vertcat(f.eta, f.memory, f.actuation, f.t)
+    still = ca.substitute(ca.densify(mass), rest, others)
+    return [ca.substitute(still, f.nu, sign * ca.SX.ones(f.nu.shape)) for sign in (1.0, -1.0)]
+
+
+def _linear_damping(functions: Functions) -> ca.SX | None:
+    """Matrix of linear damping at a standstill; None for a vehicle without coupling between motions."""
+    f = functions
+    stating = {e.id: e.damping_matrix for e in f.vehicle.effects if isinstance(e, Wrench)}
+    # The diagonal first, whatever the order in the file: a sum of the same terms in the same order.
+    parts = [f.wrenches[i] for kind in ("diagonal", "coupling") for i, own in stating.items() if own == kind]
+    if "coupling" not in stating.values():
+        return None
+    damping = -ca.jacobian(sum(parts[1:], parts[0]), f.nu)
+    around = ca.vertcat(f.eta, f.nu, f.memory, f.actuation, f.t)
+    return ca.substitute(ca.densify(damping), around, ca.SX.zeros(around.shape))

@@ -1,0 +1,467 @@
+"""Simulation of windows by one model, from starts that the measurement gives."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+from undertow.codegen.simulate import Simulator
+from undertow.codegen.tape import mapped
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Index
+
+from .inputs import Carried, Inputs, shifted_mean, without_gaps
+from .pointwise import Pointwise
+from .residual import Lateness
+from .windows import Drive, Prediction, Windows, arriving, cut, prediction_error
+
+Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
+# Seconds of the first window that its beginning is estimated from.
+_LOOK = 10.0
+# Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
+_MOTION = 3.0
+_FINEST = 1e-6
+
+
+class Inherited:
+    """Own states of a model at the start of windows.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    points : Pointwise
+        Its true motion in terms of the measured one.
+    lateness : Lateness
+        How late its sensors are.
+    simulate : callable
+        Reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b, 2n).
+    """
+
+    def __init__(
+        self, functions: Functions, points: Pointwise, lateness: Lateness, simulate: Simulate
+    ) -> None:
+        self._functions, self._points, self._simulate = functions, points, simulate
+        self._lateness = lateness
+        self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
+
+    def at_starts(
+        self, windows: Windows, motion: Array, held: Sequence[Array], delay: float, p: Array
+    ) -> Array:
+        """Memory and actuator states at the start of every window, shape (b, size).
+
+        Parameters
+        ----------
+        windows : Windows
+            The windows.
+        motion : (b, 2n) array
+            True pose and velocity at the starts.
+        held : sequence of (N, n_commands) arrays
+            Commands of every run, without gaps.
+        delay : float
+            How late they arrive, s.
+        p : (n_parameters,) array
+            Parameters.
+        """
+        own = np.zeros((len(windows), self.size))
+        if self.size == 0:
+            return own
+        stretches = _stretches(windows)
+        first = np.array([rows[0] for rows in stretches])
+        look = _opening(windows, first)
+        drive = arriving(look, held, delay)
+        drives = [
+            shifted_mean(run.t, u, delay) if delay else u for run, u in zip(windows.runs, held, strict=True)
+        ]
+        rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
+        scale = self._scale(
+            [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
+        )
+        begin = self._begun(look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p)
+        for rows, state in zip(stretches, begin, strict=True):
+            along = self._along(windows, rows, drives, state, p)
+            own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
+        return own
+
+    # --- along the log ------------------------------------------------------------------------
+    def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
+        """Memory without a past, actuators as if the first command had been held for long, by stretch."""
+        rest = self._functions.rest
+        actuator = [np.asarray(rest(commands, p, now)).ravel() for commands, now in zip(u, t, strict=True)]
+        return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), np.array(actuator)])
+
+    @staticmethod
+    def _scale(along: list[Array]) -> Array:
+        """How large the states become, which is how far off a beginning may be."""
+        largest = np.max([np.max(np.abs(a), axis=0) for a in along], axis=0)
+        return np.where(largest > 0, largest, 1.0)
+
+    def _along(self, windows: Windows, rows: Index, drives: list[Array], start: Array, p: Array) -> Array:
+        """States from the first to the last start in a stretch, shape (N, size)."""
+        run, first = int(windows.run[rows[0]]), int(windows.first[rows[0]])
+        piece = slice(first, int(windows.first[rows[-1]]) + 1)
+        log = windows.runs[run]
+        t, u = log.t[piece], drives[run][piece]
+        count = len(t) - 1
+        if count == 0:
+            return start[None]
+        reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
+        measured = self._measured(windows, run, reach, p)[: count + 1]
+        columns = [measured[:-1], measured[1:], u[:-1]]
+        return self._carried.states(start, columns, p, t[:-1], np.diff(t))
+
+    def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
+        """Pose and velocity as reported in part of a run, each at the time that it was true."""
+        log = windows.runs[run]
+        zero = np.zeros(len(log.t))
+        measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
+        return self._lateness.at_its_time(log.t[piece], measured, p)
+
+    @cached_property
+    def _carried(self) -> Carried:
+        """Own states from sample to sample: the motion is linear in between, the command is held."""
+        f, measured = self._functions, self._points.measured
+        after, dt, rate = ca.SX.sym("after", measured.shape[0]), ca.SX.sym("dt"), self._rates
+        nothing = ca.SX(0, 1)
+
+        def at(state: ca.SX, share: float) -> ca.SX:
+            return rate(state, measured + share * (after - measured), f.u, f.p, f.t + share * dt)
+
+        inputs = Inputs([measured, after, f.u], f.p, f.t, dt)
+        return Carried(ca.vertcat(f.memory, f.actuator_states), inputs, nothing, at, lambda *_: nothing)
+
+    @cached_property
+    def _rates(self) -> ca.Function:
+        f, points = self._functions, self._points
+        driven = ca.substitute(f.memory_rates, f.actuation, f.chain_output)
+        rates = ca.substitute(ca.vertcat(driven, f.chain_rates), ca.vertcat(f.eta, f.nu), points.true_motion)
+        own = ca.vertcat(f.memory, f.actuator_states)
+        return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
+
+    # --- at its beginning ---------------------------------------------------------------------
+    def _begun(
+        self, look: Windows, start: Array, drive: Drive, scale: Array, noise: Array, p: Array
+    ) -> Array:
+        """Own states at the beginning of every stretch."""
+
+        def report(trials: Array) -> Array:
+            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
+            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
+
+        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
+        width = np.concatenate([_MOTION * noise, scale])
+        return best_start(report, measured, start, width)[:, -self.size :]
+
+
+def _opening(windows: Windows, first: Index) -> Windows:
+    """The first seconds of the first window of every stretch."""
+    step = float(np.median(np.diff(windows.runs[0].t)))
+    return windows.take(first, max(int(_LOOK / step), 3))
+
+
+def _stretches(windows: Windows) -> list[Index]:
+    """Windows of every stretch without gaps, in order of time."""
+    pairs = np.column_stack([windows.run, windows.segment])
+    number = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    return [np.flatnonzero(number == i) for i in range(number.max() + 1)]
+
+
+def _noise(windows: Windows) -> Array:
+    """Noise of the channels, with a floor for logs that have none."""
+    there = np.isfinite(windows.measured)
+    size = np.sqrt(
+        np.sum(np.where(there, windows.measured, 0.0) ** 2, axis=(0, 1))
+        / np.maximum(there.sum(axis=(0, 1)), 1)
+    )
+    return np.maximum(np.maximum(windows.sigma, _FINEST * size), _FINEST)
+
+
+# --- the state at the beginning, by how the log goes on -------------------------------------------
+_ROUNDS = 12
+_SECANT = 1e-6
+_SHARES = np.array([1.0, 0.3, 0.1, 0.03, 0.0])
+# Fall of the sum of squares below which the search ends.
+_ENOUGH = 1e-6
+_LOST = 1e300
+
+
+def best_start(report: Callable[[Array], Array], measured: Array, start: Array, width: Array) -> Array:
+    """Starts that explain best what follows, drawn to the given ones by a prior.
+
+    Parameters
+    ----------
+    report : callable
+        What follows, in units of the noise, shape (b r, k, c), of b r starts: r trials for each log in turn.
+    measured : (b, k, c) array
+        What was measured, in units of the noise; NaN where nothing was.
+    start : (b, m) array
+        Where the search begins, and the centre of the prior.
+    width : (m,) array
+        Standard deviation of the prior.
+
+    Returns
+    -------
+    (b, m) array
+    """
+    used = np.isfinite(measured)[:, None]
+    known = np.where(used, measured[:, None], 0.0)
+
+    def residual(moved: Array) -> Array:
+        """Measured minus reported for trials of shape (b, r, m), shape (b, r, k c)."""
+        b, r, m = moved.shape
+        y = report((start[:, None] + moved * width).reshape(b * r, m))
+        return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
+
+    moved = np.zeros_like(start)
+    for _ in range(_ROUNDS):
+        step = _gauss_newton(residual, moved)
+        trials = moved[:, None] + _SHARES[:, None] * step[:, None]
+        with np.errstate(over="ignore"):
+            cost = np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
+        cost = np.nan_to_num(cost, nan=_LOST, posinf=_LOST)
+        best = np.argmin(cost, axis=1)
+        moved = trials[np.arange(len(best)), best]
+        gained = cost[:, -1] - cost[np.arange(len(best)), best]
+        if not np.any(gained > _ENOUGH):
+            break
+    return start + moved * width
+
+
+def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
+    """Step in units of the prior, shape (b, m); zero where a simulation diverged."""
+    m = moved.shape[1]
+    r = residual(moved[:, None] + np.vstack([np.zeros(m), _SECANT * np.eye(m)]))
+    slope = (r[:, :1] - r[:, 1:]) / _SECANT
+    gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
+    right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
+    good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
+    step = np.zeros_like(moved)
+    step[good] = np.linalg.solve(gram[good], right[good][:, :, None])[:, :, 0]
+    return step
+
+
+# Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
+_KEPT = 24
+
+
+class Predictor:
+    """Predicts windows with one model; keeps its compiled code from one call to the next.
+
+    Parameters
+    ----------
+    model : Vehicle or Functions
+        The model.
+    compiled : bool, optional
+        As for `Simulator`.
+    """
+
+    def __init__(self, model: Vehicle | Functions, *, compiled: bool | None = None) -> None:
+        self.functions = model if isinstance(model, Functions) else Functions(model)
+        self.simulator = Simulator(self.functions, compiled=compiled)
+        self._points = Pointwise(self.functions, ())
+        self.lateness = Lateness(self.functions)
+        self._inherited = Inherited(self.functions, self._points, self.lateness, self.simulated)
+        # Bound as one, so that threads with windows of their own do not mix them up.
+        self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
+        self._recent = (lambda: None), {}
+
+    @property
+    def values(self) -> Array:
+        """Parameters of the vehicle."""
+        return np.array(self.functions.values(), dtype=float)
+
+    def predict(self, windows: Windows, p: Array | None = None) -> Prediction:
+        """Simulate every window from its measured start, by default with the vehicle's own values."""
+        return Prediction(windows, self.reports(windows, self.values if p is None else p))
+
+    def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
+        """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
+
+        Parameters
+        ----------
+        windows : Windows
+            What is simulated.
+        p : (n_parameters,) array
+            Parameters.
+        motion : (b, 2n) array, optional
+            True pose and velocity at the starts; as measured where not given.
+        """
+        start, drive = self.start_and_drive(windows, p, motion)
+        reported = self.simulated(start, windows.t, drive, p, windows.start)
+        reported[~windows.inside] = np.nan
+        return reported
+
+    def start_and_drive(self, windows: Windows, p: Array, motion: Array | None = None) -> tuple[Array, Drive]:
+        """States at the start of every window, (b, nx), and the commands in it."""
+        held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
+        delay = float(self.functions.dead_time(p))
+        drive = arriving(windows, held, delay)
+        measured, own = self._found(windows, drive.u, held, delay, p)
+        return np.column_stack([measured if motion is None else motion, own]), drive
+
+    def _found(
+        self, windows: Windows, u: Array, held: list[Array], delay: float, p: Array
+    ) -> tuple[Array, Array]:
+        """Measured motion and own states at the starts, kept for the next calls with the same parameters.
+
+        A descent comes back to the same parameters again and again while it moves the starts. Of one set of
+        windows only: whoever predicts log after log keeps none of them.
+        """
+        of, recent = self._recent
+        if of() is not windows:
+            of, recent = self._recent = weakref.ref(windows), {}
+        found = recent.get(key := p.tobytes())
+        if found is None:
+            measured = self.measured_motion(windows, u, p)
+            found = measured, self._inherited.at_starts(windows, measured, held, delay, p)
+            if len(recent) >= _KEPT:
+                recent.pop(next(iter(recent)), None)
+            recent[key] = found
+        return found
+
+    def measured_motion(self, windows: Windows, u: Array, p: Array) -> Array:
+        """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
+        f, count = self.functions, len(windows)
+        nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
+        late = self.lateness.present
+        start = windows.start_after(self.lateness.seconds(p)) if late else windows.start
+        (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
+        return np.asarray(motion[:, :, 0])
+
+    def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
+        """Simulate, and say what the sensors report, shape (b, k, 2n).
+
+        Parameters
+        ----------
+        start : (b, nx) array
+            States at the starts.
+        t : (b, k) array
+            Times of the samples, s.
+        drive : Drive
+            Commands as they arrive.
+        p : (n_parameters,) array
+            Parameters.
+        before : (b, 2n) array, optional
+            What sensors that are late report at the starts; without it the vehicle was as at the start.
+        """
+        states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
+        prompt = self.reported(states, t, drive.u, p)
+        if not self.lateness.present:
+            return prompt
+        return reported_late(prompt, t, self.lateness.seconds(p), prompt[:, 0] if before is None else before)
+
+    def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
+        """What sensors that are not late report of states of shape (b, k, nx)."""
+        size = 2 * self._points.size
+        if self.sensors_are_true:
+            return states[:, :, :size].copy()
+        columns = [a.reshape(a.shape[0] * a.shape[1], a.shape[2]) for a in (states, u)]
+        (flat,) = mapped(self.functions.outputs, columns, p, t.ravel())
+        return np.asarray(flat.reshape(*t.shape, -1))
+
+    @cached_property
+    def sensors_are_true(self) -> bool:
+        """Whether the sensors report pose and velocity as they are."""
+        motion = ca.vertcat(self.functions.eta, self.functions.nu)
+        return bool(ca.is_equal(self.functions.reported, motion, 2))
+
+    @cached_property
+    def _true_motion(self) -> ca.Function:
+        f, points = self.functions, self._points
+        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
+        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
+
+
+# --- what sensors report late ---------------------------------------------------------------------
+def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Array:
+    """What is reported at each sample where every channel comes late by a time of its own.
+
+    A window knows nothing of what was before it but what was reported at its start: from there a late channel
+    goes in a straight line to the first value of the simulation, where its own time reaches the window.
+
+    Parameters
+    ----------
+    values : (b, k, c, ...) array
+        What would be reported at once, or derivatives of that.
+    t : (b, k) array
+        Time, s; not decreasing.
+    seconds : (c,) array
+        Delay of each channel, s.
+    before : (b, c, ...) array
+        What is reported at the start.
+
+    Returns
+    -------
+    (b, k, c, ...) array
+    """
+    late = values.copy()
+    rest = (1,) * (values.ndim - 3)
+    for delay in np.unique(seconds[seconds > 0]):
+        columns = np.flatnonzero(seconds == delay)
+        index, share = _places(t, t - delay)
+        old = values[:, :, columns]
+        at, after = (np.take_along_axis(old, i.reshape(*t.shape, 1, *rest), 1) for i in (index, index + 1))
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulation on its way to infinity
+            inside = at + share.reshape(*t.shape, 1, *rest) * (after - at)
+        line = np.clip((t - t[:, :1]) / delay, 0.0, 1.0).reshape(*t.shape, 1, *rest)
+        start = before[:, None, columns]
+        early = (t - t[:, :1] < delay).reshape(*t.shape, 1, *rest)
+        late[:, :, columns] = np.where(early, start + line * (old[:, :1] - start), inside)
+    return late
+
+
+def _places(t: Array, when: Array) -> tuple[NDArray[np.intp], Array]:
+    """Interval of each row of t that an instant lies in, and the share of it that is over."""
+    last = t.shape[1] - 2
+    pairs = zip(t, when, strict=True)
+    index = np.clip([np.searchsorted(own, w, side="right") - 1 for own, w in pairs], 0, last)
+    begin, end = (np.take_along_axis(t, i, 1) for i in (index, index + 1))
+    length = np.where(end > begin, end - begin, 1.0)
+    return index, np.clip((when - begin) / length, 0.0, 1.0)
+
+
+def predict(
+    model: Vehicle | Functions | Predictor,
+    runs: Sequence[Run] | Windows,
+    horizon: float | None = 5.0,
+    *,
+    p: Array | None = None,
+    overlap: float = 0.0,
+    compiled: bool | None = None,
+) -> Prediction:
+    """Predict logs window by window.
+
+    Parameters
+    ----------
+    model : Vehicle, Functions or Predictor
+        The model; a Predictor keeps its compiled code from one call to the next.
+    runs : sequence of Run, or Windows
+        Logs, or logs that are cut already (then horizon and overlap are theirs).
+    horizon : float or None
+        Length of a window in s; None: each stretch without gaps from its first sample to its end.
+    p : (n_parameters,) array, optional
+        Parameters; those of the vehicle by default.
+    overlap : float
+        Share of a window that the next one repeats.
+    compiled : bool, optional
+        As for `Simulator`.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, or no stretch without gaps is as long as the horizon.
+    """
+    predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
+    vehicle = predictor.functions.vehicle
+    windows = runs if isinstance(runs, Windows) else cut(runs, vehicle, horizon, overlap=overlap)
+    return predictor.predict(windows, p)
+
+
+__all__ = ["Prediction", "Predictor", "Windows", "cut", "predict", "prediction_error"]

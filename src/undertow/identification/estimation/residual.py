@@ -1,0 +1,490 @@
+"""The weak residual of a model on prepared logs, with its derivative in the free parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+from undertow.codegen.tape import at_samples
+from undertow.errors import UndertowError
+from undertow.typing import Array, Index
+
+from .data import DOUBT, Segment, WeakData, Whitening, overlap, residual_covariance
+from .inputs import Actuated, ActuatorStates, Driven, Memory, without_gaps
+from .pointwise import Limits, Pointwise
+from .test_functions import Entries, kink_delay, meeting, tested
+
+# Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
+# noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1 up
+# to 0.15 of the sampling rate, with three it does not.
+_REACH = 4
+# Sum of squared weights from which uneven samples amplify noise instead of interpolating.
+_LOUDEST = 2.0
+# Steps of finite differences, relative to a sampling interval.
+_STEP = 1e-3
+
+
+class Lateness:
+    """How old every measured channel is, and what follows for a segment.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    free : tuple of int
+        Places in p of the free parameters.
+    """
+
+    def __init__(self, functions: Functions, free: tuple[int, ...] = ()) -> None:
+        self._functions, self._free = functions, free
+
+    @cached_property
+    def present(self) -> bool:
+        """Whether any channel can be late."""
+        return bool(self._functions.report_age.nnz())
+
+    def seconds(self, p: Array) -> Array:
+        """How old each of the 2n channels is when it is reported, s."""
+        return np.asarray(self._dead_time(p)[0]).ravel()
+
+    def at_its_time(self, t: Array, measured: Array, p: Array) -> Array:
+        """Reported signals (N, 2n), each when it was true; the same array where nothing is late."""
+        return _at_delays(t, measured, self.seconds(p)) if self.present else measured
+
+    def in_time(self, s: Segment, p: Array) -> Segment:
+        """The segment with each channel at the time that it was true; itself where nothing is late."""
+        if not self.present:
+            return s
+        seconds = self.seconds(p)
+        return _moved(s, seconds) if _known(s, seconds) else s
+
+    def residual(self, s: Segment, p: Array, of: Callable[[Segment], Linearised]) -> Linearised:
+        """Residual `of` a segment put in time, and its derivative in the delays as well.
+
+        Test functions that reach beyond the last true value are marked as unknown.
+        """
+        if not self.present:
+            return of(s)
+        seconds = self.seconds(p)
+        functions = _known(s, seconds)
+        if not functions:
+            return of(s)
+        moved = _moved(s, seconds)
+        at = of(moved)
+        J = at.J.copy()
+        step = _STEP * float(np.median(np.diff(s.t)))
+        for k, slope in self._slopes(p):
+            # Of the signal alone: differentiated noise would promise a precision that is not there.
+            change = step * slope * _at_delays(s.t, s.rate, seconds)
+            J[:, k] += (of(replace(moved, measured=moved.measured + change)).r - at.r) / step
+        known = functions * (len(at.r) // s.functions.count)
+        inside = np.arange(len(at.r)) < known
+        r, J, start = at.r * inside, J * inside[:, None], at.start * inside[:, None]
+        return replace(at, r=r, J=J, start=start, known=known)
+
+    def _slopes(self, p: Array) -> list[tuple[int, Array]]:
+        """Which free parameters are delays, with the derivative of every channel's delay."""
+        slope = np.asarray(self._dead_time(p)[1])
+        return [(k, slope[:, k]) for k in range(slope.shape[1]) if np.any(slope[:, k])]
+
+    @cached_property
+    def _dead_time(self) -> ca.Function:
+        f = self._functions
+        free = ca.vertcat(*[f.p[i] for i in self._free]) if self._free else ca.SX(0, 1)
+        slope = ca.jacobian(f.report_age, free)
+        return ca.Function("report_age", [f.p], [ca.densify(f.report_age), ca.densify(slope)])
+
+
+def _known(s: Segment, seconds: Array) -> int:
+    """How many test functions lie before the last instant at which all channels are known, or none.
+
+    A stretch hardly longer than the delay tells nothing about it and counts as it was measured. If it dropped
+    out, long delays would look good because little is left to be wrong about.
+    """
+    beyond = s.t + np.max(seconds) > s.t[-1]
+    lost = int(np.count_nonzero(abs(s.functions.value) @ beyond > 1e-12))
+    return s.functions.count - lost if 2 * lost < s.functions.count else 0
+
+
+def _moved(s: Segment, seconds: Array) -> Segment:
+    return replace(s, measured=_at_delays(s.t, s.measured, seconds))
+
+
+def _at_delays(t: Array, signals: Array, seconds: Array) -> Array:
+    """Each signal at the times t plus its own delay."""
+    found = signals.copy()
+    for delay in np.unique(seconds[seconds != 0]):
+        columns = np.flatnonzero(seconds == delay)
+        found[:, columns] = interpolated(t, signals[:, columns], t + delay)
+    return found
+
+
+def interpolated(t: Array, y: Array, when: Array) -> Array:
+    """A sampled signal between its samples, by the polynomial through the eight samples around.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Time, s; intervals may differ.
+    y : (N, k) array
+        Signals.
+    when : (M,) array
+        Where to evaluate, s; after the last sample its value is held.
+
+    Returns
+    -------
+    (M, k) array
+        In the unit of y.
+    """
+    if len(t) < 2:
+        return np.repeat(y, len(when), axis=0)
+    index, weight = stencil(t, when)
+    return np.asarray(np.einsum("mj,mjk->mk", weight, y[index]))
+
+
+def stencil(t: Array, when: Array) -> tuple[Index, Array]:
+    """Samples around each instant and their weights, both of shape (M, 8).
+
+    Near the ends, and where intervals differ so much that noise would be amplified, fewer samples are used.
+    """
+    when = np.minimum(when, t[-1])
+    left = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 2)
+    index = np.clip(left[:, None] + np.arange(1 - _REACH, 1 + _REACH), 0, len(t) - 1)
+    weight = np.zeros(index.shape)
+    waiting = np.ones(len(when), dtype=bool)
+    for reach in range(_REACH, 0, -1):
+        rows = np.flatnonzero(waiting & (left + 1 >= reach) & (left + reach < len(t)))
+        columns = slice(_REACH - reach, _REACH + reach)
+        found = lagrange(t[index[rows, columns]], when[rows])
+        good = (np.sum(found**2, axis=1) <= _LOUDEST) | (reach == 1)
+        weight[rows[good], columns] = found[good]
+        waiting[rows[good]] = False
+    return index, weight
+
+
+def lagrange(nodes: Array, when: Array) -> Array:
+    """Weights of the polynomial through values at `nodes` (M, k)."""
+    weight = np.ones(nodes.shape)
+    for j in range(nodes.shape[1]):
+        for k in range(nodes.shape[1]):
+            if k != j:
+                weight[:, j] *= (when - nodes[:, k]) / (nodes[:, j] - nodes[:, k])
+    return weight
+
+
+# Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
+_MOST_DIRECTIONS = 240
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A residual and its derivatives.
+
+    Attributes
+    ----------
+    r : (m,) array
+        Residual.
+    J : (m, n_free) array
+        Derivative in the free parameters.
+    start : (m, n_states) array
+        Derivative in the effects' own states at the start of the segment.
+    known : int, optional
+        Rows from here on need what was not measured yet when the segment ended, and count for nothing.
+    unknown : int
+        How many of the last columns of `start` stand for a row each of which nothing is known.
+    """
+
+    r: Array
+    J: Array
+    start: Array
+    known: int | None = None
+    unknown: int = 0
+
+
+class _At(NamedTuple):
+    """A model where it was last asked for on some data: a fit, its judges and its noise ask at one place."""
+
+    data: WeakData
+    p: Array
+    parts: list[Linearised]
+
+
+class WeakModel:
+    """Weak residuals of one vehicle for a choice of free parameters.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    free : sequence of str
+        Names of the parameters that may change.
+    dissipative : bool
+        Whether a fit keeps linear damping from feeding energy into any motion.
+    """
+
+    def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
+        self.functions, self._dissipative = functions, dissipative
+        self.free = tuple(free)
+        self.places = tuple(functions.parameter_names.index(n) for n in self.free)
+        self._chain = ActuatorStates(functions, self.places)
+        self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
+        self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
+        self._late = Lateness(functions, self.places)
+        self._known: dict[int, _At] = {}
+
+    @cached_property
+    def limits(self) -> Limits:
+        """What the parameters can be together."""
+        return Limits(self.functions, self.places, dissipative=self._dissipative)
+
+    def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
+        """Residual and derivative of every segment, rows ordered by test function, then by equation."""
+        known = self._known.get(id(data))
+        if known is None or known.data is not data or not np.array_equal(known.p, p):
+            parts = self._linearised(data, p)
+            for array in (a for part in parts for a in (part.r, part.J, part.start)):
+                array.setflags(write=False)  # others will be handed the same
+            known = self._known[id(data)] = _At(data, p.copy(), parts)
+        return list(known.parts)
+
+    def require_defined(self, data: WeakData, p: Array) -> None:
+        """Refuse a model that has no value somewhere along the logs: all that is told of it would have none.
+
+        Raises
+        ------
+        UndertowError
+            If the residual or its derivative is not finite; run and time are named.
+        """
+        for part, s in zip(self.linearise(data, p), data.segments, strict=True):
+            if not (np.isfinite(part.r).all() and np.isfinite(part.J).all()):
+                name, run = self.functions.vehicle.name, data.runs[s.run].name
+                raise UndertowError(
+                    f"vehicle '{name}' has no finite force somewhere in run '{run}' from {s.t[0]:.4g} to "
+                    f"{s.t[-1]:.4g} s: an effect is not defined in that motion, or a value is too large; "
+                    f"'undertow effects check' tries an effect of your own"
+                )
+
+    def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
+        driven = self._driven(data, p)
+        parts = [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
+        known = [data.runs[s.run].t[0] + self._chain.seconds_late(p) for s in data.segments]
+        return [
+            _from(begin, part, s, data.rows, self._points.size)
+            for begin, part, s in zip(known, parts, data.segments, strict=True)
+        ]
+
+    def _driven(self, data: WeakData, p: Array) -> list[Actuated]:
+        return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
+
+    def _in_time(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
+        return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
+
+    def _segment(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
+        memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
+        inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
+        entries = self._entries(inputs, actuation, memory)
+        if self._points.held_depends_on_motion:
+            later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
+            inputs = self._inputs(later[0], actuation, later[1], s.u, p, s.t)
+            others = self._entries(inputs, actuation, memory)
+            held = slice(4 * self._points.size, 5 * self._points.size)
+            entries = [a.averaged(b, held) for a, b in zip(entries, others, strict=True)]
+        return self._tested(entries, s, rows)
+
+    def _inputs(
+        self, measured: Array, actuation: Actuated, memory: Array, u: Array, p: Array, t: Array
+    ) -> list[Array]:
+        forces = u[:, actuation.value.shape[1] :]
+        before = np.hstack([actuation.before.value, np.vstack([forces[:1], forces[:-1]])])
+        inverse, delay = self._points.mass_inverse(p), kink_delay(t)[:, None]
+        return [measured, actuation.value, memory, u, inverse, before, delay, p, t[:, None]]
+
+    def _entries(self, inputs: list[Array], actuation: Actuated, memory: Driven) -> list[Entries]:
+        """The rows at the samples with their total derivatives in the free parameters and first states."""
+        function = self._points.value_and_derivatives
+        value, free, *by_driven = at_samples(function, inputs, len(inputs[0]))
+        first, last = 1, 1 + len(self.free)
+        pattern, direct, *patterns = (function.sparsity_out(i) for i in range(function.n_out()))
+        entries = [Entries.of(value, pattern, 0), Entries.of(free, direct, first)]
+        starts = (last, last, last + actuation.start.shape[2])
+        for slopes, where, driven, start in zip(
+            by_driven, patterns, (actuation, actuation.before, memory), starts, strict=True
+        ):
+            if not where.size2():
+                continue
+            entries += [
+                Entries.chained(slopes, where, driven.slope, first),
+                Entries.chained(slopes, where, driven.start, start),
+            ]
+        return entries
+
+    def _tested(self, entries: list[Entries], s: Segment, rows: tuple[int, ...]) -> Linearised:
+        width, last = max(e.width for e in entries), 1 + len(self.free)
+        place = np.full(2 * self._points.size, -1)
+        place[list(rows)] = np.arange(len(rows))
+        met = [meeting(e.row, self._points.size) for e in entries]
+        target = [
+            np.where(place[equation] >= 0, place[equation] * width + e.column, -1)
+            for e, (_, equation) in zip(entries, met, strict=True)
+        ]
+        table = tested(s.functions.windows, entries, [kind for kind, _ in met], target, len(rows) * width)
+        stacked = table.reshape(-1, width)
+        return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
+
+    def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
+        """Whitening of every segment under the noise of the channels, at parameters p."""
+        driven = self._driven(data, p)
+        return [
+            self._segment_whitening(self._late.in_time(s, p), _cut(driven[s.run], s), data, p)
+            for s in data.segments
+        ]
+
+    def _segment_whitening(self, s: Segment, actuation: Actuated, data: WeakData, p: Array) -> Whitening:
+        memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
+        inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
+        function = self._points.noise
+        (slope,) = at_samples(function, inputs, len(s.t))
+        slopes = Entries.of(slope, function.sparsity_out(0), 0)
+        sigma = data.sigma if s.doubted is None else np.where(s.doubted, DOUBT, 1.0) * data.sigma
+        noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
+        rows = len(data.rows)
+        return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
+
+
+def _cut(driven: Actuated, s: Segment) -> Actuated:
+    parts = [
+        Driven(d.value[s.samples], d.slope[s.samples], d.start[s.samples]) for d in (driven, driven.before)
+    ]
+    return Actuated.of(*parts)
+
+
+def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
+    """A residual whose equations of force count for nothing where commands from before the log are at work.
+
+    What these were no log tells: each row that feels them has a direction of its own among the first states.
+    A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
+    because little is left to be wrong about.
+    """
+    lost = int(np.searchsorted(s.t[s.functions.windows.first], begin))
+    if not 0 < 2 * lost < s.functions.count:
+        return part
+    forces = [k for k, row in enumerate(rows) if row < n]
+    lost = min(lost, _MOST_DIRECTIONS // max(len(forces), 1))
+    places = (np.arange(lost)[:, None] * len(rows) + forces).ravel()
+    directions = np.zeros((len(part.r), len(places)))
+    directions[places, np.arange(len(places))] = 1.0
+    return replace(part, start=np.hstack([part.start, directions]), unknown=len(places))
+
+
+def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
+    """All segments together, in units of their noise, free of what the unknown first states of effects
+    contribute.
+
+    Parameters
+    ----------
+    parts : list of Linearised
+        Residual of every segment.
+    whitening : list of Whitening
+        Noise of every segment.
+    beside : (m,) array, optional
+        Whitened residual of a model that this one is judged against. What the unknown first states take
+        from this one is taken over from there, so that having them wins nothing.
+    """
+    lengths = np.cumsum([len(part.r) for part in parts])[:-1]
+    others = [None] * len(parts) if beside is None else np.split(beside, lengths)
+    tables = [_without_start(*triple) for triple in zip(parts, whitening, others, strict=True)]
+    table = np.vstack(tables)
+    return Linearised(table[:, 0], table[:, 1:], np.zeros((len(table), 0)))
+
+
+def _without_start(part: Linearised, whitening: Whitening, beside: Array | None) -> Array:
+    """Project out the directions of the first states: the rest of the residual does not depend on them."""
+    table = whitening(np.column_stack([part.r, part.J, part.start]))
+    if part.known is not None:
+        # Whitened rows depend on none that come later. Those that are known stand for the lost ones as well.
+        table[part.known :] = 0.0
+        table *= np.sqrt(len(table) / part.known)
+    last = 1 + part.J.shape[1]
+    kept, start = table[:, :last], table[:, last:]
+    size = np.linalg.norm(start, axis=0)
+    # A start long ago is forgotten: what is left of it would underflow in the product below.
+    felt = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
+    if not felt.any():
+        return kept
+    if beside is None:
+        # What is known stands for the rest: else, the more is unknown, the better a model would look.
+        kept = kept * np.sqrt(len(kept) / (len(kept) - part.unknown))
+    start = start[:, felt] / size[felt]
+    moved = kept.copy()
+    if beside is not None:
+        moved[:, 0] -= beside
+    return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ moved)))
+
+
+# Neighbours on each side that a sample is held against, by the cubic through them.
+_SPIKES_REACH = 2
+# Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
+_FAR = 5.0
+# Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
+_BEND = 0.25
+_ROUNDS = 30
+
+
+def without_spikes(data: WeakData) -> WeakData:
+    """The same data with spikes replaced by the cubic through their neighbours, and doubted.
+
+    Angles and velocities that were derived from others are left alone.
+    """
+    return replace(data, segments=tuple(_cleaned(s, data.sigma, data.derived) for s in data.segments))
+
+
+def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
+    if len(segment.t) <= 4 * _SPIKES_REACH:
+        return segment
+    measured, doubted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
+    for k in range(measured.shape[1]):
+        if sigma[k] > 0 and k not in derived:
+            measured[:, k], doubted[:, k] = despiked(segment.t, measured[:, k], float(sigma[k]))
+    return replace(segment, measured=measured, doubted=doubted) if doubted.any() else segment
+
+
+def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, NDArray[np.bool_]]:
+    """A signal with its spikes replaced by what their neighbours say, and where they were.
+
+    Parameters
+    ----------
+    t, y : (N,) array
+        Time in s, and signal.
+    sigma : float
+        Standard deviation of its noise, in the unit of y.
+    """
+    index, weight = _neighbours(t)
+    spread = np.sqrt(1.0 + np.sum(weight**2, axis=1))
+    clean, spike = y.copy(), np.zeros(len(y), dtype=bool)
+    for _ in range(_ROUNDS):
+        guess = np.sum(weight * clean[index], axis=1)
+        bend = _BEND * np.median(np.abs(np.diff(clean[index], axis=1)), axis=1)
+        far = np.where(spike, 0.0, np.abs(clean - guess) / (spread * sigma + bend))
+        # A spike makes its neighbours look odd as well: the worst of each neighbourhood goes first.
+        worst = (far > _FAR) & (far >= np.max(far[index], axis=1))
+        clean[spike | worst] = guess[spike | worst]
+        if not worst.any():
+            break
+        spike |= worst
+    return clean, spike
+
+
+def _neighbours(t: Array) -> tuple[NDArray[np.intp], Array]:
+    """The samples beside each one without itself, and the weights of the cubic through them there."""
+    count, width = len(t), 2 * _SPIKES_REACH + 1
+    first = np.clip(np.arange(count) - _SPIKES_REACH, 0, count - width)
+    whole = first[:, None] + np.arange(width)
+    index = whole[whole != np.arange(count)[:, None]].reshape(count, width - 1)
+    return index, lagrange(t[index], t)

@@ -1,0 +1,401 @@
+"""Simulation of windows with sensitivities, and the elimination of their unknown starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from undertow.codegen.functions import Functions
+from undertow.codegen.gauss_newton import Products, products_of
+from undertow.codegen.tape import mapped
+from undertow.typing import Array
+
+from .predictor import Predictor, reported_late
+from .windows import Drive, Windows
+
+# Keeps a start bounded in directions that its window does not show, relative to those that it shows.
+_HOLD = 1e-12
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The linearised problem of all windows with their starts eliminated.
+
+    Attributes
+    ----------
+    r : (m,) array
+        What is left of the residual, m = n_free + 1: the square of its norm is the cost at the best starts.
+    J : (m, n_free) array
+        Its derivative in the free parameters.
+    cost : float
+        Sum of squares at the present starts; inf if a simulation diverged.
+    squares, counts : (2n,) array
+        Sum of squares by channel, and number of samples in it.
+    scores : (groups, n_free) array
+        J' r of groups of residuals that count as independent: windows, or parts of long ones.
+    start_step, start_slope : (b, k) and (b, k, n_free) array
+        Best change of every start, and its derivative in the parameters.
+    """
+
+    r: Array
+    J: Array
+    cost: float
+    squares: Array
+    counts: Array
+    scores: Array
+    start_step: Array
+    start_slope: Array
+
+
+def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
+    """The problem that remains once every window has its best start.
+
+    Parameters
+    ----------
+    parts : list of Products
+        Sums of all windows, batch by batch; derivatives in the n free parameters come first.
+    counts : (2n,) array
+        Samples that count, by channel.
+    n : int
+        Number of free parameters.
+    """
+    windows, size = sum(len(p.squares) for p in parts), len(counts)
+    with np.errstate(over="ignore"):
+        squares = np.sum([p.squares.sum(axis=0) for p in parts], axis=0)
+    # What nearly diverged may be so large that its squares are beyond all numbers.
+    whole = all(np.all(np.isfinite(p.table)) for p in parts) and np.all(np.isfinite(squares))
+    if any(p.diverged for p in parts) or not whole:
+        return _diverged(windows, n, size)
+    back = np.concatenate([_starts(p.table.sum(axis=1), n) for p in parts])
+    first = np.cumsum([0, *(len(p.squares) for p in parts)])
+    scores, gram = [], np.zeros((n + 1, n + 1))
+    for part, begin in zip(parts, first, strict=False):
+        left = _projected(part.table, back[begin : begin + len(part.squares)], n)
+        scores.append(left[:, :, :n, n].reshape(left.shape[0] * left.shape[1], n))
+        gram += left.sum(axis=(0, 1))
+    condensed = _condensed(gram)
+    return Reduced(
+        r=condensed[:, n],
+        J=condensed[:, :n],
+        cost=float(squares.sum()),
+        squares=squares,
+        counts=counts,
+        scores=np.concatenate(scores),
+        start_step=-back[:, :, n],
+        start_slope=-back[:, :, :n],
+    )
+
+
+def _starts(table: Array, n: int) -> Array:
+    """Least squares on the starts, window by window: solution for every free column and the error.
+
+    Normal equations: the columns of a start are few and well conditioned once they are scaled.
+    """
+    gram, right = table[:, n:-1, n:-1], _outer(table, n)
+    scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
+    scale = np.where(scale > 0, scale, 1.0)[:, :, None]
+    scaled = gram / (scale * np.swapaxes(scale, 1, 2)) + _HOLD * np.eye(gram.shape[1])
+    return np.asarray(np.linalg.solve(scaled, right / scale) / scale)
+
+
+def _outer(table: Array, n: int) -> Array:
+    """Products of the starts with the free columns and the error."""
+    return np.concatenate([table[..., n:-1, :n], table[..., n:-1, -1:]], axis=-1)
+
+
+def _projected(table: Array, back: Array, n: int) -> Array:
+    """Products of the free columns and the error once their shares of the starts are taken off."""
+    kept = [*range(n), table.shape[-1] - 1]
+    own = table[..., kept, :][..., :, kept]
+    across = np.swapaxes(back, 1, 2)[:, None]
+    shared = across @ _outer(table, n)
+    # All four terms: to first order a solution that is a little off takes nothing away.
+    return np.asarray(
+        own - shared - np.swapaxes(shared, -1, -2) + across @ table[..., n:-1, n:-1] @ back[:, None]
+    )
+
+
+def _condensed(gram: Array) -> Array:
+    """Few rows with these products of their columns."""
+    diagonal = np.diag(gram)
+    # A column that lies in the starts is nil but for rounding, which may be negative.
+    there = diagonal > 0.0
+    scale = np.sqrt(np.where(there, diagonal, 1.0))
+    cosines = np.where(np.outer(there, there), gram / scale / scale[:, None], 0.0)
+    weight, vectors = np.linalg.eigh(np.clip(cosines, -1.0, 1.0))
+    return np.asarray(np.sqrt(np.maximum(weight, 0.0))[:, None] * vectors.T * scale)
+
+
+def _diverged(windows: int, n: int, size: int) -> Reduced:
+    nothing = np.zeros((1, n))
+    steps = np.zeros((windows, size)), np.zeros((windows, size, n))
+    return Reduced(np.zeros(1), nothing, float("inf"), np.zeros(size), np.zeros(size), nothing, *steps)
+
+
+# First part of a window, s, to which its start is fitted before twice as much is taken; and steps for each.
+_OPENING = 1.0
+_START_STEPS = 3
+# Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
+_STUCK = 2.0
+# Share of the mean square of a window that a step has to gain for another to follow.
+_WORTH_A_STEP = 0.01
+# Numbers in the sensitivities of one batch of windows: 40 MB.
+_BATCH = 5_000_000
+# Steps of finite differences: relative to a parameter, and for dead times relative to a sampling interval.
+_STEP = 1e-3
+_SHARE_OF_SAMPLE = 0.25
+
+
+class Shooting:
+    """Windows of logs simulated by one model.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    windows : Windows
+        What is simulated.
+    free : sequence of str
+        Names of the parameters to differentiate by.
+    weight : (2n,) array
+        Weight of the channels, one over their noise; zero for a channel that is not used.
+    block : float
+        Length of the parts of a window that count as independent of each other, s.
+    compiled : bool, optional
+        As for `Simulator`.
+
+    Attributes
+    ----------
+    trust : (b, k, 2n) array or None
+        Weight of each sample in the sum of squares, beside that of its channel; None: all alike.
+    """
+
+    def __init__(
+        self,
+        functions: Functions,
+        windows: Windows,
+        free: Sequence[str],
+        weight: Array,
+        *,
+        block: float = 5.0,
+        compiled: bool | None = None,
+    ) -> None:
+        self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
+        self.trust: Array | None = None
+        self.places = [functions.parameter_names.index(n) for n in free]
+        self.predictor = Predictor(functions, compiled=compiled)
+        self._size, self._block = len(windows.names), block
+
+    def first_starts(self, p: Array) -> Array:
+        """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
+        return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
+
+    def settled_starts(self, p: Array) -> Array:
+        """Starts of the windows that fit these parameters best, shape (b, 2n).
+
+        What is read off the log at one sample is a little off, and a window may run away from there: then
+        its beginning is fitted first, twice as much of it after that and so on, and all in the end.
+        """
+        first = self.first_starts(p)
+        # In a velocity that was derived from the pose every sample is far off.
+        if any(run.derived for run in self.windows.runs):
+            return self._opened(p, first)[0]
+        starts, squares = self._stepped(p, first)
+        if not np.max(squares) > _STUCK * np.median(squares):
+            return starts
+        opened, after = self._opened(p, first)
+        return np.where((after < squares)[:, None], opened, starts)
+
+    def _opened(self, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Starts fitted to more and more of every window, and the mean square of each with them."""
+        trust = self.trust
+        elapsed = self.windows.t - self.windows.t[:, :1]
+        part = _OPENING
+        while part < np.max(elapsed):
+            within = np.where(elapsed <= part, 1.0, 0.0)[:, :, None]
+            self.trust = within if trust is None else trust * within
+            starts, part = self._stepped(p, starts)[0], 2.0 * part
+        self.trust = trust
+        return self._stepped(p, starts)
+
+    def _stepped(self, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Starts after Gauss-Newton steps of their own, and the mean square of each window with them.
+
+        A window takes the steps that do it good.
+        """
+        squares = self.mean_squares(p, starts)
+        for _ in range(_START_STEPS):
+            at = self.linearise(p, starts)
+            if not np.isfinite(at.cost):
+                break
+            tried = starts + at.start_step
+            found = self.mean_squares(p, tried)
+            better = found < squares
+            gained = np.any(found < (1.0 - _WORTH_A_STEP) * squares)
+            starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
+            if not gained:
+                break
+        return starts, squares
+
+    def cost(self, p: Array, starts: Array) -> float:
+        """Weighted sum of squares of the simulation error; inf if a simulation diverged."""
+        r = self._residual(self.predictor.reports(self.windows, p, starts))
+        with np.errstate(over="ignore"):
+            total = float(np.sum(r**2))
+        return total if np.isfinite(total) else float("inf")
+
+    def mean_squares(self, p: Array, starts: Array) -> Array:
+        """Weighted mean square of the simulation error by window, shape (b,); inf where one diverged."""
+        return self.squares(p, starts) / np.maximum(self.used.sum(axis=(1, 2)), 1)
+
+    def squares(self, p: Array, starts: Array) -> Array:
+        """Weighted sum of squares of the simulation error by window, shape (b,); inf where one diverged."""
+        r = self._residual(self.predictor.reports(self.windows, p, starts))
+        with np.errstate(over="ignore"):
+            total = np.sum(r**2, axis=(1, 2))
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def linearise(self, p: Array, starts: Array) -> Reduced:
+        """Simulate with sensitivities and eliminate the starts window by window."""
+        finite = self._by_differences(p, starts)
+        start, drive = self.predictor.start_and_drive(self.windows, p, starts)
+        parts = [self._part(rows, p, start[rows], drive[rows], finite) for rows in self._batches()]
+        counts = np.count_nonzero(self._all_weights(slice(None)), axis=(0, 1)).astype(float)
+        return eliminated(parts, counts, len(self.free))
+
+    # --- simulation ---------------------------------------------------------------------------
+    def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
+        """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
+        error = (reported - self.windows.measured[rows]) * self._weights(rows)
+        return np.where(self.used[rows], error, 0.0)
+
+    def _weights(self, rows: slice) -> Array:
+        """What errors are multiplied with, of a shape that broadcasts to (b, k, 2n)."""
+        return self.weight if self.trust is None else self.weight * np.sqrt(self.trust[rows])
+
+    def errors(self, p: Array, starts: Array) -> Array:
+        """Simulation error over the noise of its channel, whatever its trust; NaN where there is none."""
+        reported = self.predictor.reports(self.windows, p, starts)
+        return np.where(self.used, (reported - self.windows.measured) * self.weight, np.nan)
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """Which samples of which channels count, shape (b, k, 2n)."""
+        return np.isfinite(self.windows.measured) & (self.weight > 0)
+
+    def _batches(self) -> Iterator[slice]:
+        columns = len(self.free) + self._size
+        one = self.windows.t.shape[1] * len(self.functions.state_names) * columns
+        size = max(1, _BATCH // one)
+        return (slice(i, i + size) for i in range(0, len(self.windows), size))
+
+    # --- derivatives --------------------------------------------------------------------------
+    @cached_property
+    def _indirect(self) -> list[int]:
+        """Which free parameters act on the commands' delay or on the states that a window inherits."""
+        f = self.functions
+        inherited = [self._dead_times]
+        inherited += [f.chain_rates, f.chain_rest] if f.actuator_states.shape[0] else []
+        inherited += [f.memory_rates] if f.memory.shape[0] else []
+        felt = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
+        return [k for k, place in enumerate(self.places) if place in felt]
+
+    @cached_property
+    def _delays(self) -> set[int]:
+        return set(ca.jacobian_sparsity(self._dead_times, self.functions.p).get_col())
+
+    @property
+    def _dead_times(self) -> ca.SX:
+        f = self.functions
+        return ca.vertcat(f.convert(f.vehicle.composition.dead_time), f.report_age)
+
+    def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
+        """Derivatives of the report in parameters that act before a window starts, too."""
+        return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts))
+
+    def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
+        """Derivatives in those free parameters that act before a window starts, by finite differences.
+
+        Parameters
+        ----------
+        p : (n_parameters,) array
+            Where to differentiate.
+        of : callable
+            What to differentiate, from all parameters.
+        """
+        return {k: self._difference(p, of, self.places[k]) for k in self._indirect}
+
+    def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
+        sample = float(np.median(np.diff(self.windows.runs[0].t)))
+        step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
+        high, low = p[place] + step, p[place] - step
+        if place in self._delays:  # nothing comes before its time
+            low = max(low, 0.0)
+        ends = []
+        for value in (high, low):
+            moved = p.copy()
+            moved[place] = value
+            ends.append(of(moved))
+        return np.asarray((ends[0] - ends[1]) / (high - low))
+
+    def _part(self, rows: slice, p: Array, start: Array, drive: Drive, finite: dict[int, Array]) -> Products:
+        t, simulator = self.windows.t[rows], self.predictor.simulator
+        measured, weight = self.windows.measured[rows], self._all_weights(rows)
+        if self._reports_states:
+            known = drive.spread(measured), drive.spread(weight), self._groups(drive.t)
+            return simulator.products(start, drive.t, drive.held, p, self.places, *known)
+        x, s = simulator.run_with_sensitivities(
+            start, drive.t, drive.held, p, self.places, initial=range(self._size)
+        )
+        x, s = drive.at_samples(x), drive.at_samples(s)
+        reported, slope = self._late(*self.report_slopes(x, s, drive.u, t, p), rows, p)
+        for k, values in finite.items():
+            slope[..., k] = values[rows]
+        return products_of(reported, slope, measured, weight, self._groups(t))
+
+    @cached_property
+    def _reports_states(self) -> bool:
+        """Whether all that is compared are states of the simulation, and nothing acts before a window."""
+        lateness = self.predictor.lateness
+        return self.predictor.sensors_are_true and not lateness.present and not self._indirect
+
+    def _all_weights(self, rows: slice) -> Array:
+        """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
+        return np.where(self.used[rows], self._weights(rows), 0.0)
+
+    def _groups(self, t: Array) -> NDArray[np.int64]:
+        """Part of its window that a sample belongs to, shape (b, k); parts count as independent."""
+        parts = np.floor((t - t[:, :1]) / self._block)
+        return np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0)).astype(np.int64)
+
+    def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
+        """Report and slopes at the time that they come; what was before a window moves with nothing."""
+        if not self.predictor.lateness.present:
+            return reported, slope
+        t, before = self.windows.t[rows], self.windows.start[rows]
+        seconds = self.predictor.lateness.seconds(p)
+        still = np.zeros((*before.shape, slope.shape[3]))
+        return reported_late(reported, t, seconds, before), reported_late(slope, t, seconds, still)
+
+    def report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
+        """Report (b, k, 2n) and its derivative in free parameters and starts (b, k, 2n, n_free + 2n)."""
+        if self.predictor.sensors_are_true:
+            return x[..., : self._size], s[..., : self._size, :].copy()
+        b, k, nx = x.shape
+        columns = [x.reshape(b * k, nx), u.reshape(b * k, -1)]
+        y, by_x, by_p = mapped(self._report, columns, p, t.ravel())
+        slope = by_x @ s.reshape(b * k, nx, -1)
+        slope[:, :, : len(self.free)] += by_p
+        return y.reshape(b, k, -1), slope.reshape(b, k, self._size, -1)
+
+    @cached_property
+    def _report(self) -> ca.Function:
+        f = self.functions
+        free = ca.vertcat(*[f.p[i] for i in self.places])
+        outputs = [f.reported, ca.jacobian(f.reported, f.x), ca.jacobian(f.reported, free)]
+        return ca.Function("report", [f.x, f.u, f.p, f.t], [ca.densify(o) for o in outputs])

@@ -1,0 +1,539 @@
+"""One bounded least-squares step: physical bounds, priors, step limits, constraints of the user."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear, nnls
+
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.parameter import Parameter, printed
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
+
+from .data import WeakData
+from .pointwise import Cut
+from .residual import Linearised, WeakModel
+
+# A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
+PRIOR_WIDTH = 5.0
+# Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.
+_REACH = 10.0
+# The same as a share of all that is physical: a tether may come from far away.
+_REACH_OF_BOUNDS = 0.02
+# Square of a derivative, in units of the noise per SI unit, below which there is none but rounding.
+_UNFELT = 1e-24
+# Cutting planes that a step may need; each is a direction of a matrix of at most six motions.
+_MOST_CUTS = 60
+# Norm of the residual of a dual problem from which no step satisfies all inequalities.
+_IMPOSSIBLE = 1e-9
+
+
+def bounds_of(model: WeakModel) -> tuple[Array, Array]:
+    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too.
+
+    Raises
+    ------
+    UndertowError
+        If parameters that are to be equal cannot be by their bounds.
+    """
+    table = np.array([_joint_bounds(model, name) for name in model.free]).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _joint_bounds(model: WeakModel, name: str) -> tuple[float, float]:
+    low, high = _bounds(model, name)
+    for other, factor in model.functions.followers(name).items():
+        ends = sorted(bound / factor for bound in _bounds(model, other))
+        low, high = max(low, ends[0]), min(high, ends[1])
+        if low > high or (low == high == 0.0):
+            raise UndertowError(
+                f"{other} = {factor:g} {name} leaves no value that is physical for both: check the sign of "
+                "the factor"
+            )
+    return low, high
+
+
+def _bounds(model: WeakModel, name: str) -> tuple[float, float]:
+    vehicle = model.functions.vehicle
+    low, high = vehicle.declaration(name).bounds
+    value = vehicle.value_of(name).value
+    # A value that the user allowed against its sign keeps its freedom.
+    return (min(low, value) if value else low, max(high, value) if value else high)
+
+
+def check_known_leaders(model: WeakModel) -> None:
+    """Refuse a parameter that is tied to a known one and is not physical by that.
+
+    Raises
+    ------
+    UndertowError
+        Naming it, its value and its bounds.
+    """
+    vehicle = model.functions.vehicle
+    for name, (other, factor) in model.functions.equal.items():
+        value, (low, high) = factor * vehicle.value_of(other).value, _bounds(model, name)
+        if other not in model.free and not low <= value <= high:
+            raise UndertowError(
+                f"{name} = {factor:g} {other} makes {name} {value:g} (SI, SNAME signs), which has to lie "
+                f"between {low:g} and {high:g}: check the factor and its sign"
+            )
+
+
+def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
+    """Free parameters that are at a limit of what is physical, with that limit."""
+    low, high = bounds_of(model)
+    values = p[list(model.places)]
+    room = 1e-9 * np.maximum(np.abs(values), 1e-6)
+    below, above = values - low <= room, high - values <= room
+    ends = np.where(below, low, high)
+    return {n: float(e) for n, e, hit in zip(model.free, ends, below | above, strict=True) if hit}
+
+
+def prior_of(model: WeakModel) -> tuple[Array, Array]:
+    """Where stated priors are and how much they weigh."""
+    values = [model.functions.vehicle.value_of(n) for n in model.free]
+    # A value without a stated error is no prior, and may be infinite (a limit that is not there).
+    centre = np.array([0.0 if v.sigma is None else v.value for v in values])
+    weight = np.array([0.0 if v.sigma is None else 1.0 / (PRIOR_WIDTH * v.sigma) for v in values])
+    for k, name in enumerate(model.free):
+        for other, factor in model.functions.followers(name).items():
+            stated = model.functions.vehicle.value_of(other)
+            if stated.sigma is not None:
+                centre[k], weight[k] = _both(centre[k], weight[k], stated.value, stated.sigma, factor)
+    return centre, weight
+
+
+def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
+    """What stated priors add to the sum of squares at these values of the free parameters."""
+    centre, stiffness = prior
+    return float(np.sum((stiffness * (values - centre)) ** 2))
+
+
+def _both(centre: float, weight: float, value: float, sigma: float, factor: float) -> tuple[float, float]:
+    """One prior for two: of a parameter, and of its multiple."""
+    other = abs(factor) / (PRIOR_WIDTH * sigma)
+    total = weight**2 + other**2
+    return (weight**2 * centre + other**2 * value / factor) / total, float(np.sqrt(total))
+
+
+def reach_of(model: WeakModel) -> Array:
+    """How far each free parameter moves at least in one step; without end for one that is linear.
+
+    Where the data hardly feel one, a place far off say, the linearised problem would send it to its bound.
+    """
+    vehicle = model.functions.vehicle
+    return np.array([_reach(vehicle.declaration(n)) for n in model.free])
+
+
+def _reach(parameter: Parameter) -> float:
+    if parameter.linear:
+        return np.inf
+    span = parameter.bounds[1] - parameter.bounds[0]
+    wide = _REACH_OF_BOUNDS * span if np.isfinite(span) else 0.0
+    return max(_REACH * max(1.0, *map(abs, parameter.starts), 0.0), wide)
+
+
+def within_reach(bounds: tuple[Array, Array], now: Array, reach: Array) -> tuple[Array, Array]:
+    """Bounds of the next step: a parameter moves no farther than its reach, or some times its own size."""
+    reach = np.maximum(reach, _REACH * np.abs(now))
+    return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
+
+
+def limited_step(
+    model: WeakModel, at: Linearised, p: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array]
+) -> Array:
+    """Bounded least-squares step after which the model is physical: its mass matrix positive, and the like.
+
+    A direction in which a matrix would be negative becomes an inequality, and the step is made again; that
+    converges to the solution under the matrix inequality. Without a violation it is the plain bounded step.
+    """
+    now, limits = p[list(model.places)], model.limits
+    step = bounded_step(at, now, bounds, prior)
+    cuts: list[Cut] = []
+    while len(cuts) < _MOST_CUTS and (found := limits.cuts(limits.moved(p, step))):
+        cuts += [Cut(c.slope, c.lacking + float(c.slope @ step)) for c in found]
+        step = bounded_step(at, now, bounds, prior, cuts)
+    return _held_back(model, p, step) if cuts else step
+
+
+def _held_back(model: WeakModel, p: Array, step: Array) -> Array:
+    """The largest share of a step that leaves the model physical; all of it where it was not before."""
+    limits = model.limits
+    if limits.broken(p) or not limits.broken(limits.moved(p, step)):
+        return step
+    good, bad = 0.0, 1.0
+    for _ in range(40):
+        middle = (good + bad) / 2
+        good, bad = (good, middle) if limits.broken(limits.moved(p, middle * step)) else (middle, bad)
+    return good * step
+
+
+def physical(model: WeakModel, p: Array, bounds: tuple[Array, Array]) -> Array:
+    """The parameters themselves where the model is physical with them, else the nearest for which it is."""
+    if not model.limits.broken(p):
+        return p
+    now = p[list(model.places)]
+    alike = np.diag(1.0 / np.maximum(np.abs(now), 1e-3))
+    at = Linearised(np.zeros(len(now)), alike, np.zeros((len(now), 0)))
+    nothing = np.zeros(len(now)), np.zeros(len(now))
+    return model.limits.moved(p, limited_step(model, at, p, bounds, nothing))
+
+
+def bounded_step(
+    at: Linearised,
+    now: Array,
+    bounds: tuple[Array, Array],
+    prior: tuple[Array, Array],
+    cuts: Sequence[Cut] = (),
+) -> Array:
+    """Bounded least-squares step of the linearised problem; what the data do not feel stays where it is."""
+    felt = np.sum(at.J**2, axis=0) + prior[1] ** 2 > _UNFELT
+    step = np.zeros(len(now))
+    if felt.any():
+        chosen = Linearised(at.r, at.J[:, felt], at.start)
+        kept = [Cut(c.slope[felt], c.lacking) for c in cuts]
+        limits, stated = ((a[felt], b[felt]) for a, b in (bounds, prior))
+        step[felt] = _step(chosen, now[felt], limits, stated, kept)
+    return step
+
+
+def _step(
+    at: Linearised,
+    now: Array,
+    bounds: tuple[Array, Array],
+    prior: tuple[Array, Array],
+    cuts: Sequence[Cut],
+) -> Array:
+    gram, slope = normal_equations(at, now, prior)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
+    factor = np.linalg.cholesky(scaled).T
+    target = np.linalg.solve(factor.T, -slope * scale)
+    low, high = ((b - now) / scale for b in bounds)
+    if cuts:
+        table = np.array([c.slope * scale for c in cuts])
+        least = np.array([c.lacking for c in cuts])
+        return _within(np.asarray(factor), np.asarray(target), low, high, table, least) * scale
+    if np.all(np.isinf(low)) and np.all(np.isinf(high)):
+        return np.linalg.solve(factor, target) * scale
+    return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x * scale
+
+
+def normal_equations(at: Linearised, now: Array, prior: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Information and slope of the sum of squares, stated priors included, at these values."""
+    centre, stiffness = prior
+    gram = at.J.T @ at.J + np.diag(stiffness**2)
+    return gram, at.J.T @ at.r + stiffness**2 * (now - centre)
+
+
+def _within(factor: Array, target: Array, low: Array, high: Array, table: Array, least: Array) -> Array:
+    """Least squares under bounds and `table @ z >= least`, as a least distance problem.
+
+    That is solved by non-negative least squares (Lawson and Hanson, Solving Least Squares Problems, 1974,
+    chapter 23). Where no step satisfies all, the one that satisfies the bounds is returned.
+    """
+    unit = np.eye(len(target))
+    rows = np.vstack([unit[np.isfinite(low)], -unit[np.isfinite(high)], table])
+    limit = np.concatenate([low[np.isfinite(low)], -high[np.isfinite(high)], least])
+    G = np.linalg.solve(factor.T, rows.T).T
+    h = limit - G @ target
+    size = np.linalg.norm(G, axis=1)
+    G, h = G / size[:, None], h / size
+    reach = max(float(np.max(h)), 1e-300)
+    dual = np.vstack([G.T, h / reach])
+    multiplier, rest = nnls(dual, np.append(np.zeros(len(target)), 1.0))
+    if rest < _IMPOSSIBLE or np.max(h) <= 0.0:
+        return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x
+    missing = dual @ multiplier
+    missing[-1] -= 1.0
+    return np.linalg.solve(factor, target - reach * missing[:-1] / missing[-1])
+
+
+def inverse_of(information: Array) -> Array:
+    """Inverse of an information matrix; a direction that nothing determines gets a very large variance."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-100))
+    scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+    return np.linalg.inv(scaled) * np.outer(scale, scale)
+
+
+#: Standard error from which the data say nothing of a parameter, in its SI unit.
+NOTHING_SAID = 1e12
+
+
+def estimated(vehicle: Vehicle, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
+    """The vehicle with fitted values and their standard errors.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model before the fit.
+    values, errors : mapping
+        Value and standard error of every free parameter, SI and SNAME signs. What the data say nothing of
+        keeps the error that was stated for it, if any.
+    """
+    found = {}
+    for name, value in values.items():
+        known = vehicle.value_of(name)
+        sigma = errors[name] if errors[name] < NOTHING_SAID else known.sigma
+        found[name] = replace(known, value=value, sigma=sigma, estimate=True)
+    return vehicle.with_values(found)
+
+
+_NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
+_EQUALITY = re.compile(rf"\s*(\w+)\s*=\s*(?:({_NUMBER})(?:\s*\*\s*|\s+))?([A-Za-z]\w*)\s*")
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Demands on the parameters of a fit. That its mass matrix is positive is asked for in any case.
+
+    Attributes
+    ----------
+    equal : mapping
+        Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs.
+    dissipative : bool
+        Whether linear damping has to take energy from every motion, D + D' >= 0.
+    """
+
+    equal: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    dissipative: bool = False
+
+    def model(self, vehicle: Vehicle, free: Sequence[str]) -> WeakModel:
+        """The model of a vehicle with its free parameters, without those that follow others.
+
+        Raises
+        ------
+        UndertowError
+            If an equality names what is no parameter of the equations, leads in a circle, or leaves no
+            physical model.
+        """
+        equal = _resolved(self.equal, vehicle)
+        kept = [n for n in free if n not in equal]
+        model = WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
+        if equal:
+            check_known_leaders(model)
+            _must_be_physical(model)
+        return model
+
+
+def _must_be_physical(model: WeakModel) -> None:
+    """Refuse equalities after which no values of the free parameters give a physical model."""
+    p, bounds = np.array(model.functions.values(), dtype=float), bounds_of(model)
+    places = list(model.places)
+    p[places] = np.clip(p[places], *bounds)
+    broken = model.limits.impossible(physical(model, p, bounds))
+    if broken:
+        tied = ", ".join(f"{n} = {factor:g} {other}" for n, (other, factor) in model.functions.equal.items())
+        raise UndertowError(
+            f"{tied} (SNAME signs) leaves no {broken[0]}: check the factors and their signs, or the known "
+            "values"
+        )
+
+
+def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[str, tuple[str, float]]:
+    """Every equality in terms of a parameter that follows no other."""
+    found = {}
+    for name in equal:
+        other, factor = equal[name]
+        for _ in equal:
+            if other in equal:
+                other, factor = equal[other][0], factor * equal[other][1]
+        for one in (name, other):
+            _must_be_there(one, vehicle)
+        if other in equal or not factor or not np.isfinite(factor):
+            raise UndertowError(
+                f"{name} = {equal[name][1]:g} {equal[name][0]} ties a parameter to itself or to nothing: "
+                "give each parameter once on the left side, with a finite factor that is not zero"
+            )
+        found[name] = (other, factor)
+    return found
+
+
+def _must_be_there(name: str, vehicle: Vehicle) -> None:
+    if name not in vehicle.parameter_names:
+        known = ", ".join(vehicle.parameter_names)
+        raise UndertowError(
+            f"'{name}' is no parameter in the equations of '{vehicle.name}': they have {known}"
+        )
+
+
+def read_equalities(texts: Sequence[str], vehicle: Vehicle) -> dict[str, tuple[str, float]]:
+    """Equalities as a user writes them, such as ``Y_vdot = Z_wdot`` or ``N_r = 0.5 M_q``.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        One equality each, in the sign convention of the vehicle's file.
+    vehicle : Vehicle
+        Whose parameters they are.
+
+    Raises
+    ------
+    UndertowError
+        If a text is no equality, or names what the vehicle does not have.
+    """
+    found: dict[str, tuple[str, float]] = {}
+    for text in texts:
+        name, other, factor = _read(text)
+        for one in (name, other):
+            _must_be_there(one, vehicle)
+        if name in found:
+            raise UndertowError(f"{text!r}: {name} is on the left side twice")
+        found[name] = (other, factor * _sign(other, vehicle) / _sign(name, vehicle))
+    return found
+
+
+def written(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> list[str]:
+    """Equalities as `read_equalities` takes them."""
+    signs = {n: _sign(other, vehicle) / _sign(n, vehicle) for n, (other, _) in equal.items()}
+    return [f"{n} = {factor * signs[n]:.9g} {other}" for n, (other, factor) in equal.items()]
+
+
+def _read(text: str) -> tuple[str, str, float]:
+    match = _EQUALITY.fullmatch(text)
+    if match is None:
+        raise UndertowError(
+            f"{text!r} is no equality between two parameters: write Y_vdot = Z_wdot, or N_r = 0.5 M_q"
+        )
+    try:
+        factor = float(match[2] or 1.0)
+    except ValueError as error:
+        raise UndertowError(f"{text!r}: {match[2]} is no number") from error
+    if not (np.isfinite(factor) and factor):
+        raise UndertowError(f"{text!r}: the factor is {factor:g}: give one that is finite and not zero")
+    return match[1], match[3], factor
+
+
+def _sign(name: str, vehicle: Vehicle) -> float:
+    """Sign of a parameter inside, where it is positive in the vehicle's file."""
+    parameter = vehicle.parameter_of(name)
+    return 1.0 if parameter is None else printed(parameter, 1.0, vehicle.signs)
+
+
+def followers(model: WeakModel, values: Mapping[str, float]) -> dict[str, float]:
+    """Values of the parameters that are tied to others, from those of the free ones."""
+    f = model.functions
+    known = {n: f.vehicle.value_of(n).value for n in f.parameter_names} | dict(values)
+    return {name: factor * known[other] for name, (other, factor) in f.equal.items()}
+
+
+def follower_errors(model: WeakModel, errors: Mapping[str, float]) -> dict[str, float]:
+    """Standard errors of the parameters that are tied to others; zero where those are known."""
+    tied = model.functions.equal.items()
+    return {name: abs(factor) * errors.get(other, 0.0) for name, (other, factor) in tied}
+
+
+def fitted_vehicle(model: WeakModel, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
+    """The vehicle of a model with the fitted values of its free parameters, and of those tied to them."""
+    whole = {**values, **followers(model, values)}
+    return estimated(model.functions.vehicle, whole, {**errors, **follower_errors(model, errors)})
+
+
+def active(model: WeakModel, p: Array) -> list[str]:
+    """Names of the constraints that hold a fit back: bounds, then matrices that are at their limit."""
+    bounds = [f"{name} at its bound {bound:g}" for name, bound in at_bounds(model, p).items()]
+    return [*bounds, *model.limits.active(p)]
+
+
+class Solution(ABC):
+    """Values of the free parameters of a model, found by least squares.
+
+    Attributes
+    ----------
+    model : WeakModel
+        Model and names of the free parameters.
+    p : (n_parameters,) array
+        All parameters.
+    """
+
+    model: WeakModel
+    p: Array
+
+    @property
+    @abstractmethod
+    def gram(self) -> Array:
+        """J' J of the weighted residual, shape (n_free, n_free)."""
+
+    @property
+    @abstractmethod
+    def covariance(self) -> Array:
+        """Covariance of the free parameters."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle with the fitted values and their standard errors."""
+        return fitted_vehicle(self.model, self.values, self.standard_errors)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values of the free parameters, SI and SNAME signs."""
+        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard error of every free parameter."""
+        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the scaled regressor."""
+        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
+        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
+
+    @property
+    def active(self) -> list[str]:
+        """Constraints that hold the estimates back, by name."""
+        return active(self.model, self.p)
+
+
+def clustered(information: Array, scores: Array) -> Array:
+    """Covariance of an estimate: never less than noise alone gives, and robust to what hangs together.
+
+    Parameters
+    ----------
+    information : (k, k) array
+        J' J of the weighted residual, with what priors add.
+    scores : (groups, k) array
+        J' r of groups of residuals that count as independent of each other.
+    """
+    inverse = inverse_of(information)
+    robust = np.diag(inverse @ (scores.T @ scores) @ inverse)
+    inflation = np.sqrt(np.maximum(1.0, robust / np.maximum(np.diag(inverse), 1e-300)))
+    return np.asarray(inverse * np.outer(inflation, inflation))
+
+
+# --- more equations than parameters ---------------------------------------------------------------
+def require_equations(model: WeakModel, data: WeakData, method: str) -> None:
+    """Refuse logs that are too short for the parameters of a model, by their weak equations of motion.
+
+    Raises
+    ------
+    UndertowError
+        If there are no more equations than parameters without a prior.
+    """
+    count = int(np.count_nonzero(data.equation < len(data.names) // 2))
+    require_rows(model, count, data.runs, method)
+
+
+def require_rows(model: WeakModel, count: int, runs: Sequence[Run], method: str) -> None:
+    """Refuse as many equations as there are parameters without a prior, or fewer.
+
+    Raises
+    ------
+    UndertowError
+        Naming the runs, what they give, and what is sought.
+    """
+    sought = int(np.count_nonzero(prior_of(model)[1] == 0.0))
+    if sought and count <= sought:
+        lengths = ", ".join(f"'{run.name}' {len(run.t)} samples" for run in runs)
+        raise UndertowError(
+            f"these logs ({lengths}) are too short for --method {method}: {sought} parameters need more than "
+            f"{sought} equations, and they make {count}: give longer logs, or state parameters as known"
+        )

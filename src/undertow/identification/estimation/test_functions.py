@@ -1,0 +1,515 @@
+"""Test functions of the weak form: cubic B-splines, quadrature, sums over windows."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.resources import files
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.linalg.lapack import dtbtrs
+from scipy.sparse import csr_array
+
+from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import Compiler, compiled_or_virtual
+from undertow.codegen.driver import loaded, pointer
+from undertow.codegen.source import EXPORTED, digest
+from undertow.typing import Array, Index
+
+
+# --- the samples that a test function sees --------------------------------------------------------
+@dataclass(frozen=True)
+class Windows:
+    """Windows of one width W for K test functions.
+
+    Attributes
+    ----------
+    first : (K,) array of int
+        First sample of each window; none begins before the one in front of it.
+    samples : int
+        Number of samples; a window may reach beyond the last one, with weights of zero.
+    weights : (kinds, K, W) array
+        Weights of every kind.
+    """
+
+    first: Index
+    samples: int
+    weights: Array
+
+    @classmethod
+    def of(cls, kinds: Sequence[csr_array]) -> Windows:
+        """Windows around what every test function sees with any kind of weights (K, N)."""
+        parts = [w.tocoo() for w in kinds]
+        count, samples = kinds[0].shape
+        first, last = np.full(count, samples - 1), np.zeros(count, dtype=np.intp)
+        for part in parts:
+            np.minimum.at(first, part.row, part.col)
+            np.maximum.at(last, part.row, part.col)
+        first = np.ascontiguousarray(np.minimum.accumulate(first[::-1])[::-1])
+        width = max(int(np.max(last - first)), 0) + 1
+        weights = np.zeros((len(parts), count, width))
+        for kind, part in zip(weights, parts, strict=True):
+            kind[part.row, part.col - first[part.row]] = part.data
+        return cls(first, samples, weights)
+
+    def part(self, which: slice) -> Windows:
+        """Some of the windows."""
+        return Windows(self.first[which], self.samples, self.weights[:, which])
+
+    @property
+    def index(self) -> Index:
+        """Sample at each place of each window, shape (K, W); beyond the last one, that one again."""
+        return np.minimum(self.first[:, None] + np.arange(self.weights.shape[2]), self.samples - 1)
+
+
+DEGREE = 3
+SAMPLES_PER_KNOT = 5
+
+
+@dataclass(frozen=True)
+class TestFunctions:
+    """Quadrature weights of K test functions phi over the N samples of a segment.
+
+    Attributes
+    ----------
+    value : sparse (K, N)
+        Weights for the integral of phi times a smooth signal.
+    rate : sparse (K, N)
+        Weights for the integral of d(phi)/dt times a smooth signal.
+    held : sparse (K, N)
+        Integrals of phi over [t_i, t_i+1), for the mean of a signal over this interval; with `rate` they give
+        exactly zero for such a signal and its integral, whatever its jumps and the spacing of samples.
+    centre : (K,) array
+        Middle of each support, s.
+    """
+
+    value: csr_array
+    rate: csr_array
+    held: csr_array
+    centre: Array
+
+    __test__ = False  # not a pytest class
+
+    @cached_property
+    def windows(self) -> Windows:
+        """The weights of value, rate and held, as windows."""
+        return Windows.of([self.value, self.rate, self.held])
+
+    @property
+    def count(self) -> int:
+        """Number of test functions."""
+        return len(self.centre)
+
+
+# Which of them a block of pointwise rows meets: velocity, acceleration, pose, pose rate, held acceleration.
+_MET = np.array([1, 0, 1, 0, 2])
+
+
+def meeting(row: Index, n: int) -> tuple[Index, Index]:
+    """Kind of weights that each of the 5n pointwise rows meets, and the equation (of 2n) it is part of."""
+    block = row // n
+    return _MET[block], row % n + np.where((block == 2) | (block == 3), n, 0)
+
+
+def knot_spacing(t: Array) -> float:
+    """Spacing of knots for a clock: a few samples, so that all that the sampling resolves is seen."""
+    return float(SAMPLES_PER_KNOT * np.median(np.diff(t)))
+
+
+def test_functions(t: Array, spacing: float) -> TestFunctions | None:
+    """B-splines whose whole support lies within the segment; None if it is too short for a single one.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Sample times, s.
+    spacing : float
+        Distance of the knots, s; the support of a function is four times that.
+    """
+    count = int((t[-1] - t[0]) / spacing + 1e-9) - DEGREE
+    if count < 1:
+        return None
+    place = (t - t[0]) / spacing
+    weight = _trapezoid(t)
+    value = _banded(lambda s, i: _PHI(s) * weight[i], place, count)
+    rate = _banded(lambda s, i: _PHI_RATE(s) * weight[i] / spacing, place, count)
+    rate = _exact_for_cubics(rate, value, place, _RATE_MOMENTS)
+    return TestFunctions(
+        value=_exact_for_cubics(value, value, place, spacing * _VALUE_MOMENTS),
+        rate=rate,
+        held=_held(rate, t),
+        centre=t[0] + spacing * (np.arange(count) + (DEGREE + 1) / 2),
+    )
+
+
+test_functions.__test__ = False  # type: ignore[attr-defined]
+
+
+def boxes(t: Array, spacing: float) -> TestFunctions | None:
+    """Boxes, one from every sample on: with them the weak form is the integral form.
+
+    A box has no derivative but a peak at either end, so that its residual is the change of velocity less the
+    integral of the acceleration, of position less that of velocity. All of a segment is used, since boxes
+    overlap, and generalised least squares knows how they hang together. Signals are integrated by the cubic
+    through the four samples around each interval.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Sample times, s.
+    spacing : float
+        Length of a box, s, brought to whole samples.
+    """
+    width = max(round(spacing / float(np.median(np.diff(t)))), 1)
+    count = len(t) - width
+    if count < 1 or len(t) < 4:
+        return None
+    first = np.repeat(np.arange(count), width)
+    inside = csr_array((np.ones(count * width), (first, first + np.tile(np.arange(width), count))))
+    inside.resize(count, len(t) - 1)
+    step = np.diff(t)
+    place = np.arange(count)
+    ends = (np.concatenate([place, place]), np.concatenate([place, place + width]))
+    jumps = np.repeat([1.0, -1.0], count)
+    return TestFunctions(
+        value=csr_array(inside @ _interval_integrals(t)),
+        rate=csr_array((jumps, ends), shape=(count, len(t))),
+        held=csr_array(
+            (inside.data * step[inside.indices], inside.indices, inside.indptr), shape=(count, len(t))
+        ),
+        centre=(t[width:] + t[:count]) / 2,
+    )
+
+
+def _interval_integrals(t: Array) -> csr_array:
+    """Weights for the integral from each sample to the next by the cubic through four, (N - 1, N)."""
+    count = len(t) - 1
+    first = np.clip(np.arange(count) - 1, 0, len(t) - 4)
+    index = first[:, None] + np.arange(4)
+    step = np.diff(t)[:, None]
+    place = (t[index] - t[:-1, None]) / step
+    moments = 1.0 / np.arange(1.0, 5.0)
+    powers = np.swapaxes(place[:, :, None] ** np.arange(4), 1, 2)
+    weight = np.linalg.solve(powers, np.broadcast_to(moments[:, None], (count, 4, 1)))[..., 0] * step
+    rows = np.repeat(np.arange(count), 4)
+    return csr_array((weight.ravel(), (rows, index.ravel())), shape=(count, len(t)))
+
+
+_SUPPORT = np.arange(DEGREE + 2.0)
+_PHI = BSpline.basis_element(_SUPPORT, extrapolate=False)
+_PHI_RATE = _PHI.derivative()
+# Integrals of phi and of its derivative times 1, s, s^2, s^3, with s counted in knots from the middle.
+_VALUE_MOMENTS = np.array([1.0, 0.0, 1 / 3, 0.0])
+_RATE_MOMENTS = np.array([0.0, -1.0, 0.0, -1.0])
+
+
+def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int) -> csr_array:
+    """Sparse (count, N) matrix of entry(s, i), s = place_i - k, for samples in the support of k."""
+    rows, columns, values = [], [], []
+    first = np.floor(place).astype(np.intp)
+    for offset in range(DEGREE + 1):
+        k = first - offset
+        index = np.flatnonzero((k >= 0) & (k < count))
+        rows.append(k[index])
+        columns.append(index)
+        values.append(np.nan_to_num(entry(place[index] - k[index], index)))
+    shape = (count, len(place))
+    return csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+
+
+def _exact_for_cubics(weights: csr_array, near: csr_array, place: Array, moments: Array) -> csr_array:
+    """Weights with the right integrals of cubics, changed by `near` times a cubic for that.
+
+    Sums over even samples have them already. Over uneven ones not even a constant would integrate to zero
+    with the derivative, and a position far from zero would drown all else.
+    """
+    at = near.tocoo()
+    powers = (place[at.col] - at.row - (DEGREE + 1) / 2)[:, None] ** np.arange(2 * DEGREE + 1)
+    held = np.column_stack([np.bincount(at.row, at.data * s, near.shape[0]) for s in powers.T])
+    gram = held[:, np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))]
+    found = np.column_stack([np.bincount(at.row, weights.data * s, near.shape[0]) for s in powers.T])
+    lacking = moments - found[:, : DEGREE + 1]
+    cubic = np.einsum("kij,kj->ki", np.linalg.pinv(gram, rcond=1e-9, hermitian=True), lacking)
+    change = at.data * np.sum(cubic[at.row] * powers[:, : DEGREE + 1], axis=1)
+    return csr_array((weights.data + change, weights.indices, weights.indptr), shape=weights.shape)
+
+
+def _held(rate: csr_array, t: Array) -> csr_array:
+    """Weights of interval means with which summation by parts is exact: the integral changes by mean times
+    step from sample to sample, so that each step counts as much as all weights of `rate` up to it.
+    """
+    rate.sort_indices()
+    begin = rate.indptr[:-1]
+    total = np.cumsum(rate.data)
+    earlier = np.concatenate([[0.0], total])[begin]
+    total -= np.repeat(earlier, np.diff(rate.indptr))
+    step = np.append(np.diff(t), 0.0)
+    return csr_array((total * step[rate.indices], rate.indices, rate.indptr), shape=rate.shape)
+
+
+def kink_delay(t: Array) -> Array:
+    """How much later than at its sample a signal with a kink has to be read for its quadrature to be right.
+
+    Over even steps that is a twelfth of a step: of the jump of the slope, trapezoids miss h^2/12.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Sample times, s.
+
+    Returns
+    -------
+    (N,) array
+        Seconds.
+    """
+    step = np.diff(t)
+    before, after = np.append(step[:1], step), np.append(step, step[-1:])
+    return np.asarray((before**2 + after**2) / (before + after) / 12)
+
+
+def _trapezoid(t: Array) -> Array:
+    weight = np.zeros_like(t)
+    step = np.diff(t)
+    weight[:-1] += step / 2
+    weight[1:] += step / 2
+    return weight
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Entries of a matrix at N samples.
+
+    Attributes
+    ----------
+    row, column : (E,) array
+        Place of every entry; the same place may occur more than once, its entries add up.
+    data : (N, E) array
+        Values at the samples.
+    width : int
+        Columns of the whole matrix.
+    """
+
+    row: Index
+    column: Index
+    data: Array
+    width: int
+
+    @classmethod
+    def of(cls, data: Array, pattern: ca.Sparsity, first: int) -> Entries:
+        """Nonzeros of a CasADi matrix, its first column at `first`."""
+        row, column = _places(pattern)
+        return cls(row, first + column, data, first + pattern.size2())
+
+    @classmethod
+    def chained(cls, data: Array, pattern: ca.Sparsity, slope: Array, first: int) -> Entries:
+        """Chain rule: nonzeros (rows by k) times `slope` (N, k, m), its first column at `first`."""
+        row, through = _places(pattern)
+        width = slope.shape[2]
+        felt = np.argwhere(np.any(slope, axis=0)) if slope.size else np.zeros((0, 2), dtype=np.intp)
+        pairs = [(e, j) for i, j in felt for e in np.flatnonzero(through == i)]
+        table = np.empty((len(data), len(pairs)))
+        for k, (e, j) in enumerate(pairs):
+            np.multiply(data[:, e], slope[:, through[e], j], out=table[:, k])
+        places = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+        return cls(row[places[:, 0]], first + places[:, 1], table, first + width)
+
+    def averaged(self, other: Entries, rows: slice) -> Entries:
+        """Mean with another table of the same places, in some rows."""
+        data = self.data.copy()
+        chosen = (self.row >= rows.start) & (self.row < rows.stop)
+        data[:, chosen] = 0.5 * (data[:, chosen] + other.data[:, chosen])
+        return Entries(self.row, self.column, data, self.width)
+
+
+def _places(pattern: ca.Sparsity) -> tuple[Index, Index]:
+    return np.array(pattern.row(), dtype=np.intp), np.array(pattern.get_col(), dtype=np.intp)
+
+
+# Right-hand sides that go through an operation together.
+_SIDE = 8
+_NAMES = ("TESTED", "PRODUCTS", "SOLVED")
+
+
+class _Windows(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("count", "width", "samples")),
+        ("first", ctypes.c_void_p),
+        ("weights", ctypes.c_void_p),
+    )
+
+
+class _Sums(Protocol):
+    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None: ...
+
+    def products(self, first: Index, felt: Array, bands: Array) -> None: ...
+
+    def solved(self, factor: Array, right: Array) -> Array: ...
+
+
+class SumsInC:
+    """The sums in C."""
+
+    def __init__(self, compiler: Compiler) -> None:
+        source, prefix = sums_source()
+        library = loaded(library_for(source, compiler.for_this_machine()))
+        self._call = {n: getattr(library, prefix + n.lower()) for n in _NAMES}
+        for entry in self._call.values():
+            entry.restype = None
+
+    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
+        chosen = np.flatnonzero(target >= 0)
+        runs = np.ascontiguousarray(_runs(chosen, kind))
+        data = np.ascontiguousarray(part.data)
+        count, width = windows.weights.shape[1:]
+        first, places = (np.ascontiguousarray(a, dtype=np.int64) for a in (windows.first, target))
+        sums = np.empty(data.shape[1])
+        about = _Windows(count, width, windows.samples, first.ctypes.data, windows.weights.ctypes.data)
+        self._call["TESTED"](
+            ctypes.byref(about),
+            ctypes.c_int64(data.shape[1]),
+            pointer(data),
+            ctypes.c_int64(len(runs)),
+            pointer(runs),
+            pointer(places),
+            ctypes.c_int64(table[0].size),
+            pointer(sums),
+            pointer(table),
+        )
+
+    def products(self, first: Index, felt: Array, bands: Array) -> None:
+        count, rows, width, channels = felt.shape
+        sizes = map(ctypes.c_int64, (count, rows, width * channels, channels))
+        begin = np.ascontiguousarray(first, dtype=np.int64)
+        self._call["PRODUCTS"](*sizes, pointer(begin), pointer(felt), pointer(bands))
+
+    def solved(self, factor: Array, right: Array) -> Array:
+        columns = -(-right.shape[1] // _SIDE) * _SIDE
+        found = np.zeros((len(right), columns))
+        found[:, : right.shape[1]] = right
+        by_column = np.ascontiguousarray(factor.T)
+        sizes = map(ctypes.c_int64, (len(factor), len(right), columns))
+        self._call["SOLVED"](*sizes, pointer(by_column), pointer(found))
+        return found[:, : right.shape[1]]
+
+
+class SumsInNumPy:
+    """The same without a compiler."""
+
+    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
+        index, flat = windows.index, table.reshape(len(table), -1)
+        for e in np.flatnonzero(target >= 0):
+            weights = windows.weights[kind[e]]
+            # What lies outside the support counts for nothing, whatever it is.
+            flat[:, target[e]] += np.sum(np.where(weights == 0, 0.0, weights * part.data[index, e]), axis=1)
+
+    def products(self, first: Index, felt: Array, bands: Array) -> None:
+        count, rows, width, channels = felt.shape
+        flat = felt.reshape(count, rows, width * channels)
+        for apart in range(len(bands) // rows):
+            blocks = _shifted_products(flat, first[apart:] - first[: count - apart], channels)
+            for a in range(rows):
+                for b in range(0 if apart else a, rows):
+                    bands[apart * rows + b - a, a::rows][: count - apart] = blocks[:, b, a]
+
+    def solved(self, factor: Array, right: Array) -> Array:
+        solution, info = dtbtrs(factor, right, uplo="L")
+        assert info == 0
+        return np.asarray(solution)
+
+
+def _shifted_products(flat: Array, shift: Index, channels: int) -> Array:
+    """Blocks (rows, rows) between windows and those that begin `shift` samples before them."""
+    apart = len(flat) - len(shift)
+    blocks = np.zeros((len(shift), flat.shape[1], flat.shape[1]))
+    for samples in np.unique(shift):
+        far = int(samples) * channels
+        if far >= flat.shape[2]:
+            continue
+        here = np.flatnonzero(shift == samples)
+        later = flat[here + apart][:, :, : flat.shape[2] - far]
+        blocks[here] = later @ flat[here][:, :, far:].swapaxes(1, 2)
+    return blocks
+
+
+@cache
+def _sums() -> _Sums:
+    def compiled(compiler: Compiler) -> _Sums:
+        return SumsInC(compiler)
+
+    return compiled_or_virtual(None, compiled, SumsInNumPy)
+
+
+def sums_source() -> tuple[str, str]:
+    """C source of the sums, and what the names of its entry points begin with: they carry its hash."""
+    text = (files("undertow.identification.estimation") / "sums.c").read_text(encoding="utf-8")
+    prefix = f"undertow_{digest(EXPORTED + text)[:16]}_"
+    names = [f"#define {n} {prefix}{n.lower()}" for n in _NAMES]
+    return "\n".join([*names, EXPORTED, text]), prefix
+
+
+def _runs(chosen: Index, kind: Index) -> Index:
+    """Stretches of neighbours of one kind among the chosen signals: begin, end, kind."""
+    if not len(chosen):
+        return np.zeros((0, 3), dtype=np.int64)
+    last = np.append((np.diff(chosen) > 1) | (np.diff(kind[chosen]) != 0), True)
+    begin = chosen[np.concatenate([[True], last[:-1]])]
+    return np.column_stack([begin, chosen[last] + 1, kind[begin]]).astype(np.int64)
+
+
+def tested(
+    windows: Windows, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
+) -> Array:
+    """Sums over each window of weight times signal, gathered in the places that the signals belong to.
+
+    Parameters
+    ----------
+    windows : Windows
+        K windows over N samples.
+    parts : sequence of Entries
+        Signals.
+    kind, target : sequences of arrays of int
+        For every signal of every part which weights it meets, and its place; -1 for none.
+    size : int
+        Number of places.
+
+    Returns
+    -------
+    (K, size) array
+    """
+    table = np.zeros((len(windows.first), size))
+    for part, weights, places in zip(parts, kind, target, strict=True):
+        _sums().tested(windows, part, weights, places, table)
+    return table
+
+
+def products(first: Index, felt: Array) -> Array:
+    """Products of all pairs of rows whose windows overlap, in LAPACK's banded storage.
+
+    Parameters
+    ----------
+    first : (K,) array of int
+        First sample of every window, in ascending order.
+    felt : (K, rows, W, channels) array
+        Rows of every window.
+
+    Returns
+    -------
+    (b, K rows) array
+        Lower half, ordered by window, then by row.
+    """
+    count, rows, width, _ = felt.shape
+    reach = int(np.max(np.searchsorted(first, first + width) - np.arange(count)))
+    bands = np.zeros((reach * rows, count * rows))
+    _sums().products(first, felt, bands)
+    used = np.flatnonzero(np.any(bands, axis=1))
+    return bands[: used[-1] + 1] if len(used) else bands[:1]
+
+
+def solved(factor: Array, right: Array) -> Array:
+    """Solution of L z = r for a lower factor in LAPACK's bands, shape (b, m), and r of shape (m, k)."""
+    return _sums().solved(factor, np.asarray(right, dtype=float))

@@ -1,0 +1,461 @@
+"""Fitting the weak residual: Gauss-Newton, generalised least squares, instrumental variables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
+
+from .data import Segment, WeakData, Whitening, prepare
+from .predictor import Predictor
+from .residual import Linearised, WeakModel, whitened
+from .step import (
+    Constraints,
+    Solution,
+    bounds_of,
+    clustered,
+    limited_step,
+    physical,
+    prior_cost,
+    prior_of,
+    reach_of,
+    require_equations,
+    within_reach,
+)
+from .windows import Windows, cut
+
+_MATCHING_STEPS = 4
+# Largest mean square of an equation that still counts as noise of the channels.
+_NOISE_EXPLAINS = 1.6
+
+
+def mean_square(r: Array, data: WeakData) -> Array:
+    """Mean square of a whitened residual for each of the 2n equations; 1 is the noise floor."""
+    size = len(data.names)
+    total = np.bincount(data.equation, weights=r**2, minlength=size)
+    count = np.bincount(data.equation, minlength=size)
+    return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
+
+
+def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
+    """A noise model with a disturbance of the given intensity in each equation."""
+    level = disturbance[list(data.rows)]
+    return [
+        w.with_disturbance(np.tile(level, s.functions.count))
+        for w, s in zip(quiet, data.segments, strict=True)
+    ]
+
+
+def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
+    """Intensity that would explain the raw residual of the unfitted model all by itself."""
+    raw = np.concatenate([part.r for part in model.linearise(data, p)])
+    lengths = [float(np.mean(s.functions.held.sum(axis=1))) for s in data.segments]
+    return np.nan_to_num(mean_square(raw, data)) / float(np.mean(lengths))
+
+
+def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
+    """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
+
+    Zero where the noise of the channels explains the residual by itself.
+    """
+    data = fit.data
+    parts = fit.model.linearise(data, fit.p)
+    if fits_noise(whitened(parts, quiet), data):
+        return np.zeros(len(data.names))
+    level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
+    for _ in range(_MATCHING_STEPS):
+        square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
+        level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
+    return np.asarray(level)
+
+
+def fits_noise(at: Linearised, data: WeakData) -> bool:
+    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
+
+
+_MAX_ITERATIONS = 15
+# A step that promises less than this in chi-square cannot change any judgement.
+_ENOUGH = 0.01
+_NOISE_ROUNDS = 6
+_NOISE_SETTLED = 0.2
+_MOVED = 0.05
+# The same, up to which a fit without any disturbance may bring it down to that.
+_WORTH_A_LOOK = 30.0
+_PLAIN = Constraints()
+
+
+@dataclass(frozen=True)
+class WeakFit(Solution):
+    """A model fitted to logs in the weak form.
+
+    Attributes
+    ----------
+    model : WeakModel
+        Model and names of the free parameters.
+    p : (n_parameters,) array
+        All parameters.
+    data : WeakData
+        What it was fitted to.
+    whitening : list of Whitening
+        Noise model that was used.
+    at : Linearised
+        Whitened residual and derivative at p.
+    disturbance : (2n,) array
+        Intensity of what the model leaves beyond the noise, for each equation, (m/s^2)^2 s and the like.
+    iterations : int
+        Gauss-Newton steps taken.
+    """
+
+    model: WeakModel
+    p: Array
+    data: WeakData
+    whitening: list[Whitening]
+    at: Linearised
+    disturbance: Array
+    iterations: int
+
+    @cached_property
+    def gram(self) -> Array:
+        """J' J of the whitened residual, shape (n_free, n_free)."""
+        return self.at.J.T @ self.at.J
+
+    @cached_property
+    def noise_gram(self) -> Array:
+        """J' J in units of the noise of the sensors alone, without a disturbance."""
+        quiet = self.model.whitening(self.data, self.p)
+        J = whitened(self.model.linearise(self.data, self.p), quiet).J
+        return np.asarray(J.T @ J)
+
+    @cached_property
+    def information(self) -> Array:
+        """What data and stated priors say together: J' J plus the prior's weight."""
+        return self.gram + np.diag(prior_of(self.model)[1] ** 2)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the free parameters: never less than noise alone gives, and robust to
+        autocorrelation.
+
+        Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
+        """
+        scores = self.at.J * self.at.r[:, None]
+        block = self.data.block
+        summed = np.zeros((int(block.max(initial=0)) + 1, scores.shape[1]))
+        np.add.at(summed, block, scores)
+        return clustered(self.information, summed)
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares of the whitened residual."""
+        return float(np.sum(self.at.r**2))
+
+    def mean_square(self) -> Array:
+        """Mean square of the whitened residual for each of the 2n equations (NaN where not used)."""
+        return mean_square(self.at.r, self.data)
+
+
+def free_parameters(vehicle: Vehicle) -> tuple[str, ...]:
+    """Parameters that the vehicle file marks as to be estimated and that the equations contain."""
+    return tuple(n for n in vehicle.parameter_names if vehicle.value_of(n).estimate)
+
+
+def fit_weak(
+    vehicle: Vehicle | WeakModel,
+    data: WeakData,
+    free: Sequence[str] | None = None,
+    *,
+    start: Mapping[str, float] | None = None,
+    whitening: list[Whitening] | None = None,
+    disturbance: Array | None = None,
+    max_iterations: int = _MAX_ITERATIONS,
+    enough: float = 0.0,
+    constraints: Constraints = _PLAIN,
+) -> WeakFit:
+    """Fit the free parameters of a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle or WeakModel
+        Model with starting values; a WeakModel brings its own choice of free parameters.
+    data : WeakData
+        Prepared logs.
+    free : sequence of str, optional
+        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
+    start : mapping, optional
+        Starting values that differ from the vehicle's.
+    whitening, disturbance : optional
+        Noise model to use; worked out from the residual of the fit itself where not given.
+    enough : float
+        Share of the sum of squares that a step has to promise for another to follow.
+    constraints : Constraints
+        What else is asked of the parameters of a vehicle; a WeakModel brings its own.
+
+    Raises
+    ------
+    UndertowError
+        If the model has no finite force somewhere in the logs, and no noise model is given.
+    """
+    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
+    p = _started(model.functions.vehicle, start or {})
+    if whitening is not None and disturbance is not None:
+        return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
+    model.require_defined(data, p)
+    disturbance = first_guess(model, data, p)
+    loud = disturbed(model.whitening(data, p), disturbance, data)
+    return settled(_solved(model, p, data, loud, disturbance, max_iterations))
+
+
+def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constraints) -> WeakModel:
+    return constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
+
+
+def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
+    """Match the noise model to what a fit leaves, and fit again, until neither changes."""
+    quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
+    for _ in range(most):
+        # How the sensors' noise enters is dear to work out, and hangs on the parameters but little.
+        if _moved(fit.p, at):
+            quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
+        disturbance = matched_disturbance(fit, quiet)
+        changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
+        whitening = disturbed(quiet, disturbance, fit.data)
+        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, _MAX_ITERATIONS)
+        if changed < _NOISE_SETTLED or not np.any(disturbance):
+            break
+    return _without_disturbance(fit)
+
+
+def _without_disturbance(fit: WeakFit) -> WeakFit:
+    """The fit under the noise of the sensors alone, if that explains what it leaves then.
+
+    A disturbance feeds on a poor fit and keeps it poor: where little is left, both ends are worth a look.
+    """
+    if not np.any(fit.disturbance):
+        return fit
+    quiet = fit.model.whitening(fit.data, fit.p)
+    left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
+    if np.nanmax(left) > _WORTH_A_LOOK:
+        return fit
+    none = np.zeros_like(fit.disturbance)
+    other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
+    return other if fits_noise(other.at, fit.data) else fit
+
+
+def _moved(p: Array, since: Array) -> bool:
+    """Whether a parameter has changed so much that the noise of the sensors enters otherwise."""
+    return bool(np.any(np.abs(p - since) > _MOVED * np.abs(since)))
+
+
+def opened(
+    model: WeakModel,
+    data: WeakData,
+    start: Mapping[str, float],
+    whitening: list[Whitening],
+    disturbance: Array,
+    *,
+    at: Linearised | None = None,
+    steps: int = 0,
+) -> WeakFit:
+    """A model where a search begins, after a few steps if any; `at` is the model there if it is known."""
+    p = _started(model.functions.vehicle, start)
+    if at is not None:
+        return WeakFit(model, p, data, whitening, at, disturbance, 0)
+    return _solved(model, p, data, whitening, disturbance, steps)
+
+
+def promise(fit: WeakFit) -> tuple[float, dict[str, float]]:
+    """Sum of squares that one more Gauss-Newton step promises, and the parameters after it."""
+    model, places = fit.model, list(fit.model.places)
+    bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
+    step = limited_step(model, fit.at, fit.p, bounds, prior_of(model))
+    after = np.clip(fit.p[places] + step, *bounds)
+    return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True))
+
+
+def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
+    return np.array([start.get(n, vehicle.value_of(n).value) for n in vehicle.parameter_names], dtype=float)
+
+
+def _solved(
+    model: WeakModel,
+    p: Array,
+    data: WeakData,
+    whitening: list[Whitening],
+    disturbance: Array,
+    max_iterations: int,
+    enough: float = 0.0,
+) -> WeakFit:
+    bounds = bounds_of(model)
+    prior, reach = prior_of(model), reach_of(model)
+    places = list(model.places)
+    p = p.copy()
+    p[places] = np.clip(p[places], *bounds)
+    p = physical(model, p, bounds)
+    at = whitened(model.linearise(data, p), whitening)
+    iteration = 0
+    for _ in range(max_iterations):
+        step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
+        now, then = (prior_cost(prior, p[places] + s) for s in (0.0, step))
+        promised = _squares(at.r) + now - _squares(at.r + at.J @ step) - then
+        if promised < max(_ENOUGH, enough * _squares(at.r)):
+            break
+        before = p
+        p, at = _line_search(model, p, step, at, data, whitening, bounds, prior)
+        iteration += 1
+        if p is before:  # no share of the step helps, and the next one would be the same
+            break
+    return WeakFit(model, p, data, whitening, at, disturbance, iteration)
+
+
+def _squares(r: Array) -> float:
+    return float(np.sum(r**2))
+
+
+def _line_search(
+    model: WeakModel,
+    p: Array,
+    step: Array,
+    at: Linearised,
+    data: WeakData,
+    whitening: list[Whitening],
+    bounds: tuple[Array, Array],
+    prior: tuple[Array, Array],
+) -> tuple[Array, Linearised]:
+    """Halve the step until the weighted error falls, what stated priors add to it included."""
+    places = list(model.places)
+    before = _squares(at.r) + prior_cost(prior, p[places])
+    for share in (1.0, 0.5, 0.25, 0.1, 0.02):
+        tried = p.copy()
+        tried[places] = np.clip(p[places] + share * step, *bounds)
+        after = whitened(model.linearise(data, tried), whitening)
+        if _squares(after.r) + prior_cost(prior, tried[places]) <= before * (1 + 1e-12):
+            return tried, after
+    return p, at
+
+
+_INSTRUMENTAL_MAX_ITERATIONS = 25
+# Length of a step, in standard deviations, with which a search ends.
+_INSTRUMENTAL_ENOUGH = 1e-3
+# Nodes of a three-point Gauss-Hermite rule, in standard deviations, and the weight of the outer ones.
+_NODE, _WEIGHT = np.sqrt(3.0), 1.0 / 6.0
+_INSTRUMENTAL_PLAIN = Constraints()
+
+
+def fit_instrumental(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    free: Sequence[str] | None = None,
+    horizon: float | None = None,
+    *,
+    compiled: bool | None = None,
+    constraints: Constraints = _INSTRUMENTAL_PLAIN,
+) -> WeakFit:
+    """Fit the free parameters of a vehicle by the weak form with simulated regressors as instruments.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Model with starting values and priors.
+    runs : sequence of Run
+        Logs with the velocities and commands of the vehicle.
+    free : sequence of str, optional
+        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
+    horizon : float or None
+        Length of the windows that are simulated from the measured motion at their start, s; None: each
+        stretch without gaps is one.
+    compiled : bool, optional
+        As for `Simulator`.
+    constraints : Constraints
+        What else is asked of the parameters.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, a log is too short, or the simulation diverges.
+    """
+    model = constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
+    data = prepare(runs, vehicle)
+    require_equations(model, data, "instrumental")
+    plain = fit_weak(model, data)
+    return _Instruments(model, plain, cut(runs, vehicle, horizon), compiled).fit()
+
+
+class _Instruments:
+    """Solves J_s' W (r - e) = 0, J_s the regressor of the simulated motion, e the excess by noise."""
+
+    def __init__(self, model: WeakModel, plain: WeakFit, windows: Windows, compiled: bool | None) -> None:
+        self._model, self._plain, self._windows = model, plain, windows
+        self._predictor = Predictor(model.functions, compiled=compiled)
+
+    def fit(self) -> WeakFit:
+        model, plain = self._model, self._plain
+        p, places = plain.p.copy(), list(model.places)
+        bounds, prior = bounds_of(model), prior_of(model)
+        taken = 0
+        while taken < _INSTRUMENTAL_MAX_ITERATIONS:
+            taken += 1
+            at = self._at(p)
+            step = limited_step(model, at, p, bounds, prior)
+            p[places] = np.clip(p[places] + step, *bounds)
+            if np.linalg.norm(at.J @ step) < _INSTRUMENTAL_ENOUGH:
+                break
+        return replace(plain, p=p, at=self._at(p), iterations=taken)
+
+    def _at(self, p: Array) -> Linearised:
+        """Whitened residual of the measured motion less its excess, and the instruments."""
+        data = self._plain.data
+        simulated = self._simulated(p)
+        # Weights by the measured motion would know of its noise as well.
+        quiet = self._model.whitening(simulated, p)
+        whitening = disturbed(quiet, self._plain.disturbance, simulated)
+        smooth = self._model.linearise(simulated, p)
+        excess = self._excess(simulated, [part.r for part in smooth], p)
+        measured = self._model.linearise(data, p)
+        parts = [
+            replace(s, r=m.r - e, known=m.known) for s, m, e in zip(smooth, measured, excess, strict=True)
+        ]
+        return whitened(parts, whitening)
+
+    def _simulated(self, p: Array) -> WeakData:
+        """The data with the simulated motion for the measured one, where a window covers it."""
+        windows, data = self._windows, self._plain.data
+        reports = self._predictor.reports(windows, p)
+        if not np.isfinite(reports[windows.inside]).all():
+            raise UndertowError(
+                "the simulation diverges with the values of the weak form: give a shorter horizon, or use "
+                "--method weak"
+            )
+        motion = [np.full((len(run.t), len(data.names)), np.nan) for run in data.runs]
+        for run, rows, inside, values in zip(
+            windows.run, windows.samples, windows.inside, reports, strict=True
+        ):
+            motion[run][rows[inside]] = values[inside]
+        return replace(data, segments=tuple(_replaced(s, motion[s.run]) for s in data.segments))
+
+    def _excess(self, simulated: WeakData, smooth: list[Array], p: Array) -> list[Array]:
+        """Mean of the residual over the noise of the channels, less the residual without noise."""
+        found = [np.zeros(len(r)) for r in smooth]
+        for channel in np.flatnonzero(self._plain.data.sigma > 0):
+            for sign in (_NODE, -_NODE):
+                moved = self._model.linearise(_shifted(simulated, int(channel), sign), p)
+                for total, part, r in zip(found, moved, smooth, strict=True):
+                    total += _WEIGHT * (part.r - r)
+        return found
+
+
+def _replaced(segment: Segment, motion: Array) -> Segment:
+    own = motion[segment.samples]
+    return replace(segment, measured=np.where(np.isfinite(own), own, segment.measured))
+
+
+def _shifted(data: WeakData, channel: int, sigmas: float) -> WeakData:
+    move = np.zeros(len(data.sigma))
+    move[channel] = sigmas * data.sigma[channel]
+    return replace(data, segments=tuple(replace(s, measured=s.measured + move) for s in data.segments))

@@ -1,0 +1,591 @@
+"""Runs cut into windows: the motion at their start, the commands in them, what is predicted over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Index
+
+from .data import around, channel_noise, local_polynomial
+
+_ANGLES = ("phi", "psi")
+_FEWEST = 3  # samples of a window
+# The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
+_LACKING = 0.1
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of several runs, side by side; those with fewer samples than others are padded.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        The logs.
+    horizon : float or None
+        Length of a window in s, of the longest where runs differ; None: as long as there is no gap.
+    names : tuple of str
+        Names of the 2n channels, pose then velocity of the degrees of freedom.
+    commands : tuple of str
+        Names of the command columns.
+    sigma : (2n,) array
+        Noise of the channels, in their units.
+    run : (b,) array of int
+        Run of every window.
+    first : (b,) array of int
+        Sample of the run at which a window starts.
+    segment : (b,) array of int
+        Sample of the run at which the stretch without gaps starts that a window lies in.
+    count : (b,) array of int
+        Samples of every window.
+    t : (b, k) array
+        Time, s; the padding repeats the last.
+    measured : (b, k, 2n) array
+        Pose and velocity as reported; NaN in the padding and for pose that the log lacks.
+    start : (b, 2n) array
+        Reported pose and velocity at the start, smoothed locally; zero for pose that the log lacks.
+    stretches : tuple of Stretch
+        Parts of the runs without gaps that the windows were cut from.
+    """
+
+    runs: tuple[Run, ...]
+    horizon: float | None
+    names: tuple[str, ...]
+    commands: tuple[str, ...]
+    sigma: Array
+    run: NDArray[np.intp]
+    first: NDArray[np.intp]
+    segment: NDArray[np.intp]
+    count: NDArray[np.intp]
+    t: Array
+    measured: Array
+    start: Array
+    stretches: tuple[Stretch, ...]
+
+    @property
+    def samples(self) -> NDArray[np.intp]:
+        """Index in its run of every sample, shape (b, k); the padding repeats the last."""
+        steps = np.minimum(np.arange(self.t.shape[1]), self.count[:, None] - 1)
+        return self.first[:, None] + steps
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which samples are no padding, shape (b, k)."""
+        return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def take(self, rows: NDArray[np.intp], most: int) -> Windows:
+        """Some of the windows, each with its first `most` samples."""
+        chosen = {name: getattr(self, name)[rows] for name in ("run", "first", "segment", "start")}
+        kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
+        return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
+
+    def start_after(self, seconds: Array) -> Array:
+        """`start`, but each channel as it is reported some time after the start, shape (b, 2n).
+
+        Parameters
+        ----------
+        seconds : (2n,) array
+            How long after the start, s; where a stretch is over by then, its last value.
+        """
+        found = self.start.copy()
+        places = {(s.run, s.first): s for s in self.stretches}
+        for pair in np.unique(np.column_stack([self.run, self.segment]), axis=0):
+            rows = np.flatnonzero((self.run == pair[0]) & (self.segment == pair[1]))
+            stretch = places[int(pair[0]), int(pair[1])]
+            for delay in np.unique(seconds[seconds > 0]):
+                columns = np.flatnonzero(seconds == delay)
+                values = stretch.smoothed(self.names, self.sigma, self.t[rows, 0] + delay)
+                found[np.ix_(rows, columns)] = values[:, columns]
+        return found
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Part of a run without gaps, and the windows in it, as counted from its first sample."""
+
+    run: int
+    first: int
+    t: Array
+    measured: Array
+    starts: NDArray[np.intp]
+    stops: NDArray[np.intp]
+
+    def smoothed(self, names: tuple[str, ...], sigma: Array, when: Array) -> Array:
+        """Reported pose and velocity at some instants, smoothed locally, shape (k, 2n)."""
+        left = np.clip(np.searchsorted(self.t, when, side="right") - 1, 0, len(self.t) - 2)
+        share = np.clip((when - self.t[left]) / (self.t[left + 1] - self.t[left]), 0.0, 1.0)[:, None]
+        before, after = (start_values(self.t, self.measured, names, sigma, i) for i in (left, left + 1))
+        return before + share * (after - before)
+
+
+def cut(
+    runs: Sequence[Run],
+    vehicle: Vehicle,
+    horizon: float | None,
+    *,
+    overlap: float = 0.0,
+    sigma: Array | None = None,
+    skip: float = 0.0,
+) -> Windows:
+    """Cut runs into windows and take the motion at each start from the measurement.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Logs with the velocities and commands of the vehicle.
+    vehicle : Vehicle
+        Whose degrees of freedom and commands are wanted.
+    horizon : float or None
+        Length of a window in s; None makes one window of every stretch without gaps.
+    overlap : float
+        Share of a window that the next one repeats, 0 to less than 1.
+    sigma : (2n,) array, optional
+        Noise of the channels; estimated where it is not given.
+    skip : float
+        Seconds at the beginning of each run that no window covers.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, or no stretch without gaps is as long as the horizon.
+    """
+    if horizon is not None and not horizon > 0:
+        raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
+    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap, skip)]
+    if not any(len(s.starts) for s in stretches):
+        _refuse(runs, stretches, horizon)
+    return _windows_of(runs, vehicle, horizon, sigma, stretches)
+
+
+def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
+    """Cut every run into windows of so many of its own sampling intervals.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is missing, or a run has no stretch without gaps that is as long.
+    """
+    lengths = [intervals * float(np.median(np.diff(run.t))) for run in runs]
+    found = [_stretches(i, run, vehicle, lengths[i], 0.0) for i, run in enumerate(runs)]
+    for run, length, own in zip(runs, lengths, found, strict=True):
+        if not any(len(s.starts) for s in own):
+            _refuse([run], own, length)
+    return _windows_of(runs, vehicle, max(lengths), None, [s for own in found for s in own])
+
+
+def _windows_of(
+    runs: Sequence[Run],
+    vehicle: Vehicle,
+    horizon: float | None,
+    sigma: Array | None,
+    stretches: list[Stretch],
+) -> Windows:
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    noise = channel_noise(runs, names) if sigma is None else sigma
+    return _side_by_side(tuple(runs), horizon, names, vehicle.command_names, noise, stretches)
+
+
+def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
+    longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
+    wanted = f"{_FEWEST} samples" if horizon is None else f"{horizon:g} s"
+    raise UndertowError(
+        f"no stretch without gaps is long enough to predict over {wanted}: the longest in "
+        f"{', '.join(repr(r.name) for r in runs)} lasts {longest:g} s; give a longer log or a shorter horizon"
+    )
+
+
+def _stretches(
+    index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float, skip: float = 0.0
+) -> list[Stretch]:
+    pose = [n for n in vehicle.pose_names if run.has(n)]
+    needed = [*pose, *vehicle.velocity_names]
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    found = []
+    for piece in run.segments([*needed, *vehicle.command_names]):
+        t = run.t[piece]
+        measured = np.column_stack([_column(run, n, piece) for n in names])
+        late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
+        edges = (late + edge for edge in _windows(t[late:], horizon, overlap))
+        found.append(Stretch(index, piece.start, t, measured, *edges))
+    return found
+
+
+def _column(run: Run, name: str, piece: slice) -> Array:
+    if not run.has(name):
+        return np.full(piece.stop - piece.start, np.nan)
+    values = run.channels[name][piece]
+    return np.unwrap(values) if name in _ANGLES else values
+
+
+def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample, and one after the last sample, of every window; a window ends where the next starts."""
+    if len(t) < _FEWEST:
+        return _columns([])
+    if horizon is None:
+        return _columns([(0, len(t))])
+    slack = 1e-3 * float(np.median(np.diff(t)))
+    found, first = [], 0
+    while t[first] + (1.0 - _LACKING) * horizon <= t[-1]:
+        stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)
+        if stop + 1 - first >= _FEWEST:
+            found.append((first, stop + 1))
+        following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - slack))
+        first = min(max(following, first + 1), len(t) - 1)
+        if stop == len(t) - 1:
+            break
+    return _columns(found)
+
+
+def _columns(pairs: list[tuple[int, int]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    table = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _side_by_side(
+    runs: tuple[Run, ...],
+    horizon: float | None,
+    names: tuple[str, ...],
+    commands: tuple[str, ...],
+    sigma: Array,
+    stretches: list[Stretch],
+) -> Windows:
+    count = np.concatenate([s.stops - s.starts for s in stretches])
+    most = int(count.max())
+    pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in stretches]
+    measured = np.concatenate([s.measured[i] for s, i in zip(stretches, pick, strict=True)])
+    measured[np.arange(most) >= count[:, None]] = np.nan
+    return Windows(
+        runs=runs,
+        horizon=horizon,
+        names=names,
+        commands=commands,
+        sigma=sigma,
+        run=np.concatenate([np.full(len(s.starts), s.run) for s in stretches]),
+        first=np.concatenate([s.first + s.starts for s in stretches]),
+        segment=np.concatenate([np.full(len(s.starts), s.first) for s in stretches]),
+        count=count,
+        t=np.concatenate([s.t[i] for s, i in zip(stretches, pick, strict=True)]),
+        measured=measured,
+        start=np.concatenate([start_values(s.t, s.measured, names, sigma, s.starts) for s in stretches]),
+        stretches=tuple(stretches),
+    )
+
+
+# --- the measured motion at one instant -----------------------------------------------------------
+# Half-widths in samples of the fits that are tried, from narrow to wide.
+_WIDTHS = (2, 3, 5)
+# What is left of an angle once its rate is integrated is a line over a long time.
+_WIDE = (2, 3, 5, 10, 20, 40)
+# A fit that misses its samples by more than noise does in one of a hundred cases is not used.
+_REFUSED = 0.01
+# A sample further off than this many ranges of its neighbours is an outlier.
+_LONE = 3.0
+
+
+def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index) -> Array:
+    """Pose and velocity at some samples of a stretch without gaps.
+
+    Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what
+    differs from the integral of the measured angular rates: that is kinematics and holds for every model.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Time, s.
+    measured : (N, 2n) array
+        Channels; NaN throughout for one that is not measured.
+    names : sequence of str
+        Names of the channels.
+    sigma : (2n,) array
+        Noise of the channels, in their units.
+    at : (k,) array of int
+        Samples to evaluate at.
+
+    Returns
+    -------
+    (k, 2n) array
+        In the units of the channels; zero for a channel that is not measured.
+    """
+    value = np.zeros((len(at), len(names)))
+    there = np.isfinite(measured).all(axis=0)
+    turned = _angles_turned(t, dict(zip(names, measured.T, strict=True)))
+    for i in np.flatnonzero(there).tolist():
+        known = turned.get(names[i], np.zeros(len(t)))
+        widths, degree = (_WIDTHS, 2) if names[i] not in turned else (_WIDE, 1)
+        rest = local_value(t, measured[:, i] - known, at, float(sigma[i]), widths, degree)
+        value[:, i] = rest + known[at]
+    return value
+
+
+def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
+    """Integral of the measured Euler rates along a stretch, for the angles whose rates are measured."""
+    zero = np.zeros(len(t))
+    phi, theta, p, q, r = (np.nan_to_num(channels.get(n, zero)) for n in ("phi", "theta", "p", "q", "r"))
+    around = np.sin(phi) * q + np.cos(phi) * r
+    rates = {
+        "phi": p + np.tan(theta) * around,
+        "theta": np.cos(phi) * q - np.sin(phi) * r,
+        "psi": around / np.cos(theta),
+    }
+    step = np.diff(t)
+    return {n: np.append(0.0, np.cumsum(0.5 * step * (x[1:] + x[:-1]))) for n, x in rates.items()}
+
+
+def local_value(
+    t: Array, y: Array, at: Index, sigma: float, widths: Sequence[int] = _WIDTHS, degree: int = 2
+) -> Array:
+    """Value of a noisy signal at some of its samples.
+
+    A polynomial is fitted to the samples around each instant, to as many of them as it fits within the noise.
+    So a kink or a jump narrows the fit instead of biasing it, down to the sample itself.
+
+    Parameters
+    ----------
+    t, y : (N,) array
+        Time in s and signal, without gaps.
+    at : (k,) array of int
+        Samples to evaluate at.
+    sigma : float
+        Standard deviation of the white noise, in the unit of y.
+    widths : sequence of int
+        Half-widths in samples of the fits that are tried, from narrow to wide.
+    degree : int
+        Of the polynomial.
+
+    Returns
+    -------
+    (k,) array
+        In the unit of y.
+    """
+    value = _without_outlier(y, at, sigma)
+    for width in widths:
+        if len(t) < 2 * width + 1:
+            break
+        fitted, _, misfit = local_polynomial(t, y[:, None], at, width, degree)
+        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, _REFUSED)
+        value = np.where(good, fitted[:, 0], value)
+    return value
+
+
+def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
+    """The samples themselves; one that stands far off all of its neighbours is replaced by their median."""
+    if len(y) < 2 * _WIDTHS[0] + 1:
+        return np.asarray(y[at])
+    near = around(at, _WIDTHS[0], len(y))
+    neighbours = np.where(near == at[:, None], np.nan, y[near])
+    low, high = np.nanmin(neighbours, axis=1), np.nanmax(neighbours, axis=1)
+    margin = _LONE * (high - low + 2 * sigma)
+    lone = (y[at] < low - margin) | (y[at] > high + margin)
+    return np.where(lone, np.nanmedian(neighbours, axis=1), y[at])
+
+
+S = TypeVar("S", bound=np.generic)
+# Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
+_TOGETHER = 1e-6
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Commands of windows, side by side.
+
+    Attributes
+    ----------
+    u : (b, k, n_commands) array
+        Commands at work from each sample on.
+    t : (b, m) array
+        Instants from which on a command is held, s: the samples, and what arrives between them; the padding
+        repeats the last.
+    held : (b, m, n_commands) array
+        Commands at work from each instant on.
+    samples : (b, k) array of int, optional
+        Which instants are the samples; None: all are.
+    """
+
+    u: Array
+    t: Array
+    held: Array
+    samples: Index | None = None
+
+    @classmethod
+    def at_once(cls, t: Array, u: Array) -> Drive:
+        """Commands that arrive when they are given: times (b, k) in s and commands (b, k, n_commands)."""
+        return cls(u, t, u)
+
+    def __getitem__(self, rows: slice | Index) -> Drive:
+        """The commands of some of the windows."""
+        samples = None if self.samples is None else self.samples[rows]
+        return Drive(self.u[rows], self.t[rows], self.held[rows], samples)
+
+    def at_samples(self, values: Array) -> Array:
+        """What was worked out for every instant, (b, m, ...), at the samples alone, (b, k, ...)."""
+        if self.samples is None:
+            return values
+        rest = (1,) * (values.ndim - 2)
+        return np.take_along_axis(values, self.samples.reshape(*self.samples.shape, *rest), axis=1)
+
+    def spread(self, values: Array) -> Array:
+        """What there is at the samples, (b, k, ...), with zeros at all other instants, (b, m, ...).
+
+        Where padding repeats the last sample, the first of these keeps its value.
+        """
+        if self.samples is None:
+            return values
+        found = np.zeros((*self.t.shape, *values.shape[2:]))
+        rows = np.arange(len(found))[:, None]
+        found[rows, self.samples[:, ::-1]] = values[:, ::-1]
+        return found
+
+
+def arriving(windows: Windows, held: Sequence[Array], delay: float) -> Drive:
+    """Commands of windows that arrive late.
+
+    Parameters
+    ----------
+    windows : Windows
+        The windows.
+    held : sequence of (N, n_commands) arrays
+        Commands of every run, without gaps; before a run its first ones.
+    delay : float
+        How late, s.
+    """
+    if delay == 0.0:
+        return Drive.at_once(windows.t, _along(windows, held, windows.samples))
+    instants, places, arrived = zip(*(_instants(run.t, delay) for run in windows.runs), strict=True)
+    samples = _along(windows, places, windows.samples)
+    first, last = samples[:, :1], samples[:, -1:]
+    steps = np.minimum(first + np.arange(np.max(last - first) + 1), last)
+    late = _along(windows, [u[i] for u, i in zip(held, arrived, strict=True)], steps)
+    samples = samples - first
+    u = np.take_along_axis(late, samples[:, :, None], axis=1)
+    return Drive(u, _along(windows, instants, steps), late, samples)
+
+
+def late_by(delay: float, t: Array, u: Array) -> Drive:
+    """Commands (b, k, n_commands) of the same times (k,) in s that arrive late; before, the first of each."""
+    times = np.tile(t, (len(u), 1))
+    if delay == 0.0:
+        return Drive.at_once(times, u)
+    instants, places, arrived = _instants(t, delay)
+    late = u[:, arrived]
+    return Drive(late[:, places], np.tile(instants, (len(u), 1)), late, np.tile(places, (len(u), 1)))
+
+
+def _along(windows: Windows, of_runs: Sequence[NDArray[S]], rows: Index) -> NDArray[S]:
+    """What there is of every run, in the rows that belong to each window."""
+    return np.stack([of_runs[run][row] for run, row in zip(windows.run, rows, strict=True)])
+
+
+def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
+    """Samples and arrivals in order of time, s; which of them are the samples; and what arrived by then."""
+    slack = _TOGETHER * float(np.median(np.diff(t)))
+    late = t + delay
+    near = t[np.clip(np.searchsorted(t, late - slack), 0, len(t) - 1)]
+    between = late[(late < t[-1]) & (np.abs(near - late) > slack)]
+    instants = np.sort(np.concatenate([t, between]))
+    arrived = np.maximum(np.searchsorted(late, instants + slack, side="right") - 1, 0)
+    return instants, np.searchsorted(instants, t), arrived
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a model predicts over windows, beside what was measured.
+
+    Attributes
+    ----------
+    windows : Windows
+        The windows, with the measurement.
+    predicted : (b, k, 2n) array
+        Reported pose and velocity by the model; NaN in the padding and from where a simulation diverged.
+    """
+
+    windows: Windows
+    predicted: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the 2n channels, pose then velocity."""
+        return self.windows.names
+
+    @cached_property
+    def residual(self) -> Array:
+        """Measured minus predicted, shape (b, k, 2n); NaN where there is nothing to compare."""
+        return self.windows.measured - self.predicted
+
+    @cached_property
+    def diverged(self) -> int:
+        """Number of windows in which the simulation diverged."""
+        lost = ~np.isfinite(self.predicted).all(axis=2) & self.windows.inside
+        return int(lost.any(axis=1).sum())
+
+    @cached_property
+    def rms(self) -> dict[str, float]:
+        """Root mean square of the residual by channel, in its unit; inf if a window diverged."""
+        return self._by_channel(np.inf if self.diverged else _rms(self.residual[:, 1:]))
+
+    @cached_property
+    def normalised(self) -> dict[str, float]:
+        """`rms` over the noise of the channel: 1 is as good as can be."""
+        noise = np.maximum(self.windows.sigma, 1e-300)
+        pairs = zip(self.rms.items(), noise[self._there].tolist(), strict=True)
+        return {name: rms / sigma for (name, rms), sigma in pairs}
+
+    @cached_property
+    def relative(self) -> dict[str, float]:
+        """`rms` over the root mean square of the measurement, for the velocities: 0.05 is five per cent."""
+        size = _rms(self.windows.measured[:, 1:])
+        half = len(self.names) // 2
+        sizes = dict(zip(self.names[half:], size[half:], strict=True))
+        return {n: self.rms[n] / float(s) for n, s in sizes.items() if s > 0}
+
+    @cached_property
+    def fit(self) -> dict[str, float]:
+        """Share of the variation that is predicted, by channel, %: 100 is perfect, 0 is as a mean."""
+        centred = self.windows.measured[:, 1:].copy()
+        for run in np.unique(self.windows.run):
+            inside = self.windows.run == run
+            centred[inside] -= _mean(centred[inside])
+        size = self._by_channel(_rms(centred))
+        return {n: 100.0 * (1.0 - self.rms[n] / s) for n, s in size.items() if s > 0}
+
+    @cached_property
+    def _there(self) -> NDArray[np.intp]:
+        return np.flatnonzero(np.isfinite(self.windows.measured).any(axis=(0, 1)))
+
+    def _by_channel(self, values: Array | float) -> dict[str, float]:
+        table = np.broadcast_to(values, len(self.names))
+        return {self.names[i]: float(table[i]) for i in self._there}
+
+
+def prediction_error(prediction: Prediction) -> float:
+    """One number: geometric mean over the degrees of freedom of the relative error of the velocities.
+
+    0.05 is five per cent; the noise of the sensors is in it. `Prediction.relative` holds the parts.
+    """
+    parts = np.array(list(prediction.relative.values()))
+    return float(np.exp(np.mean(np.log(np.maximum(parts, 1e-12))))) if len(parts) else float("nan")
+
+
+def _mean(values: Array) -> Array:
+    """Mean of each channel over what there is; NaN for a channel with nothing."""
+    there = np.isfinite(values)
+    count = there.sum(axis=(0, 1))
+    total = np.sum(np.where(there, values, 0.0), axis=(0, 1))
+    return np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+
+
+def _rms(values: Array) -> Array:
+    with np.errstate(over="ignore"):  # a simulation on its way to infinity
+        return np.sqrt(_mean(values**2))

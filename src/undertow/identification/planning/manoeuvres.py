@@ -1,0 +1,590 @@
+"""What may be flown: axes, limits, noise of the log to come, shapes of commands and their families."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+from undertow.identification.estimation.data import channel_noise
+from undertow.identification.logs.run import UNITS, Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
+
+_LEVELS = 8
+_BITS = 24
+_HARMONICS = np.array([1, 2, 3, 5, 8, 13])
+_PULSES = 3
+# Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
+_FASTEST = 1.0
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A kind of signal.
+
+    Attributes
+    ----------
+    name : str
+        As reports call it.
+    size : int
+        How many numbers it takes.
+    signal : callable
+        The signal from (share of time, length in s, numbers).
+    """
+
+    name: str
+    size: int
+    signal: Callable[[Array, float, Array], Array]
+
+
+def _steps(share: Array, length: float, q: Array) -> Array:
+    """Steps between levels, each held for as long: a coast-down or a reversal where the levels say so."""
+    return np.asarray((2 * q - 1)[(share * _LEVELS).astype(int)])
+
+
+def _two_levels(share: Array, length: float, q: Array) -> Array:
+    """Full one way or the other, changing at random instants (pseudo-random binary sequence)."""
+    return np.where(q[(share * _BITS).astype(int)] > 0.5, 1.0, -1.0)
+
+
+def _doublet(share: Array, length: float, q: Array) -> Array:
+    """The 3-2-1-1 input of flight tests, once each way."""
+    unit = 0.02 + 0.05 * q[0]
+    pattern = np.array([1, 1, 1, -1, -1, 1, -1, 0.0])
+    first = pattern[np.minimum((share / unit).astype(int), 7)]
+    begin = 0.5 + 0.1 * q[1]
+    later = pattern[np.clip(((share - begin) / unit).astype(int), 0, 7)] * (share >= begin)
+    return np.asarray(np.where(share < begin, first, -later * (0.3 + 0.7 * q[2])))
+
+
+def _multisine(share: Array, length: float, q: Array) -> Array:
+    """Sines with 1 to 13 periods, sizes and phases free, scaled to the full deflection."""
+    size, phase = np.split(q, 2)
+    angle = 2 * np.pi * (share[:, None] * _HARMONICS + phase)
+    wave = np.sin(angle) @ (size + 1e-3)
+    return np.asarray(wave / np.max(np.abs(wave)))
+
+
+def _chirp(share: Array, length: float, q: Array) -> Array:
+    """A sine that becomes quicker, from 1 to 3 periods per length up to at most 1 Hz."""
+    slow = (1 + 2 * q[0]) / length
+    quick = max(slow * (_FASTEST / slow) ** q[1], slow)
+    growth = np.log(quick / slow) + 1e-9
+    return np.asarray(np.sin(2 * np.pi * slow * length * np.expm1(growth * share) / growth))
+
+
+def _reversal(share: Array, length: float, q: Array) -> Array:
+    """Ahead and astern in turn, the two with their own size."""
+    periods = 1 + np.floor(5.99 * q[0])
+    ahead = (share * periods) % 1.0 < 0.3 + 0.4 * q[1]
+    return np.where(ahead, 1.0, -q[2])
+
+
+def _coast(share: Array, length: float, q: Array) -> Array:
+    """Pulses of thrust, each followed by a stretch without, in which the vehicle coasts down."""
+    pulse = (share * _PULSES).astype(int)
+    on = (share * _PULSES) % 1.0 < 0.2 + 0.5 * q[-1]
+    return np.where(on, (2 * q - 1)[pulse], 0.0)
+
+
+def _sweep(share: Array, length: float, q: Array) -> Array:
+    """Slowly up and down through all speeds, both ways."""
+    cycles = 1 + np.floor(2.99 * q[0])
+    ramp = 1 - 4 * np.abs((share * cycles + 0.25) % 1.0 - 0.5)
+    return np.asarray(np.sign(ramp) * np.abs(ramp) ** (0.5 + q[1]))
+
+
+def _steady(share: Array, length: float, q: Array) -> Array:
+    """Held, with another level in the second half."""
+    return np.where(share < 0.5, 1.0, 2 * q[0] - 1)
+
+
+STEPS = Shape("steps", _LEVELS, _steps)
+TWO_LEVELS = Shape("random binary steps", _BITS, _two_levels)
+DOUBLET = Shape("doublets (3-2-1-1)", 3, _doublet)
+MULTISINE = Shape("multisine", 2 * len(_HARMONICS), _multisine)
+CHIRP = Shape("chirp", 2, _chirp)
+REVERSAL = Shape("reversals", 3, _reversal)
+COAST = Shape("pulses and coast-downs", _PULSES + 1, _coast)
+SWEEP = Shape("slow sweeps", 2, _sweep)
+STEADY = Shape("steady", 1, _steady)
+SHAPES = (STEPS, TWO_LEVELS, DOUBLET, MULTISINE, CHIRP, REVERSAL, COAST, SWEEP)
+
+
+# A pure motion counts as possible when what is left of the wrench is this share of it.
+_PURE = 1e-6
+_TRIM_ROUNDS = 8
+# Share of the limit of an actuator that balancing the weight may take.
+_TRIM_SHARE = 0.95
+_VERTICAL = ("heave", "roll", "pitch")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One direction in the space of commands.
+
+    Attributes
+    ----------
+    name : str
+        A degree of freedom, or a command.
+    pattern : (k,) array
+        Commands at full deflection.
+    """
+
+    name: str
+    pattern: Array
+
+
+def allocation(vehicle: Vehicle) -> Array:
+    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
+    rows = list(vehicle.dof_indices)
+    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
+    for channel in vehicle.force_channels:
+        columns.append(np.eye(6)["XYZKMN".index(channel[-1])][rows])
+    return np.array(columns).T.reshape(len(rows), -1)
+
+
+def motion_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
+    """For every degree of freedom that the actuators can push alone: the commands that do so."""
+    table = allocation(vehicle) * room
+    scale = np.max(np.abs(table), axis=1)
+    found = []
+    for i, name in enumerate(vehicle.degrees_of_freedom):
+        pattern = _alone(table, scale, i)
+        if pattern is not None:
+            found.append(Axis(name, room * pattern))
+    return found
+
+
+def _alone(table: Array, scale: Array, i: int) -> Array | None:
+    if not scale[i] > 0:
+        return None
+    rows = np.flatnonzero(scale > 0)
+    scaled = table[rows] / scale[rows, None]
+    target = (rows == i).astype(float)
+    pattern = np.linalg.lstsq(scaled, target, rcond=1e-9)[0]
+    if np.linalg.norm(scaled @ pattern - target) > _PURE:
+        return None
+    pattern[np.abs(pattern) < 1e-9 * np.max(np.abs(pattern))] = 0.0
+    return np.asarray(pattern / np.max(np.abs(pattern)))
+
+
+def actuator_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
+    """Every command that acts on a motion of the vehicle, on its own."""
+    moves = np.any(allocation(vehicle) != 0, axis=0)
+    units = np.diag(room)
+    return [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if moves[i]]
+
+
+@dataclass(frozen=True)
+class Trim:
+    """Commands that hold a vehicle at rest against weight and buoyancy.
+
+    Attributes
+    ----------
+    commands : (k,) array
+        In the unit of the commands.
+    left : dict of float
+        Force or moment that the actuators cannot balance, by degree of freedom, N or N m.
+    """
+
+    commands: Array
+    left: dict[str, float]
+
+
+def trim(functions: Functions, limits: Array, depth: float = 0.0) -> Trim:
+    """Balance heave, roll and pitch at rest and level, without pushing any other way.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model, with the vehicle's values.
+    limits : (k,) array
+        Largest commands.
+    depth : float
+        Depth at which the vehicle rests, m.
+    """
+    vehicle = functions.vehicle
+    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in _VERTICAL]
+    commands = np.zeros(len(limits))
+    if not rows or not len(limits):
+        return Trim(commands, {})
+    at_rest, table = _at_rest(functions, depth), allocation(vehicle)
+    size = np.maximum(np.abs(table) @ limits, 1e-12)
+    scaled = table * limits / size[:, None]
+    for _ in range(_TRIM_ROUNDS):
+        wanted = np.zeros(len(table))
+        wanted[rows] = (table @ commands - at_rest(commands))[rows] / size[rows]
+        commands = lsq_linear(scaled, wanted, (-_TRIM_SHARE, _TRIM_SHARE)).x * limits
+    commands[np.abs(commands) < 1e-6 * limits] = 0.0
+    rest = at_rest(commands)
+    free = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > 1e-3 * size[i]}
+    return Trim(commands, free)
+
+
+def _at_rest(functions: Functions, depth: float) -> Callable[[Array], Array]:
+    """Force and moment left over at rest, level, with commands that have been held for long."""
+    f = functions
+    u = ca.MX.sym("u", f.u.numel())
+    motion = np.zeros(f.eta.numel() + f.nu.numel() + f.memory.numel())
+    if "z" in f.vehicle.pose_names:
+        motion[f.vehicle.pose_names.index("z")] = depth
+    p = np.array(f.values(), dtype=float)
+    state = ca.vertcat(ca.DM(motion), f.rest(u, p, 0.0))
+    force = ca.Function("force", [u], [f.residual_function(state, np.zeros(f.nu.numel()), u, p, 0.0)])
+    return lambda commands: np.array(force(commands)).ravel()
+
+
+_ENDS = 2.0
+_SHARE_OF_ENDS = 0.1
+_AHEAD = ("surge",)
+_TURN = ("yaw",)
+
+
+@dataclass(frozen=True)
+class Family:
+    """Manoeuvres of one kind.
+
+    Attributes
+    ----------
+    name : str
+        As reports call it.
+    axes : tuple of Axis
+        What is driven.
+    shapes : tuple of Shape
+        The shape on every axis.
+    reach : (n_axes,) array
+        Largest useful deflection of every axis, 0 to 1.
+    in_turn : bool
+        Whether the axes are driven one after the other.
+    """
+
+    name: str
+    axes: tuple[Axis, ...]
+    shapes: tuple[Shape, ...]
+    reach: Array
+    in_turn: bool = False
+
+    @property
+    def size(self) -> int:
+        """How many numbers between 0 and 1 a manoeuvre of the family takes."""
+        return sum(1 + s.size for s in self.shapes)
+
+    def excitation(self, t: Array, numbers: Array, sizes: Array | float = 1.0) -> Array:
+        """Commands beside the trim, shape (n, k); ends smoothly, may still exceed what actuators can do.
+
+        Parameters
+        ----------
+        t : (n,) array
+            Time from 0, s, evenly spaced.
+        numbers : (size,) array
+            Between 0 and 1.
+        sizes : (n_axes,) array
+            Share of every axis that is kept.
+        """
+        duration = float(t[-1] + (t[1] - t[0]))
+        waves = [self._wave(t / duration, duration, i, own) for i, own in enumerate(self._split(numbers))]
+        patterns = np.array([a.pattern for a in self.axes]) * np.reshape(sizes, (-1, 1))
+        return np.asarray(_ends(t, duration)[:, None] * (np.column_stack(waves) @ patterns))
+
+    def _split(self, numbers: Array) -> list[Array]:
+        return np.split(numbers, np.cumsum([1 + s.size for s in self.shapes])[:-1])
+
+    def _wave(self, share: Array, duration: float, i: int, own: Array) -> Array:
+        count = len(self.axes) if self.in_turn else 1
+        local = share * count - (i if self.in_turn else 0)
+        inside = (local >= 0) & (local < 1)
+        wave = self.shapes[i].signal(np.clip(local, 0.0, 1.0 - 1e-9), duration / count, own[1:])
+        return np.asarray(np.where(inside, wave, 0.0) * own[0] * self.reach[i])
+
+
+def _ends(t: Array, duration: float) -> Array:
+    """From 0 to 1 and back to 0 without a jump."""
+    length = min(_ENDS, _SHARE_OF_ENDS * duration)
+    nearest = np.clip(np.minimum(t, t[-1] - t) / length, 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * nearest))
+
+
+@dataclass(frozen=True)
+class Design:
+    """One manoeuvre: its family and its numbers between 0 and 1."""
+
+    family: Family
+    numbers: Array
+
+
+def every_axis(vehicle: Vehicle, room: Array) -> tuple[list[Axis], list[Axis]]:
+    """Axes of motions, and axes of single actuators where these are something else.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What is driven.
+    room : (k,) array
+        How far every command may go from its value at rest.
+    """
+    motions, actuators = motion_axes(vehicle, room), actuator_axes(vehicle, room)
+    if len(motions) == len(actuators) and all(np.count_nonzero(a.pattern) == 1 for a in motions):
+        return motions, []
+    return motions, actuators
+
+
+def families(bases: Sequence[tuple[list[Axis], Array]]) -> list[Family]:
+    """Every family for axes that come in groups, each with the reach of its axes."""
+    return [family for axes, reach in bases if axes for family in _of_group(axes, reach)]
+
+
+def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
+    names = _listed([a.name for a in axes])
+    for shape in SHAPES:
+        shapes = (shape,) * len(axes)
+        if len(axes) == 1:
+            yield Family(f"{shape.name} of {names}", tuple(axes), shapes, reach)
+            continue
+        yield Family(f"{shape.name} of {names} together", tuple(axes), shapes, reach)
+        yield Family(f"{shape.name} of {names} in turn", tuple(axes), shapes, reach, in_turn=True)
+    yield from _turning(axes, reach)
+
+
+def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:
+    """Circles and zigzags, for what can go ahead and turn."""
+    ahead = next((i for i, a in enumerate(axes) if a.name in _AHEAD), None)
+    turn = next((i for i, a in enumerate(axes) if a.name in _TURN), None)
+    if ahead is None or turn is None:
+        return
+    pair = (axes[ahead], axes[turn])
+    both = reach[[ahead, turn]]
+    yield Family("circles (steady surge, yaw one way and the other)", pair, (STEADY, STEADY), both)
+    yield Family("circles with steps of surge", pair, (STEPS, STEADY), both)
+    yield Family("zigzag (steady surge, yaw to and fro)", pair, (STEADY, REVERSAL), both)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+_EVERY = ""
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Bounds on the predicted motion, seen from where the manoeuvre starts; inf where there is none.
+
+    Attributes
+    ----------
+    speed : float
+        Magnitude of the linear velocity, m/s.
+    rate : float
+        Magnitude of every angular velocity, rad/s.
+    depth : float
+        Change of depth, m.
+    tilt : float
+        Magnitude of roll and of pitch, rad.
+    distance : float
+        Horizontal distance from the start, m.
+    """
+
+    speed: float = np.inf
+    rate: float = np.radians(60.0)
+    depth: float = 5.0
+    tilt: float = np.radians(45.0)
+    distance: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name, value in self.as_dict().items():
+            if not value > 0:
+                raise UndertowError(f"largest {name} = {value:g} leaves no motion: give a positive value")
+
+    def as_dict(self) -> dict[str, float]:
+        """The limits by name."""
+        return {name: float(getattr(self, name)) for name in ("speed", "rate", "depth", "tilt", "distance")}
+
+
+@dataclass(frozen=True)
+class CommandLimits:
+    """Largest magnitude of every command.
+
+    Attributes
+    ----------
+    value : (k,) array
+        In the unit of the command.
+    source : tuple of str
+        Where each comes from.
+    """
+
+    value: Array
+    source: tuple[str, ...]
+
+
+def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> CommandLimits:
+    """Largest commands: what was asked for, else the vehicle file, else the largest in the logs.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose commands these are.
+    asked : mapping
+        Limits by name of the command; the key "" stands for all that are not named. They may lower what the
+        vehicle file says, never raise it.
+    runs : sequence of Run
+        Logs.
+
+    Raises
+    ------
+    UndertowError
+        If a command has no limit, or one was asked for that is unknown, not positive or above the file's.
+    """
+    for name, value in asked.items():
+        if name not in (_EVERY, *vehicle.command_names):
+            have = ", ".join(vehicle.command_names)
+            raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
+        if not (value > 0 and np.isfinite(value)):
+            raise UndertowError(f"--limit {name or 'of all'} = {value:g} is no limit: give a positive value")
+    stated = {t.name: t.limit for t in vehicle.thrusters if t.limit is not None}
+    found = [_limit(n, asked, stated.get(n), runs) for n in vehicle.command_names]
+    return CommandLimits(np.array([v for v, _ in found]), tuple(s for _, s in found))
+
+
+def _limit(
+    name: str, asked: Mapping[str, float], stated: float | None, runs: Sequence[Run]
+) -> tuple[float, str]:
+    wish = asked.get(name, asked.get(_EVERY))
+    if wish is not None and stated is not None and wish > stated:
+        raise UndertowError(
+            f"--limit {wish:g} for '{name}' is above its limit in the vehicle file, {stated:g}"
+        )
+    if wish is not None:
+        return wish, "asked for"
+    if stated is not None:
+        return stated, "vehicle file"
+    largest = [float(np.nanmax(np.abs(r.channels[name]))) for r in runs if r.has(name)]
+    if not largest or not max(largest) > 0:
+        raise UndertowError(
+            f"nothing says how large the command '{name}' may be: give --limit {name}=VALUE (or --limit "
+            "VALUE for all), or write limit = ... into the vehicle file"
+        )
+    return max(largest), "largest in the logs"
+
+
+def exceeded(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
+    """The limit that a motion strains most, and how many times over (at most 1 is allowed).
+
+    Parameters
+    ----------
+    y : (n, 2n) array
+        Pose and velocity.
+    names : sequence of str
+        Names of the columns.
+    """
+    if not np.isfinite(y).all():
+        return "speed", float("inf")
+    bounds = limits.as_dict()
+    strains = {what: size / bounds[what] for what, size in extremes(y, names).items()}
+    worst = max(strains, key=lambda what: strains[what], default="speed")
+    return worst, strains.get(worst, 0.0)
+
+
+def extremes(y: Array, names: Sequence[str]) -> dict[str, float]:
+    """Largest speed, rate, change of depth, tilt and distance of a motion, in SI; only what it has."""
+    return dict(_extremes(dict(zip(names, y.T, strict=True))))
+
+
+def _extremes(columns: Mapping[str, Array]) -> Iterator[tuple[str, float]]:
+    def group(*wanted: str) -> list[Array]:
+        return [columns[n] for n in wanted if n in columns]
+
+    for what, found in (("speed", group("u", "v", "w")), ("distance", [c - c[0] for c in group("x", "y")])):
+        if found:
+            yield what, float(np.max(np.linalg.norm(np.column_stack(found), axis=1)))
+    for what, found in (("rate", group("p", "q", "r")), ("tilt", group("phi", "theta"))):
+        if found:
+            yield what, max(float(np.max(np.abs(c))) for c in found)
+    for depth in group("z"):
+        yield "depth", float(np.max(np.abs(depth - depth[0])))
+
+
+ASSUMED = {"m": 0.02, "rad": 0.01, "m/s": 0.01, "rad/s": 0.005}
+"""Standard deviation by unit where nothing is known: a small vehicle with DVL, gyro and acoustic position."""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """Noise of the 2n channels of a vehicle.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Pose, then velocity.
+    sigma : (2n,) array
+        Standard deviation of the white noise of a sample, SI; inf for a channel that is not measured.
+    source : tuple of str
+        Where each comes from.
+    derived : frozenset of str
+        Velocities that will be taken from the pose.
+    """
+
+    names: tuple[str, ...]
+    sigma: Array
+    source: tuple[str, ...]
+    derived: frozenset[str] = frozenset()
+
+    @property
+    def finite(self) -> Array:
+        """The noise; what is assumed where nothing is measured."""
+        assumed = [ASSUMED[UNITS[n]] for n in self.names]
+        return np.where(np.isfinite(self.sigma), self.sigma, assumed)
+
+
+def planned_noise(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> ChannelNoise:
+    """Noise of every channel of a log to come.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Whose channels these are.
+    asked : mapping
+        Standard deviations by name of the channel, SI; inf for one that is not measured.
+    runs : sequence of Run
+        Logs; a pose that they lack counts as not measured, and velocities are taken from the pose if they
+        were in the logs.
+
+    Raises
+    ------
+    UndertowError
+        If a channel is unknown, its noise is not positive, or a velocity is not measured.
+    """
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    for name, value in asked.items():
+        if name not in names:
+            raise UndertowError(f"--noise names '{name}', which is no channel: there are {', '.join(names)}")
+        if not value > 0:
+            raise UndertowError(f"--noise {name} = {value:g} is no noise: give a positive standard deviation")
+    found = [_noise(n, asked, runs) for n in names]
+    sigma = np.array([s for s, _ in found])
+    for name in vehicle.velocity_names:
+        if not np.isfinite(sigma[names.index(name)]):
+            raise UndertowError(
+                f"--noise {name}=none: no plan without velocities; give the noise of '{name}' as it is taken "
+                "from the pose, or logs that hold the pose alone"
+            )
+    derived = frozenset(name for run in runs for name in run.derived)
+    return ChannelNoise(names, sigma, tuple(source for _, source in found), derived)
+
+
+def _noise(name: str, asked: Mapping[str, float], runs: Sequence[Run]) -> tuple[float, str]:
+    if name in asked:
+        return asked[name], "as given" if np.isfinite(asked[name]) else "not measured"
+    with_it = [r for r in runs if r.has(name)]
+    if runs and not with_it:
+        return float("inf"), "not in the logs"
+    estimated = float(channel_noise(with_it, [name])[0])
+    if not estimated > 0:
+        return ASSUMED[UNITS[name]], "assumed"
+    taken = any(name in r.derived for r in with_it)
+    return estimated, "taken from the pose" if taken else "from the logs"

@@ -1,0 +1,452 @@
+"""Effect files to begin with: written from what a diagnosis left unexplained, or with one example term."""
+
+from __future__ import annotations
+
+import json
+import keyword
+import math
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import isfinite, pi
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from pydantic import ValidationError
+
+from undertow.errors import UndertowError
+from undertow.files import read_json
+from undertow.identification.diagnosis.associations import (
+    WAVE,
+    Column,
+    coefficient_unit,
+    command_of,
+    is_factor,
+    label_of,
+    plain_of,
+)
+from undertow.identification.diagnosis.result import SCHEMA, Dependence, Diagnosis, Remaining, Spectrum
+from undertow.model.catalogue import catalogue
+from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, signal_units, signals
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Angular frequency of a periodic force: a parameter of its own.
+
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    value : float
+        What the diagnosis found, rad/s.
+    near : float
+        Half the distance at which the logs can tell two frequencies apart, rad/s.
+    """
+
+    name: str
+    value: float
+    near: float
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One term of a force: a parameter times factors.
+
+    Attributes
+    ----------
+    name, unit, about : str
+        The parameter.
+    row : int
+        Which of the six forces and moments it is part of.
+    column : Column
+        Factors, as the diagnosis writes them.
+    wave : Wave, optional
+        What the term swings with; `column` is then ``("cos",)`` or ``("sin",)``.
+    """
+
+    name: str
+    unit: str
+    about: str
+    row: int
+    column: Column
+    wave: Wave | None = None
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """What an effect file is written from.
+
+    Attributes
+    ----------
+    about : str
+        First line of the docstring.
+    origin : tuple of str
+        Paragraphs that say where the terms come from.
+    signature : str
+        What in a log gives the effect away.
+    reference : str
+        What stands for a reference until there is one.
+    terms : tuple of Coefficient
+        The terms.
+    left_out : tuple of str
+        What was found and cannot be stated by an effect, with the reason.
+    """
+
+    about: str
+    origin: tuple[str, ...]
+    signature: str
+    reference: str
+    terms: tuple[Coefficient, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def example() -> Suggestion:
+    """One term to begin with."""
+    column: Column = ("|r|", "u")
+    unit = coefficient_unit("N", column)
+    return Suggestion(
+        about="Surge force that goes with the yaw rate and the speed (an example).",
+        origin=("Written by 'undertow effects new' as an example of a term.",),
+        signature="speed is lost in turns",
+        reference="none yet: name the book or paper that the physics follows",
+        terms=(Coefficient(_name("X", column), unit, "surge force per |r| u", 0, column),),
+    )
+
+
+def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
+    """Terms for all that a diagnosis found a residual force to go with.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        What was found.
+    source : str
+        Name of the file that it was read from.
+
+    Raises
+    ------
+    UndertowError
+        If it found nothing that an effect can state, or something that is no term.
+    """
+    near = pi / (2 * max((r.duration for r in diagnosis.runs), default=1.0))
+    terms = [t for left in diagnosis.remaining for t in _terms(left, near)]
+    left_out = tuple(line for left in diagnosis.remaining for line in _left_out(left))
+    if not terms:
+        found = f" ({left_out[0]})" if left_out else f"; its verdict is {diagnosis.verdict}"
+        raise UndertowError(
+            f"'{source}' has no term that an effect could state{found}: leave --from out for an empty one"
+        )
+    described = [left for left in diagnosis.remaining if _is_described(left)]
+    logs = ", ".join(r.name for r in diagnosis.runs)
+    added = f" with {_listed(diagnosis.effects)} added" if diagnosis.effects else ""
+    return Suggestion(
+        about=f"Force that goes with {_listed([t for left in described for t in _labels(left)])}.",
+        origin=(
+            f"Suggested by 'undertow effects new' from {source}: vehicle {diagnosis.vehicle}{added}, "
+            f"logs {logs}, undertow {diagnosis.undertow}. On the data kept aside:",
+            *(f"- {left.summary}" for left in described),
+        ),
+        signature="; ".join(left.summary for left in described),
+        reference=f"residual forces in {source}, none yet: name the book or paper that the physics follows",
+        terms=tuple(_distinct(terms)),
+        left_out=left_out,
+    )
+
+
+def _is_described(left: Remaining) -> bool:
+    return bool(left.depends_on or (left.spectrum and left.spectrum.in_step))
+
+
+def _labels(left: Remaining) -> Iterator[str]:
+    yield from (told.term for told in left.depends_on)
+    if left.spectrum is not None and left.spectrum.in_step:
+        yield f"a period of {left.spectrum.period:.3g} s"
+
+
+def _listed(labels: list[str]) -> str:
+    unique = list(dict.fromkeys(labels))
+    return " and ".join(filter(None, [", ".join(unique[:-1]), unique[-1]]))
+
+
+# --- terms ------------------------------------------------------------------------------------
+def _terms(left: Remaining, near: float) -> Iterator[Coefficient]:
+    if left.degree_of_freedom not in DOFS:
+        raise UndertowError(f"'{left.degree_of_freedom}' is no degree of freedom: is this a diagnosis?")
+    row = DOFS.index(left.degree_of_freedom)
+    for told in left.depends_on:
+        yield from _dependent(told, row)
+    if left.spectrum is not None and left.spectrum.in_step:
+        yield from _periodic(left.spectrum, row, near)
+
+
+def _dependent(told: Dependence, row: int) -> Iterator[Coefficient]:
+    what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
+    for factors, value, error in zip(told.columns, told.coefficients, told.standard_errors, strict=False):
+        column = _checked(factors)
+        about = f"{what} per {label_of(column)}" if column else what
+        unit = coefficient_unit(FORCE_UNITS[row], column)
+        found = f"{about}; found {value:.3g} with standard error {error:.1g}"
+        yield Coefficient(_name(FORCE[row], column), unit, found, row, column)
+
+
+def _checked(factors: Sequence[str]) -> Column:
+    for factor in factors:
+        if not is_factor(factor):
+            raise UndertowError(f"'{factor[:40]}' is no factor of a term: is this a diagnosis?")
+    return tuple(factors)
+
+
+def _periodic(spectrum: Spectrum, row: int, near: float) -> Iterator[Coefficient]:
+    if not (isfinite(spectrum.period) and spectrum.period > 0):
+        raise UndertowError(f"a period of {spectrum.period} s cannot be: is this a diagnosis?")
+    wave = Wave(f"omega_{FORCE[row]}", 2 * pi / spectrum.period, near)
+    what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
+    for part in ("cos", "sin"):
+        about = f"{what}, {part} part; found an amplitude of {spectrum.amplitude:.3g}"
+        yield Coefficient(f"{FORCE[row]}_{part}", FORCE_UNITS[row], about, row, (part,), wave)
+
+
+def _name(force: str, column: Column) -> str:
+    """Name of a coefficient: ``X_absr_u``."""
+    parts = [_in_name(f) for f in column] or ["constant"]
+    return f"{force}_{'_'.join(parts)}"
+
+
+def _in_name(factor: str) -> str:
+    size = "abs" if factor.startswith("|") else ""
+    name = command_of(factor)
+    return size + identifier(factor if name is None else name)
+
+
+def _distinct(terms: list[Coefficient]) -> Iterator[Coefficient]:
+    """Names that nothing else has, neither in the catalogue nor in the file."""
+    used: set[str] = set()
+    for term in terms:
+        name, count = term.name, 2
+        while name in used or name in taken_names():
+            name, count = f"{term.name}_{count}", count + 1
+        used.add(name)
+        yield Coefficient(name, term.unit, term.about, term.row, term.column, term.wave)
+
+
+# --- what no effect can say -------------------------------------------------------------------
+def _left_out(left: Remaining) -> Iterator[str]:
+    dof = left.degree_of_freedom
+    if left.spectrum is not None and not left.spectrum.in_step:
+        yield (
+            f"the period of {left.spectrum.period:.3g} s in {dof}, since its phase differs from run to run "
+            "and the parameters of an effect do not"
+        )
+    for told in left.between_runs:
+        yield (
+            f"the {told.of} in {dof}, since it differs from run to run and the parameters of an effect do not"
+        )
+
+
+# --- words ----------------------------------------------------------------------------------------
+_ID = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", re.ASCII)
+_LONGEST = 60
+# Names that the file needs for something else.
+_RESERVED = {"Wrench", "Parameter", "Signals", "UndertowError"}
+_LONGEST_TEXT = 400
+
+
+def check_id(effect_id: str) -> None:
+    """Refuse an id that no new effect can have.
+
+    Raises
+    ------
+    UndertowError
+        If it is no word in snake case, a word of Python, or the id of an effect of the catalogue.
+    """
+    if not _ID.fullmatch(effect_id) or len(effect_id) > _LONGEST or keyword.iskeyword(effect_id):
+        raise UndertowError(
+            f"'{effect_id[: 2 * _LONGEST]}' is no id for an effect: write small letters, digits and single "
+            f"underscores, at most {_LONGEST} of them, such as 'turning_drag'"
+        )
+    if effect_id in catalogue():
+        raise UndertowError(f"effect '{effect_id}' is in the catalogue already: choose another id")
+
+
+def class_name(effect_id: str) -> str:
+    """Name of the class of an effect: ``turning_drag`` gives ``TurningDrag``."""
+    name = "".join(part.capitalize() for part in effect_id.split("_"))
+    return f"{name}Effect" if name in _RESERVED or keyword.iskeyword(name) else name
+
+
+@cache
+def taken_names() -> frozenset[str]:
+    """Names of signals, and of parameters and states of the catalogue."""
+    specimens = [cls.specimen() for cls in catalogue().values()]
+    own = {n for e in specimens for n in (*(p.name for p in e.parameters), *e.states)}
+    return frozenset(own | {str(x) for x in signal_units(signals())})
+
+
+def plain(text: str) -> str:
+    """Text that may stand in a docstring: printable, on one line, without quotes and backslashes."""
+    line = " ".join(text.split()).replace('"', "'").replace("\\", "/")
+    return "".join(c if c.isprintable() else "?" for c in line)[:_LONGEST_TEXT]
+
+
+def literal(text: str) -> str:
+    """A text as a Python literal in double quotes."""
+    return json.dumps(plain(text), ensure_ascii=False)
+
+
+def identifier(text: str) -> str:
+    """Letters, digits and underscores of a text."""
+    return re.sub(r"[^A-Za-z0-9_]", "", text)
+
+
+# --- reading a diagnosis --------------------------------------------------------------------------
+_HOW = "give the file that 'undertow diagnose --json FILE' wrote"
+
+
+def read_diagnosis(path: Path) -> Diagnosis:
+    """Read a diagnosis.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read or is no diagnosis.
+    """
+    try:
+        diagnosis = Diagnosis.model_validate_json(read_json(path, "diagnosis"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        why = f"{place}: {first['msg']}" if place else first["msg"]
+        raise UndertowError(f"'{path}' is no diagnosis ({why}): {_HOW}") from error
+    if diagnosis.schema_id != SCHEMA:
+        raise UndertowError(f"'{path}' has the schema '{diagnosis.schema_id}', not '{SCHEMA}': {_HOW}")
+    if not _finite(diagnosis.model_dump()):
+        raise UndertowError(f"'{path}' is no diagnosis (a number in it is infinite or none): {_HOW}")
+    return diagnosis
+
+
+def _finite(content: object) -> bool:
+    """Whether every number in what a file holds is one; JSON has 1e400."""
+    if isinstance(content, dict):
+        return all(map(_finite, content.values()))
+    if isinstance(content, list | tuple):
+        return all(map(_finite, content))
+    return not isinstance(content, float) or math.isfinite(content)
+
+
+_WIDTH = 100
+_USED = {"s", "sm", "self", "t", *POSE, *VELOCITY, *DOFS}
+
+
+def effect_file(effect_id: str, file: str, suggestion: Suggestion) -> str:
+    """Text of a Python file with one effect.
+
+    Parameters
+    ----------
+    effect_id : str
+        Id of the effect.
+    file : str
+        Name that the file will have.
+    suggestion : Suggestion
+        Terms of the effect, and where they come from.
+    """
+    return str(_template().render(**_content(effect_id, file, suggestion))).rstrip() + "\n"
+
+
+@cache
+def _template() -> Any:
+    environment = Environment(
+        loader=PackageLoader("undertow.identification.report"),
+        autoescape=False,  # Python, not HTML: every text is made harmless by `plain`
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template("effect.txt")
+
+
+def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any]:
+    commands = _commands(suggestion.terms)
+    variables = _variables(commands)
+    rows = [[t for t in suggestion.terms if t.row == i] for i in range(6)]
+    return {
+        "id": effect_id,
+        "file": plain(file),
+        "cls": class_name(effect_id),
+        "about": _wrapped(suggestion.about, "    ").strip(),
+        "origin": [_wrapped(line, "    ") for line in suggestion.origin],
+        "left_out": [_wrapped(f"- {line}", "    ") for line in suggestion.left_out],
+        "reference": _split(suggestion.reference),
+        "signature": _split(suggestion.signature),
+        "parameters": [(t.name, literal(t.unit), _split(t.about)) for t in suggestion.terms],
+        "waves": list({t.wave.name: t.wave for t in suggestion.terms if t.wave is not None}.values()),
+        "commands": [literal(c) for c in commands if not _is_force(c)],
+        "signals": list(_signals(suggestion.terms, variables)),
+        "forces": [(DOFS[i], [_code(t, variables) for t in row]) for i, row in enumerate(rows) if row],
+        "rows": ", ".join(DOFS[i] if row else "0" for i, row in enumerate(rows)),
+    }
+
+
+def _wrapped(text: str, indent: str) -> str:
+    more = f"{indent}  " if text.startswith("- ") else indent
+    return textwrap.fill(plain(text), _WIDTH, initial_indent=indent, subsequent_indent=more)
+
+
+def _split(text: str) -> list[str]:
+    """A long text as literals that Python joins."""
+    lines = textwrap.wrap(plain(text), _WIDTH - 20, drop_whitespace=False) or [""]
+    return [literal_kept(line) for line in lines]
+
+
+def literal_kept(line: str) -> str:
+    """A literal that keeps blanks at its ends."""
+    return f'"{line}"'
+
+
+# --- code -------------------------------------------------------------------------------------
+def _commands(terms: tuple[Coefficient, ...]) -> list[str]:
+    names = (command_of(f) for t in terms for f in t.column)
+    return list(dict.fromkeys(n for n in names if n is not None))
+
+
+def _is_force(command: str) -> bool:
+    return command in {f"tau_{f}" for f in FORCE}
+
+
+def _variables(commands: list[str]) -> dict[str, str]:
+    """What each command is called in the code."""
+    found: dict[str, str] = {}
+    for i, name in enumerate(commands, start=1):
+        short = identifier(name)
+        usable = short == name and short.isidentifier() and short not in _USED
+        found[name] = short if usable else f"command_{i}"
+    return found
+
+
+def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Iterator[tuple[str, str]]:
+    """Names that the terms use, with what they stand for."""
+    names = {plain_of(m[3] if (m := WAVE.fullmatch(f)) else f) for t in terms for f in t.column}
+    yield from ((n, f"s.nu_r[{i}]") for i, n in enumerate(VELOCITY) if n in names)
+    yield from ((n, f"s.eta[{i}]") for i, n in enumerate(POSE) if n in names)
+    for name, variable in variables.items():
+        force = f"s.generalised_force[{FORCE.index(name[-1])}]" if _is_force(name) else ""
+        yield variable, force or f"self._command(s, {literal(name)})"
+
+
+def _code(term: Coefficient, variables: dict[str, str]) -> str:
+    if term.wave is not None:
+        return f"self.{term.name} * sm.{term.column[0]}(self.{term.wave.name} * s.t)"
+    return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column)])
+
+
+def _factor(factor: str, variables: dict[str, str]) -> str:
+    wave = WAVE.fullmatch(factor)
+    if wave:
+        return f"sm.{wave[1]}({'2 * ' if wave[2] else ''}{wave[3]})"
+    command = command_of(factor)
+    name = "s.t" if factor == "t" else plain_of(factor) if command is None else variables[command]
+    return f"sm.Abs({name})" if factor.startswith("|") else name

@@ -1,0 +1,200 @@
+"""A comparison, or two of the same logs by two models, as the tables that pictures are drawn from."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from undertow.identification.compare.comparison import Comparison, Profile
+from undertow.identification.estimation.windows import Prediction
+from undertow.identification.logs.run import UNITS
+from undertow.model.symbols import FORCE_UNITS, VELOCITY
+from undertow.typing import Array
+
+from .data import Budget, ErrorMap, Listing, ReportData, ResidualCurve, RunTraces, Trace
+from .page import percent, quantity
+
+_HALF_INTERVAL = 1.96
+# Bins in which the mean residual force may leave the noise by chance do not make a variable telling.
+_CURVES = 9
+
+
+def error_map(before: Comparison, after: Comparison | None = None) -> ErrorMap:
+    """Residual force over its noise, by degree of freedom and regime, without regimes that do not occur."""
+    rows = tuple(before.result.degrees_of_freedom)
+    names = tuple(dict.fromkeys(c.regime for c in before.result.cells if c.normalised is not None))
+    other = None if after is None else _map(after, rows, names)
+    return ErrorMap(rows, names, _map(before, rows, names), other, quantity="residual force / noise")
+
+
+def _map(comparison: Comparison, rows: tuple[str, ...], names: tuple[str, ...]) -> Array:
+    table = np.full((len(rows), len(names)), np.nan)
+    for cell in comparison.result.cells:
+        if cell.regime in names and cell.normalised is not None:
+            table[rows.index(cell.degree_of_freedom), names.index(cell.regime)] = cell.normalised
+    return table
+
+
+def traces(before: Comparison, after: Comparison | None = None, *, free: bool = False) -> list[RunTraces]:
+    """Measured and simulated channels of every run: over windows that start from the measurement, or free."""
+    pairs = [c.free_run if free else c.ahead for c in (before, after) if c is not None]
+    windows = f"every {before.result.horizon:g} s from the measured motion"
+    how = f"simulated {'without any correction' if free else windows}"
+    runs = range(len(pairs[0].windows.runs))
+    return [RunTraces(pairs[0].windows.runs[i].name, tuple(_traces(i, *pairs)), how) for i in runs]
+
+
+def _traces(run: int, before: Prediction, after: Prediction | None = None) -> Iterator[Trace]:
+    log = before.windows.runs[run]
+    models = [_on_clock(p, run) for p in (before, after) if p is not None]
+    for i, name in enumerate(before.names):
+        if log.has(name):
+            measured = log.channels[name]
+            yield Trace(name, UNITS[name], log.t, measured, *(_like(m[:, i], measured, name) for m in models))
+
+
+def _on_clock(prediction: Prediction, run: int) -> Array:
+    """Predictions at the samples of a run; NaN where none reaches, and at the end of every window."""
+    windows = prediction.windows
+    result = np.full((len(windows.runs[run].t), len(windows.names)), np.nan)
+    inside = windows.inside.copy()
+    # A window ends where the next begins; that sample shows the new start, and one before it breaks the line.
+    for k in np.flatnonzero(windows.run == run).tolist():
+        rows = windows.samples[k][inside[k]]
+        result[rows[:-1]] = prediction.predicted[k][inside[k]][:-1]
+        result[rows[-1]] = np.nan
+    return result
+
+
+def _like(simulated: Array, measured: Array, name: str) -> Array:
+    """A heading that was unwrapped for the simulation is brought back to the turn of the log."""
+    if UNITS[name] != "rad":
+        return simulated
+    turns = np.round((simulated - measured) / (2 * np.pi))
+    return np.asarray(simulated - 2 * np.pi * np.nan_to_num(turns))
+
+
+def curves(before: Comparison, after: Comparison | None = None) -> list[ResidualCurve]:
+    """Residual force against every variable, the most telling variables of each degree of freedom first."""
+    other = {(p.degree_of_freedom, p.variable): p for p in (after.profiles if after else ())}
+    found = []
+    for i, dof in enumerate(before.result.degrees_of_freedom):
+        unit = FORCE_UNITS[before.vehicle.dof_indices[i]]
+        own = sorted((p for p in before.profiles if p.degree_of_freedom == dof), key=telling, reverse=True)
+        found += [_curve(p, unit, other.get((dof, p.variable))) for p in own]
+    return found
+
+
+def telling(profile: Profile) -> float:
+    """Mean square of the binned residual force over its standard error: about 1 where it is noise."""
+    sure = profile.error > 0
+    return float(np.mean((profile.force[sure] / profile.error[sure]) ** 2)) if sure.any() else 0.0
+
+
+def _curve(p: Profile, unit: str, other: Profile | None) -> ResidualCurve:
+    return ResidualCurve(
+        p.degree_of_freedom,
+        unit,
+        p.variable,
+        p.unit,
+        p.centre,
+        p.force,
+        _HALF_INTERVAL * p.error,
+        None if other is None else other.force,
+        None if other is None else _HALF_INTERVAL * other.error,
+    )
+
+
+def budgets(comparison: Comparison) -> list[Budget]:
+    """Rms force of every effect by degree of freedom; the residual is called unexplained."""
+    result = comparison.result
+    return [
+        Budget(
+            dof,
+            FORCE_UNITS[comparison.vehicle.dof_indices[i]],
+            {share.effect: share.rms for share in result.budget if share.degree_of_freedom == dof},
+        )
+        for i, dof in enumerate(result.degrees_of_freedom)
+    ]
+
+
+def leading(found: Sequence[ResidualCurve], dof: str, most: int = _CURVES) -> list[ResidualCurve]:
+    """The most telling variables of one degree of freedom."""
+    return [c for c in found if c.degree_of_freedom == dof][:most]
+
+
+# Panels for each degree of freedom: those of the variables that the residual follows most.
+_MOST_VARIABLES = 6
+_PROGRAMS = ("numpy", "scipy", "casadi", "sympy")
+
+
+def report_data(
+    before: Comparison,
+    after: Comparison | None = None,
+    *,
+    names: tuple[str, str] = ("model as given", "with what is missing"),
+    settings: Mapping[str, str] | None = None,
+) -> ReportData:
+    """What a report shows of a model, and of the same model with something added, on the same logs.
+
+    Parameters
+    ----------
+    before, after : Comparison
+        Comparisons of both models with the same kept-aside logs; without `after` one model is shown.
+    names : (str, str)
+        What pictures call the two.
+    settings : mapping, optional
+        Further lines for the record of what was done.
+    """
+    result = before.result
+    both = [c for c in (before, after) if c is not None]
+    found = curves(before, after)
+    ahead = f"over {result.horizon:g} s, from {result.windows} measured starts"
+    return ReportData(
+        before=names[0],
+        after=names[1],
+        headlines=tuple(f"{name}: {c.result.headline}" for name, c in zip(names, both, strict=False)),
+        maps=(error_map(before, after),),
+        runs=tuple(_velocities_first(run) for run in traces(before, after, free=True)),
+        residuals=tuple(c for dof in result.degrees_of_freedom for c in leading(found, dof, _MOST_VARIABLES)),
+        budgets=tuple(budgets(both[-1])),
+        fits=_fits(before, after),
+        settings={"prediction ahead": ahead, **(settings or {})},
+        versions=versions(),
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that work out the numbers."""
+    found = {"Python": f"{platform.python_version()} on {platform.system()} {platform.machine()}"}
+    for name in _PROGRAMS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # installed without metadata, by a system's own packages
+            found[name] = "version unknown"
+    return found
+
+
+def _velocities_first(run: RunTraces) -> RunTraces:
+    """The fit looks at the velocities; the pose drifts in a free run."""
+    return replace(run, traces=tuple(sorted(run.traces, key=lambda t: t.channel not in VELOCITY)))
+
+
+def _fits(before: Comparison, after: Comparison | None) -> Listing:
+    later = {c.channel: c for c in after.result.channels} if after else {}
+    rows = []
+    for channel in before.result.channels:
+        shown = [channel, *([later[channel.channel]] if channel.channel in later else [])]
+        ahead = " → ".join(quantity(c.ahead_rms, channel.unit, 3) for c in shown)
+        free = " → ".join(percent(_share(c.free_run_fit)) for c in shown)
+        rows.append((channel.channel, quantity(channel.noise, channel.unit, 2), ahead, free))
+    ahead = f"error {before.result.horizon:g} s ahead, rms"
+    return Listing(("channel", "noise", ahead, "free-run fit (100 % is perfect)"), tuple(rows))
+
+
+def _share(per_cent: float | None) -> float | None:
+    return None if per_cent is None else per_cent / 100.0

@@ -1,0 +1,1 @@
+"""The mini-AUV paper's own chain: its least squares, its printed tables, its equations."""

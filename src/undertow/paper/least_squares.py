@@ -1,0 +1,426 @@
+"""Ordinary least squares on smoothed samples, (16) and (17) of the paper, for each motion and direction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from undertow.errors import UndertowError
+from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.fitted import Triangle, base_parameters, undetermined
+from undertow.identification.estimation.step import estimated
+from undertow.identification.logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
+
+from .regression import Axis, Case, Edges, Regression, axis_of, moving
+
+# Condition number of the scaled regressor from which rounding alone decides the estimates.
+_CONDITION = 1e7
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Logs of one motion in one direction.
+
+    Attributes
+    ----------
+    regression : Regression
+        Its regressor, generated from the model.
+    runs : tuple of Run
+        The logs.
+    """
+
+    regression: Regression
+    runs: tuple[Run, ...]
+
+    @property
+    def axis(self) -> Axis:
+        """The motion."""
+        return self.regression.axis
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """Least squares after one case of smoothing.
+
+    Attributes
+    ----------
+    case : Case
+        How the motion was smoothed.
+    names : tuple of str
+        Parameters.
+    theta : (k,) array
+        Their estimates, SI and SNAME signs; (16) of the paper.
+    covariance : (k, k) array
+        Residual variance times the inverse of H'H; (17) of the paper. It takes samples as independent, which
+        smoothed ones are not: the errors it gives are too small.
+    residual_variance : float
+        Sum of squares of the residual over samples less parameters, N^2 or (N m)^2; (17) of the paper, which
+        calls it a standard deviation.
+    samples : int
+        Rows of the regression.
+    condition : float
+        Condition number of H with its columns scaled to unit length.
+    inertia : (float, float)
+        Mass with added mass, and its standard error.
+    inertial : tuple of str
+        Parameters that are part of it.
+    impossible : tuple of str
+        Parameters that lie outside what is physical: added mass or damping of the wrong sign.
+    """
+
+    case: Case
+    names: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    residual_variance: float
+    samples: int
+    condition: float
+    inertia: tuple[float, float]
+    inertial: tuple[str, ...]
+    impossible: tuple[str, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimates by name."""
+        return dict(zip(self.names, self.theta.tolist(), strict=True))
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors by name; (16) of the paper, which calls them variances."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def valid(self) -> bool:
+        """Whether all estimates are physical: the mass exceeds that of the body, damping takes energy."""
+        return not self.impossible
+
+
+def experiments(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> list[Experiment]:
+    """Sort logs by the motion and the direction that they hold.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    runs : sequence of Run
+        Logs of one motion each.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+
+    Raises
+    ------
+    UndertowError
+        If a log holds no motion of the vehicle with its force, or more than one, or cannot be.
+    """
+    found: dict[tuple[str, str, tuple[str, ...]], Experiment] = {}
+    for run in runs:
+        axis = axis_of(vehicle, _motion(vehicle, run), run)
+        refuse_impossible(axis.vehicle, [run], trust_log=trust_log)
+        # A log with the force and one with thrusters are experiments of their own.
+        key = (axis.motion, axis.direction, axis.vehicle.command_names)
+        known = found.get(key) or Experiment(Regression(axis), ())
+        found[key] = replace(known, runs=(*known.runs, run))
+    order = list(vehicle.degrees_of_freedom)
+    return sorted(found.values(), key=lambda e: (order.index(e.axis.motion), e.axis.direction == "backward"))
+
+
+def _motion(vehicle: Vehicle, run: Run) -> str:
+    motions = moving(vehicle, run)
+    if len(motions) == 1:
+        return motions[0]
+    forces = ", ".join(f"tau_{f}" for f in "XYZKMN")
+    if not motions:
+        raise UndertowError(
+            f"run '{run.name}' holds no velocity of '{vehicle.name}' that changes with the force that drives "
+            f"it ({forces}, or every thruster); it has {', '.join(run.channels)}: name its columns in a "
+            "mapping file (--map)"
+        )
+    raise UndertowError(
+        f"run '{run.name}' moves in {' and '.join(motions)}, but the paper's chain takes one motion at a "
+        "time: give logs of forced motion in one of them, or use undertow fit"
+    )
+
+
+def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Estimation:
+    """Estimates of one motion after one case of smoothing.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Motion and logs.
+    case : Case
+        How velocity and acceleration are smoothed; the force is left as it is, as in the paper.
+    edges : str
+        What the filters do at the ends of a log.
+
+    Raises
+    ------
+    UndertowError
+        If there are fewer samples than parameters, or the samples leave a combination of them open.
+    """
+    triangle = Triangle(len(experiment.regression.free))
+    for run in experiment.runs:
+        experiment.regression.take(triangle, run, case, edges)
+    return estimated_by(experiment, case, triangle)
+
+
+def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Estimation:
+    """Estimates from the rows of one case that a triangle holds.
+
+    Raises
+    ------
+    UndertowError
+        As for `estimate`.
+    """
+    regression = experiment.regression
+    H, target = triangle.split()
+    size = np.linalg.norm(H, axis=0)
+    _enough(experiment.axis, regression.free, H, triangle.count, case)
+    scaled = H / size
+    condition = float(np.linalg.cond(scaled))
+    if condition > _CONDITION:
+        raise UndertowError(_open(experiment.axis, regression.free, H, triangle.count, case))
+    theta = np.linalg.lstsq(scaled, target, rcond=None)[0] / size
+    residual = target - H @ theta
+    variance = float(residual @ residual) / (triangle.count - len(theta))
+    inverse = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
+    covariance = variance * inverse
+    return Estimation(
+        case=case,
+        names=regression.free,
+        theta=theta,
+        covariance=covariance,
+        residual_variance=variance,
+        samples=triangle.count,
+        condition=condition,
+        inertia=regression.inertia(theta, covariance),
+        inertial=regression.inertial,
+        impossible=_impossible(experiment.axis, dict(zip(regression.free, theta.tolist(), strict=True))),
+    )
+
+
+def _enough(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> None:
+    silent = [n for n, column in zip(names, H.T, strict=True) if not column.any()]
+    if silent:
+        raise UndertowError(
+            f"these logs do not feel {silent[0]} of {axis} (case {case.name}): state it as known, or log a "
+            "motion that does"
+        )
+    if count <= len(names):
+        raise UndertowError(
+            f"{count} samples of {axis} are too few for {len(names)} parameters (case {case.name}): give "
+            "longer logs"
+        )
+
+
+def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> str:
+    """What to say where samples determine sums of parameters only."""
+    gram, nothing = H.T @ H, 1.0 / _CONDITION**2
+    tied = {n for group in undetermined(gram, names, nothing) for n in group}
+    seen = [*(n for n in names if n not in tied), *map(str, base_parameters(gram, names, nothing))]
+    return (
+        f"{count} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
+        f"only {', '.join(seen)}: log other speeds and accelerations, or state one as known"
+    )
+
+
+def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:
+    declared = axis.vehicle.declared_parameters
+    return tuple(n for n, v in values.items() if not declared[n].bounds[0] <= v <= declared[n].bounds[1])
+
+
+# --- which estimate is taken ----------------------------------------------------------------------
+RULE = "of the cases whose estimates are all physical, the one with the least residual variance"
+
+
+def selected(found: Sequence[Estimation]) -> Estimation | None:
+    """The estimate that `RULE` takes; None where no case is physical."""
+    return min((e for e in found if e.valid), key=lambda e: e.residual_variance, default=None)
+
+
+# Standard deviations between two estimates of one parameter from which they contradict each other.
+_APART = 3.0
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Values for a vehicle file.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters of the whole vehicle.
+    values : (k,) array
+        SI and SNAME signs.
+    covariance : (k, k) array
+        Of the values; zero between motions, which were logged apart.
+    contradictions : tuple of str
+        What motions or directions say differently of a parameter that they share, one line each.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    contradictions: tuple[str, ...]
+
+    def vehicle(self, stated: Vehicle) -> Vehicle:
+        """The vehicle with these values and their standard errors."""
+        errors = np.sqrt(np.diag(self.covariance)).tolist()
+        return estimated(
+            stated,
+            dict(zip(self.names, self.values.tolist(), strict=True)),
+            dict(zip(self.names, errors, strict=True)),
+        )
+
+
+def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> Chosen:
+    """Put the estimates of several motions together.
+
+    What several motions or directions share is weighted by the inverse of its variances.
+
+    Parameters
+    ----------
+    stated : Vehicle
+        The whole vehicle.
+    found : sequence of (Experiment, Estimation)
+        The chosen estimate of each motion and direction.
+    """
+    labels = [_whole_name(stated, e.axis, n) for e, estimation in found for n in estimation.names]
+    theta = np.concatenate([estimation.theta for _, estimation in found])
+    covariance = block_diag(*(estimation.covariance for _, estimation in found))
+    names = tuple(dict.fromkeys(labels))
+    weights = np.array([[float(label == n) for label in labels] for n in names]) / np.diag(covariance)
+    weights /= weights.sum(axis=1, keepdims=True)
+    axes = [str(e.axis) for e, estimation in found for _ in estimation.names]
+    told = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
+    return Chosen(names, weights @ theta, weights @ covariance @ weights.T, tuple(told))
+
+
+def _whole_name(stated: Vehicle, axis: Axis, name: str) -> str:
+    own = axis.name_of(name)
+    return own if own in stated.values else name
+
+
+def _apart(
+    name: str, labels: Sequence[str], axes: Sequence[str], theta: Array, covariance: Array
+) -> str | None:
+    places = [i for i, label in enumerate(labels) if label == name]
+    if len(places) < 2:
+        return None
+
+    def away(pair: tuple[int, int]) -> float:
+        i, j = pair
+        return float(abs(theta[i] - theta[j]) / np.sqrt(covariance[i, i] + covariance[j, j]))
+
+    i, j = worst = max(combinations(places, 2), key=away)
+    if away(worst) <= _APART:
+        return None
+    return (
+        f"{name} is {theta[i]:.6g} by {axes[i]} and {theta[j]:.6g} by {axes[j]}, {away(worst):.1f} standard "
+        "deviations apart: one value cannot stand for both"
+    )
+
+
+ROWS = 50_000
+"""Rows that are in memory at a time."""
+
+
+def estimate_streaming(
+    vehicle: Vehicle,
+    logs: Sequence[LongLog],
+    cases: Sequence[Case],
+    edges: Edges = "interp",
+    rows: int = ROWS,
+    progress: Progress = lambda done, words: None,
+    *,
+    trust_log: bool = False,
+) -> list[tuple[Experiment, list[Estimation]]]:
+    """Estimates of every motion that logs hold, after each case of smoothing, in constant memory.
+
+    Every log is read twice: to see what moves in it, then for the rows of the regression. Parts overlap by
+    more than the filters reach, and what a filter makes of the samples at the border of a part is dropped, so
+    that the answer is that of the log in one piece. (What a gap is, is told by the median step of a part.)
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    logs : sequence of LongLog
+        Logs of forced motion, one motion each.
+    cases : sequence of Case
+        Ways of smoothing.
+    edges : str
+        What the filters do at the ends of a log.
+    rows : int
+        Rows that are read at a time.
+    progress : callable
+        Told what share is done, and what is being done.
+    trust_log : bool
+        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+
+    Raises
+    ------
+    NeedsWhole
+        If the model depends on the time itself, or a log cannot be read in parts.
+    UndertowError
+        As for `experiments` and `estimate`.
+    """
+    overlap = _overlap(cases, edges)
+    seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
+    found = experiments(vehicle, seen, trust_log=True)  # outlines only: each part is looked at
+    reduced = [{c.name: Triangle(len(e.regression.free)) for c in cases} for e in found]
+    for k, (log, outlined) in enumerate(zip(logs, seen, strict=True)):
+        progress(0.3 + 0.7 * k / len(logs), f"reducing {log.path.name}")
+        place = next(i for i, e in enumerate(found) if any(run is outlined for run in e.runs))
+        _refuse_clock(found[place])
+        parts = log.parts(max(rows, 3 * overlap), overlap)
+        _reduce(found[place], parts, cases, edges, reduced[place], trust_log)
+    pairs = zip(found, reduced, strict=True)
+    return [(e, [estimated_by(e, c, triangles[c.name]) for c in cases]) for e, triangles in pairs]
+
+
+def _refuse_clock(experiment: Experiment) -> None:
+    if experiment.regression.feels_time:
+        raise NeedsWhole(
+            f"the {experiment.axis.motion} of '{experiment.axis.vehicle.name}' depends on the time itself, "
+            "which parts of a log do not share: leave out --stream"
+        )
+
+
+def _outlined(log: LongLog, rows: int, progress: Progress) -> Run:
+    progress(0.0, f"looking through {log.path.name}")
+    parts = (part.run for part in log.parts(rows, 0))
+    first = next(parts, None)
+    whole = parts if first is None else chain([first], parts)
+    return outline(whole, log.path.name.split(".")[0], hash_of(log.path))
+
+
+def _overlap(cases: Sequence[Case], edges: Edges) -> int:
+    """Samples on either side of a border that filters reach over, with room for a few that a log lacks."""
+    return 4 * max(case.needs(edges) + sum(f.frame for f in case.acceleration) for case in cases)
+
+
+def _reduce(
+    experiment: Experiment,
+    parts: Iterator[Part],
+    cases: Sequence[Case],
+    edges: Edges,
+    triangles: Mapping[str, Triangle],
+    trust_log: bool,
+) -> None:
+    """Take the rows of a log into the triangles, one for each case."""
+    after, part = -np.inf, next(parts, None)
+    while part is not None:
+        refuse_impossible(experiment.axis.vehicle, [part.run], trust_log=trust_log)
+        following = next(parts, None)
+        until = np.inf if following is None else part.border
+        for case in cases:
+            experiment.regression.take_between(triangles[case.name], part.run, case, edges, after, until)
+        after, part = until, following

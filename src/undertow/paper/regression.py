@@ -1,0 +1,493 @@
+"""The regression at the samples of a log: one motion by itself, eleven ways of smoothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from scipy.signal import savgol_filter
+
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+from undertow.identification.estimation.fitted import Triangle
+from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.logs.checks import constant_channels
+from undertow.identification.logs.run import Run
+from undertow.model.effect import Actuation, Effect, Measurement
+from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.model.vehicle import Value, Vehicle
+from undertow.typing import Array
+
+from .linear_fit import LinearFit
+
+Direction = Literal["forward", "backward", "both"]
+# Share of the way in the lesser direction from which a log is one of both directions.
+_BOTH_WAYS = 0.05
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One motion in one direction.
+
+    Attributes
+    ----------
+    motion : str
+        Degree of freedom.
+    direction : str
+        ``forward``, ``backward``, or ``both`` where the vehicle does not tell them apart.
+    vehicle : Vehicle
+        The vehicle with this motion only, and the values of this direction.
+    """
+
+    motion: str
+    direction: Direction
+    vehicle: Vehicle
+
+    @property
+    def place(self) -> int:
+        """Place of the motion among the six."""
+        return DOFS.index(self.motion)
+
+    @property
+    def velocity(self) -> str:
+        """Channel of its velocity."""
+        return VELOCITY[self.place]
+
+    @property
+    def rate(self) -> str:
+        """Channel of its acceleration."""
+        return f"{self.velocity}_dot"
+
+    @property
+    def inertia(self) -> str:
+        """What the sum of mass and added mass is called, as in the paper."""
+        return ("m_x", "m_y", "m_z", "I_xx", "I_yy", "I_zz")[self.place]
+
+    def name_of(self, parameter: str) -> str:
+        """Name that a parameter of this motion has in the whole vehicle."""
+        return parameter if self.direction == "both" else f"{parameter}_{self.direction}"
+
+    def __str__(self) -> str:
+        return self.motion if self.direction == "both" else f"{self.motion}, {self.direction}"
+
+
+def moving(vehicle: Vehicle, run: Run) -> list[str]:
+    """Motions of a vehicle that a run holds a velocity of which changes, and a force."""
+    names = dict(zip(vehicle.degrees_of_freedom, vehicle.velocity_names, strict=True))
+    still = constant_channels(run, names.values())
+    moved = (m for m, name in names.items() if run.has(name) and name not in still)
+    return [m for m in moved if _forced(vehicle, m, run)]
+
+
+def _forced(vehicle: Vehicle, motion: str, run: Run) -> bool:
+    pushed = bool(vehicle.thrusters) and all(run.has(t.name) for t in vehicle.thrusters)
+    return pushed or run.has(f"tau_{FORCE[DOFS.index(motion)]}")
+
+
+def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
+    """One motion of a vehicle, in the direction in which a run goes.
+
+    The log's own force `tau_X` ... is used where it has one; else the thrusters push.
+
+    Raises
+    ------
+    UndertowError
+        If the vehicle has a value for each direction, and the run goes in both.
+    """
+    place = DOFS.index(motion)
+    own = f"tau_{FORCE[place]}"
+    alone = replace(vehicle, degrees_of_freedom=(motion,), force_channels=(own,) if run.has(own) else ())
+    if run.has(own):
+        alone = replace(alone, thrusters=(), effects=_without_actuation(vehicle))
+    alone = replace(alone, effects=tuple(e for e in alone.effects if not isinstance(e, Measurement)))
+    if not _split(alone):
+        return Axis(motion, "both", alone)
+    direction = _direction(run, VELOCITY[place], vehicle.name)
+    return Axis(motion, direction, _one_way(alone, direction))
+
+
+def _direction(run: Run, name: str, vehicle: str) -> Direction:
+    way = run.channels[name]
+    total = float(np.nansum(np.abs(way)))
+    ahead = float(np.nansum(np.maximum(way, 0.0))) / total
+    if _BOTH_WAYS < ahead < 1.0 - _BOTH_WAYS:
+        raise UndertowError(
+            f"run '{run.name}' goes forward for {ahead:.0%} of its way in {name} and backward for the rest, "
+            f"but vehicle '{vehicle}' has a value for each direction: give the two parts by themselves "
+            "(--from, --to)"
+        )
+    return "forward" if ahead > 0.5 else "backward"
+
+
+def _without_actuation(vehicle: Vehicle) -> tuple[Effect, ...]:
+    kept = [e for e in vehicle.effects if not isinstance(e, Actuation) and "thrusters" not in e.requires]
+    return tuple(kept)
+
+
+def _split(vehicle: Vehicle) -> bool:
+    """Whether a parameter of this motion has a value for each direction."""
+    return any(n in vehicle.sides for n in vehicle.parameter_names)
+
+
+def _one_way(vehicle: Vehicle, direction: str) -> Vehicle:
+    """The vehicle with the values of one direction for both."""
+    values: dict[str, Value] = {}
+    for name, value in vehicle.values.items():
+        parameter, way = vehicle.sides.get(name, (None, direction))
+        if way == direction:
+            values[name if parameter is None else parameter.name] = value
+    return replace(vehicle, values=values)
+
+
+def known_states(vehicle: Vehicle, states: Iterable[str], whole: Sequence[str]) -> None:
+    """Refuse a model with states that no sample holds.
+
+    Raises
+    ------
+    UndertowError
+        If an effect owns states.
+    """
+    hidden = [s for s in states if s not in whole]
+    if hidden:
+        raise UndertowError(
+            f"vehicle '{vehicle.name}' has states that no sample of a log holds ({', '.join(hidden)}): least "
+            "squares on samples cannot follow them; use undertow fit, or leave the effect out"
+        )
+
+
+Edges = Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"]
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """One Savitzky–Golay filter.
+
+    Attributes
+    ----------
+    order : int
+        Degree of the polynomials (k of the paper's tables, N in Table 3).
+    frame : int
+        Samples that each is fitted to, odd (f, F in Table 3).
+    """
+
+    order: int
+    frame: int
+
+    def __call__(self, signal: Array, edges: Edges, derivative: int = 0, step: float = 1.0) -> Array:
+        """Smooth an evenly sampled signal, or differentiate it.
+
+        Parameters
+        ----------
+        signal : (n,) array
+            Samples.
+        edges : str
+            ``interp`` fits the last polynomial up to the edge, as MATLAB's `sgolayfilt` does; ``drop`` gives
+            NaN for half a frame, which the example of MATLAB's `sgolay` leaves out; the others extend the
+            signal.
+        derivative : int
+            Order of the derivative.
+        step : float
+            Sampling interval, s.
+        """
+        mode = "interp" if edges == "drop" else edges
+        smooth = savgol_filter(signal, self.frame, self.order, deriv=derivative, delta=step, mode=mode)
+        if edges == "drop":
+            half = self.frame // 2
+            smooth[:half] = smooth[-half:] = np.nan
+        return np.asarray(smooth, dtype=float)
+
+    def __str__(self) -> str:
+        return f"({self.order}, {self.frame})"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way to get velocity and acceleration from what was logged.
+
+    Attributes
+    ----------
+    name : str
+        Number in the paper.
+    velocity : Smoother or None
+        For the velocity.
+    acceleration : tuple of Smoother
+        For the acceleration, one after the other.
+    differentiated : bool
+        Whether the acceleration is the derivative of the velocity by its filter, not the one that was logged.
+    source : str
+        Where it is stated.
+    """
+
+    name: str
+    velocity: Smoother | None
+    acceleration: tuple[Smoother, ...]
+    differentiated: bool
+    source: str
+
+    def needs(self, edges: Edges) -> int:
+        """Samples without a gap that the filters need; with dropped edges each leaves the next one fewer."""
+        first = [self.velocity] if self.velocity else []
+        longest = max((f.frame for f in [*first, *self.acceleration]), default=2)
+        chain = [*(first if self.differentiated else []), *self.acceleration]
+        dropped = sum(f.frame - 1 for f in chain) + 1
+        return max(longest, dropped) if edges == "drop" else longest
+
+    def counts_samples(self, *, logged: bool) -> bool:
+        """Whether an even clock matters: a filter, or differences where no acceleration was logged."""
+        return self.velocity is not None or not logged
+
+    def __str__(self) -> str:
+        first = f"velocity {self.velocity}" if self.velocity else "nothing filtered"
+        then = " then ".join(map(str, self.acceleration))
+        parts = [first, *(["acceleration from it"] if self.differentiated else [])]
+        return ", ".join([*parts, *([f"acceleration {then}"] if then else [])])
+
+    def smoothed(
+        self, velocity: Array, acceleration: Array | None, step: float, edges: Edges
+    ) -> tuple[Array, Array]:
+        """Velocity and acceleration of one motion after the filters, (n,) each.
+
+        Parameters
+        ----------
+        velocity : (n,) array
+            As logged, evenly sampled.
+        acceleration : (n,) array or None
+            As logged; central differences of the velocity where the log has none.
+        step : float
+            Sampling interval, s.
+        edges : str
+            What the filters do at the ends.
+        """
+        if self.differentiated:
+            assert self.velocity is not None
+            rate = self.velocity(velocity, edges, 1, step)
+        else:
+            rate = np.gradient(velocity, step) if acceleration is None else acceleration
+        for smoother in self.acceleration:
+            known = np.isfinite(rate)
+            rate = rate.copy()
+            rate[known] = smoother(rate[known], edges)
+        return velocity if self.velocity is None else self.velocity(velocity, edges), rate
+
+
+def _independent(number: int, *smoothers: Smoother, table: str) -> Case:
+    """A case of Tables 1 and 2: velocity and acceleration are filtered each by itself."""
+    return Case(str(number), smoothers[0], smoothers, False, f"paper, {table}")
+
+
+_BOTH = {2: Smoother(1, 3), 3: Smoother(1, 5), 4: Smoother(1, 7), 5: Smoother(3, 7)}
+_AGAIN = Smoother(1, 7)
+_METHOD = Smoother(4, 11)
+CASES: dict[str, Case] = {
+    case.name: case
+    for case in (
+        Case("1", None, (), False, "paper, Table 1"),
+        *(_independent(n, s, table="Table 1") for n, s in _BOTH.items()),
+        *(_independent(n + 4, s, _AGAIN, table="Table 2") for n, s in _BOTH.items()),
+        Case("10", _METHOD, (), True, "paper, Table 3"),
+        Case("11", _METHOD, (_AGAIN,), True, "paper, Table 3"),
+    )
+}
+
+
+def chosen_cases(words: str) -> list[Case]:
+    """The cases that a list such as ``all`` or ``2,8,11`` names.
+
+    Raises
+    ------
+    UndertowError
+        If a name is no case.
+    """
+    if words == "all":
+        return list(CASES.values())
+    names = [word.strip() for word in words.split(",")]
+    unknown = [name for name in names if name not in CASES]
+    if unknown:
+        raise UndertowError(
+            f"--cases {words}: {unknown[0]!r} is no case; give all, or some of {', '.join(CASES)}, "
+            "as in 2,8,11"
+        )
+    return [CASES[name] for name in dict.fromkeys(names)]
+
+
+# Share of the sampling interval by which the clock may waver for a filter that counts samples.
+_EVEN = 0.02
+
+
+class Regression:
+    """The regressor of one motion.
+
+    Parameters
+    ----------
+    axis : Axis
+        The motion.
+
+    Raises
+    ------
+    UndertowError
+        If nothing is to be estimated, a parameter is not linear, an effect has states of its own, or the
+        thrust comes late.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self.functions = Functions(axis.vehicle)
+        vehicle = axis.vehicle
+        known_states(vehicle, self.functions.state_names, (*vehicle.pose_names, *vehicle.velocity_names))
+        _no_dead_time(axis, self.functions)
+        self.free = free_parameters(vehicle)
+        _must_be_linear(axis, self.free)
+        self._fit = LinearFit(self.functions, self.free)
+        self._places = [self.functions.parameter_names.index(n) for n in self.free]
+
+    def take(self, triangle: Triangle, run: Run, case: Case, edges: Edges) -> None:
+        """Take in a run whose velocity and acceleration are smoothed as a case says."""
+        pieces = self._pieces(run, case, edges)
+        if not pieces:
+            raise UndertowError(self._short(run, case, edges))
+        self._take(triangle, run, pieces, case, edges)
+
+    def take_between(
+        self, triangle: Triangle, run: Run, case: Case, edges: Edges, after: float, until: float
+    ) -> None:
+        """The same of a part of a log, which may have no stretch that is long enough: after < t <= until."""
+        self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
+
+    def _take(
+        self,
+        triangle: Triangle,
+        run: Run,
+        pieces: list[slice],
+        case: Case,
+        edges: Edges,
+        after: float = -np.inf,
+        until: float = np.inf,
+    ) -> None:
+        for piece in pieces:
+            samples = self._samples(run, piece, case, edges)
+            # Times do not go back: what is kept is one stretch.
+            first, last = np.searchsorted(run.t[piece], (after, until), side="right")
+            kept = {name: column[first:last] for name, column in samples.items()}
+            triangle.add(*self._fit.triangle(kept))
+
+    def _samples(self, run: Run, piece: slice, case: Case, edges: Edges) -> dict[str, Array]:
+        """Columns of a stretch; NaN where a filter gives nothing."""
+        t = run.t[piece]
+        logged = run.channels[self.axis.rate][piece] if run.has(self.axis.rate) else None
+        step = _step(run, piece, even=case.counts_samples(logged=logged is not None))
+        velocity, rate = case.smoothed(run.channels[self.axis.velocity][piece], logged, step, edges)
+        pose = {self._pose: run.channels[self._pose][piece]} if self._feels_pose else {}
+        commands = {name: run.channels[name][piece] for name in self.axis.vehicle.command_names}
+        # A model may do without one of them; a sample counts only if both are known.
+        used = np.isfinite(velocity) & np.isfinite(rate)
+        motion = {
+            self.axis.velocity: np.where(used, velocity, np.nan),
+            self.axis.rate: np.where(used, rate, np.nan),
+        }
+        return {"t": t, **pose, **commands, **motion}
+
+    def _pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
+        """Stretches without gaps that are long enough for the filters."""
+        if self._feels_pose and not run.has(self._pose):
+            raise UndertowError(
+                f"run '{run.name}' has no channel '{self._pose}', which the {self.axis.motion} of "
+                f"'{self.axis.vehicle.name}' depends on: name its column in a mapping file (--map)"
+            )
+        needed = case.needs(edges)
+        return [p for p in run.segments(self._needed(run, case)) if p.stop - p.start >= needed]
+
+    def _needed(self, run: Run, case: Case) -> list[str]:
+        names = [self.axis.velocity, *self.axis.vehicle.command_names]
+        names += [self._pose] if self._feels_pose else []
+        return names + ([self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else [])
+
+    def _short(self, run: Run, case: Case, edges: Edges) -> str:
+        return (
+            f"run '{run.name}': no stretch without gaps in {', '.join(self._needed(run, case))} has the "
+            f"{case.needs(edges)} samples that case {case.name} needs: fill the gaps, or choose other cases "
+            "(--cases)"
+        )
+
+    @property
+    def feels_time(self) -> bool:
+        """Whether the equations contain the time itself."""
+        return bool(ca.depends_on(self.functions.driven_residual, self.functions.t))
+
+    @property
+    def _pose(self) -> str:
+        return self.axis.vehicle.pose_names[0]
+
+    @cached_property
+    def _feels_pose(self) -> bool:
+        return bool(ca.depends_on(self.functions.driven_residual, self.functions.eta))
+
+    @property
+    def _still(self) -> Array:
+        """Parameters with those that are sought at zero."""
+        p = np.array(self.functions.values(), dtype=float)
+        p[self._places] = 0.0
+        return p
+
+    def inertia(self, theta: Array, covariance: Array) -> tuple[float, float]:
+        """Mass with added mass and its standard error at an estimate."""
+        p = self._still
+        p[self._places] = theta
+        value, slope = (np.asarray(v, dtype=float) for v in self._mass(p))
+        slope = slope[0, self._places]
+        return float(value[0, 0]), float(np.sqrt(slope @ covariance @ slope))
+
+    @cached_property
+    def _mass(self) -> ca.Function:
+        f = self.functions
+        return ca.Function("mass", [f.p], [f.mass_matrix, ca.jacobian(f.mass_matrix, f.p)])
+
+    @cached_property
+    def inertial(self) -> tuple[str, ...]:
+        """Sought parameters that are part of the inertia."""
+        f = self.functions
+        felt = ca.jacobian_sparsity(f.mass_matrix, f.p)
+        places = set(felt.get_col())
+        return tuple(n for n, k in zip(self.free, self._places, strict=True) if k in places)
+
+
+def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
+    declared = axis.vehicle.declared_parameters
+    if not free:
+        raise UndertowError(
+            f"no parameter of the {axis.motion} of '{axis.vehicle.name}' is to be estimated: write, for "
+            "instance, X_u = { value = ..., estimate = true }"
+        )
+    shaped = [n for n in free if not declared[n].linear]
+    if shaped:
+        raise UndertowError(
+            f"{shaped[0]} does not enter the equations linearly, which least squares on samples needs: state "
+            "it as known, or use undertow fit"
+        )
+
+
+def _step(run: Run, piece: slice, *, even: bool) -> float:
+    steps = np.diff(run.t[piece])
+    step = float(np.median(steps))
+    if len(steps) and np.max(np.abs(steps - step)) <= _EVEN * step:
+        # Of an even clock the mean is known better: late in a long log, times are rounded to 1e-10 s.
+        step = float((run.t[piece][-1] - run.t[piece][0]) / len(steps))
+    worst = float(np.max(np.abs(steps - step)))
+    if even and worst > _EVEN * step:
+        raise UndertowError(
+            f"run '{run.name}' is sampled unevenly (steps of {step:g} s, off by up to {worst:g} s), but "
+            "Savitzky-Golay filters count samples: resample it on an even clock, or use undertow fit"
+        )
+    return step
+
+
+def _no_dead_time(axis: Axis, functions: Functions) -> None:
+    seconds = float(functions.dead_time(functions.values()))
+    if seconds:
+        raise UndertowError(
+            f"vehicle '{axis.vehicle.name}' answers its commands {seconds:g} s late, which least squares on "
+            "samples does not follow: use undertow fit, or log the force itself"
+        )

@@ -1,0 +1,533 @@
+"""A first vehicle file from the shape of a hull: each value with where it is from and how far to trust it."""
+
+from __future__ import annotations
+
+import textwrap
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import tomlkit
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from pydantic import ValidationError
+
+from undertow.errors import UndertowError
+from undertow.model.catalogue import catalogue
+from undertow.model.effects.added_mass import AddedMass as AddedMassEffect
+from undertow.model.effects.added_mass_coupling import AddedMassCoupling
+from undertow.model.effects.linear_damping import LinearDamping
+from undertow.model.loading import VehicleTable, vehicle_from_table
+from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.model.vehicle import Value, Vehicle
+from undertow.typing import Array
+
+from .bodies import AddedMass
+from .mesh import Mesh, bisected
+from .panels import Radiation
+
+_HOERNER = "Hoerner (1965), Fluid-Dynamic Drag, chapter 3"
+# Friction coefficient of a turbulent boundary layer on a hull of this size; only turning hulls get it, the
+# coefficients of silhouettes have it in them.
+_FRICTION = 0.005
+# Triangles are no longer than this part of the hull, so that the integrals over them are good to 1 %.
+_STRIPS = 30
+_BLUNT, _ROUND = 0.8, 0.4
+_CLASSES = {
+    "blunt": (1.05, 0.4, f"between a cube face on (1.05) and a long plate; {_HOERNER}"),
+    "rounded": (0.8, 0.5, f"between a sphere (0.47) and a long circular cylinder (1.1 to 1.2); {_HOERNER}"),
+    "streamlined": (
+        0.2,
+        0.75,
+        "a slender body with the appendages that vehicles have; bare hulls are below 0.1",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Quadratic drag of a hull about an origin.
+
+    Attributes
+    ----------
+    coefficients : (6,) array
+        Force per speed squared, kg/m, and moment per rate squared, kg m^2; positive.
+    sigma : (6,) array
+        How far to trust them.
+    sources : tuple of str
+        Where each is from.
+    """
+
+    coefficients: Array
+    sigma: Array
+    sources: tuple[str, ...]
+
+
+def drag_of_hull(
+    mesh: Mesh,
+    density: float = 1000.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    cd: Sequence[float] | None = None,
+) -> Drag:
+    """Drag by silhouettes in translation, and by the speeds of all strips of the surface in rotation.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The hull.
+    density : float
+        Of the water, kg/m^3.
+    origin : (3,) sequence of float
+        What rotation is about, m.
+    cd : (3,) sequence of float, optional
+        Drag coefficients on the silhouettes seen along x, y and z; by the form of the hull if None.
+
+    Raises
+    ------
+    UndertowError
+        If a coefficient is negative.
+
+    Notes
+    -----
+    Force: density/2 C_d times silhouette. Moment: every strip of surface gives half of that for its own
+    normal velocity, so that a box gets what strip theory gives its sides, and a hull that turns about its
+    axis of revolution gets friction only.
+    """
+    for value in cd or ():
+        if not (value >= 0 and np.isfinite(value)):
+            raise UndertowError(f"drag coefficient {value:g} cannot be: give a number from 0, such as 1.0")
+    areas = np.array([mesh.projected_area(i) for i in range(3)])
+    mesh = bisected(mesh, float(mesh.extents.max()) / _STRIPS)
+    facing = np.abs(mesh.vector_areas) / mesh.areas[:, None]
+    blunt = (mesh.areas @ facing**3) / 2 / areas
+    chosen = [_coefficient(float(b), None if cd is None else float(cd[i])) for i, b in enumerate(blunt)]
+    values, shares, sources = zip(*chosen, strict=True)
+    forces = density / 2 * np.array(values) * areas
+    moments = density / 2 * _moments(mesh, np.asarray(origin, dtype=float), np.array(values) / blunt, facing)
+    turning = float(np.hypot(0.5, max(shares)))
+    told = [f"C_d {v:g} on {a:.4g} m^2: {s}" for v, a, s in zip(values, areas, sources, strict=True)]
+    about = "strips of the surface with the drag coefficients of x, y and z, and friction"
+    return Drag(
+        np.concatenate([forces, moments]),
+        np.concatenate([forces * np.array(shares), moments * turning]),
+        (*told, *[about] * 3),
+    )
+
+
+def _coefficient(bluntness: float, stated: float | None) -> tuple[float, float, str]:
+    """Drag coefficient, its standard deviation as a share, and where it is from."""
+    if stated is not None:
+        return stated, 0.3, "coefficient as stated"
+    form = "blunt" if bluntness >= _BLUNT else "rounded" if bluntness >= _ROUND else "streamlined"
+    value, share, source = _CLASSES[form]
+    return value, share, f"{form} this way (bluntness {bluntness:.2f}), {source}"
+
+
+def _moments(mesh: Mesh, origin: Array, weights: Array, facing: Array) -> Array:
+    """Integrals of the speeds cubed over the surface for a unit rate about x, y and z, m^5."""
+    found = []
+    places, areas = _points(mesh)
+    normals = np.repeat(mesh.vector_areas / mesh.areas[:, None], 3, axis=0)
+    pressure = np.repeat(facing**2 @ weights, 3)
+    for axis in np.eye(3):
+        speed = np.cross(axis, places - origin)
+        normal = np.sum(speed * normals, axis=1)
+        along = np.linalg.norm(speed - normal[:, None] * normals, axis=1)
+        found.append(areas @ (pressure * np.abs(normal) ** 3 / 2 + _FRICTION * along**3))
+    return np.array(found)
+
+
+def _points(mesh: Mesh) -> tuple[Array, Array]:
+    """Three points of each triangle, with a third of its area: exact for squares."""
+    corners = mesh.corners
+    places = corners / 2 + corners.sum(axis=1, keepdims=True) / 6
+    return places.reshape(-1, 3), np.repeat(mesh.areas / 3, 3)
+
+
+#: What potential flow and an ideal shape leave open, as a share of the added mass.
+FLOOR = 0.10
+# What waves at one frequency say of linear damping at all others, as a share.
+_DAMPING_FLOOR = 0.5
+# Couplings that are smaller than this share of the two motions they couple are left out.
+_SMALL = 0.01
+# What moves no ideal fluid moves some real water: this share of the largest of its kind stands for it.
+_LEAST = 0.02
+
+
+def sigma_of(added: AddedMass, floor: float = FLOOR) -> Array:
+    """Standard deviations of a prior, shape (6, 6): its error, and a share of the two motions it couples."""
+    return np.hypot(added.error, floor * _scales(added.matrix))
+
+
+def _scales(matrix: Array) -> Array:
+    own = np.maximum(np.diag(matrix), 0.0)
+    least = _LEAST * np.repeat(own.reshape(2, 3).max(axis=1), 3)
+    root = np.sqrt(np.maximum(own, np.maximum(least, 1e-12)))
+    return np.asarray(np.outer(root, root))
+
+
+def coupled(matrix: Array) -> list[tuple[int, int]]:
+    """Places above the diagonal of couplings that matter."""
+    scales = _scales(matrix)
+    return [(i, j) for i in range(6) for j in range(i + 1, 6) if abs(matrix[i, j]) > _SMALL * scales[i, j]]
+
+
+def entry(added: AddedMass, i: int, j: int) -> float:
+    """An entry of the matrix; what rounding has made negative on the diagonal is zero."""
+    value = float(added.matrix[i, j])
+    return max(value, 0.0) if i == j else value
+
+
+def derivative(i: int, j: int) -> str:
+    """SNAME name of an entry of the added mass: `derivative(0, 0)` is X_udot."""
+    return f"{FORCE[i]}_{VELOCITY[j]}dot"
+
+
+def with_added_mass(vehicle: Vehicle, added: AddedMass, *, floor: float = FLOOR) -> Vehicle:
+    """The vehicle with this added mass as prior: `X_udot` and so on to be estimated, with their sigma.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What it had before for these is replaced, also where that differed forward and backward.
+    added : AddedMass
+        About the origin of the vehicle.
+    floor : float
+        Share of the values by which the prior may be off at least.
+    """
+    sigma, own = sigma_of(added, floor), vehicle.dof_indices
+    diagonal = {derivative(i, i): (i, i) for i in own}
+    pairs = {(i, j) for i, j in coupled(added.matrix) if i in own and j in own}
+    stated = {(i, j) for i in own for j in own if i < j and derivative(i, j) in vehicle.values}
+    off = {derivative(i, j): (i, j) for i, j in sorted(pairs | stated)}
+    for cls, names, estimate in ((AddedMassEffect, diagonal, True), (AddedMassCoupling, off, False)):
+        values = {
+            key: _prior(entry(added, *at), estimate, float(sigma[at]), added.source)
+            for name, at in names.items()
+            for key in _keys(vehicle, name)
+        }
+        vehicle = vehicle.with_effect(cls, values) if values else vehicle
+    return vehicle
+
+
+def _prior(added: float, estimate: bool, sigma: float, source: str) -> Value:
+    """A sphere that spins moves nothing, and there is nothing to be estimated."""
+    return Value(0.0 - added, estimate, sigma, source) if added or sigma > 1e-9 else Value(0.0, source=source)
+
+
+def with_radiation(vehicle: Vehicle, radiation: Radiation, source: str) -> Vehicle:
+    """The vehicle with radiation damping at one frequency as prior of its linear damping."""
+    damping = np.diag(radiation.damping)
+    names = {f"{FORCE[i]}_{VELOCITY[i]}": i for i in vehicle.dof_indices if damping[i] > 0}
+    told = f"radiation damping at {radiation.omega:g} rad/s; {source}"
+    values = {
+        key: Value(
+            -float(damping[i]),
+            True,
+            float(np.hypot(radiation.error[i, i], _DAMPING_FLOOR * damping[i])),
+            told,
+        )
+        for name, i in names.items()
+        for key in _keys(vehicle, name)
+    }
+    return vehicle.with_effect(LinearDamping, values)
+
+
+def _keys(vehicle: Vehicle, name: str) -> list[str]:
+    ways = [f"{name}_{way}" for way in ("forward", "backward")]
+    return ways if ways[0] in vehicle.values else [name]
+
+
+GRAVITY = 9.81
+_WIDTH = 110
+# What the volume of a drawing misses of a real vehicle: hollows, cables, foam that is compressed.
+_BUOYANCY_SHARE = 0.02
+_INERTIA_SHARE = 0.3
+# Speed at which linear drag is assumed to equal quadratic drag, m/s.
+_EVEN_SPEED = 0.1
+# Products of inertia and arms below this share of the size are rounding.
+_NOTHING = 1e-6
+_UNITS = {"m": ("kg", "kg m^2"), "d": ("kg/s", "kg m^2/s"), "q": ("kg/m", "kg m^2")}
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a first vehicle is to be.
+
+    Attributes
+    ----------
+    name : str
+        Of the vehicle.
+    mesh : str
+        File of the hull, for the record.
+    sha256 : str
+        Of that file.
+    mass : float
+        kg.
+    density : float
+        Of the water, kg/m^3.
+    cg : (3,) tuple of float
+        Centre of gravity from the origin, m, body axes.
+    degrees_of_freedom : tuple of str
+        Motions that the model has.
+    origin : (3,) array
+        Origin of the vehicle in the coordinates of the mesh, m.
+    cd : (3,) tuple of float, optional
+        Drag coefficients along x, y and z; by the form of the hull if None.
+    volume : float, optional
+        What the hull displaces if water gets into it, m^3; what it encloses if None.
+    remarks : tuple of str
+        What else a reader of the file should know.
+    """
+
+    name: str
+    mesh: str
+    sha256: str
+    mass: float
+    density: float
+    cg: tuple[float, float, float]
+    degrees_of_freedom: tuple[str, ...]
+    origin: Array
+    cd: tuple[float, float, float] | None = None
+    volume: float | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def own(self) -> list[int]:
+        """Places of the motions among the six."""
+        return [DOFS.index(d) for d in self.degrees_of_freedom]
+
+
+@dataclass(frozen=True)
+class EffectTable:
+    """One effect of the file."""
+
+    id: str
+    entries: list[str]
+    comments: tuple[str, ...] = ()
+
+
+def first_vehicle(hull: Mesh, added: AddedMass, wish: Wish) -> str:
+    """The text of a vehicle file for a hull.
+
+    Parameters
+    ----------
+    hull : Mesh
+        In body axes, with the origin of the file of the hull.
+    added : AddedMass
+        Of the hull, about the same origin.
+    wish : Wish
+        What else is known.
+
+    Raises
+    ------
+    UndertowError
+        If mass, density or volume are not positive, the hull displaces more than it encloses, or no vehicle
+        can be made of it all.
+    """
+    _check(hull, wish)
+    mesh, added = hull.moved(-wish.origin), added.placed(np.eye(3), -wish.origin)
+    drag = drag_of_hull(mesh, wish.density, cd=wish.cd)
+    tables = [t for t in _tables(mesh, added, drag, wish) if t.entries or t.id.endswith("_coriolis")]
+    text = _template().render(
+        mesh=_plain(wish.mesh),
+        sha256=wish.sha256,
+        about=[part for line in _about(mesh, wish) for part in textwrap.wrap(_plain(line), _WIDTH)],
+        name=_quoted(wish.name),
+        description=_quoted(f"First model of {wish.name} from its hull ({_size(mesh)}, {wish.mass:g} kg)"),
+        source=_quoted(f"shape of {wish.mesh}, mass as stated; no test yet"),
+        degrees_of_freedom=[_quoted(d) for d in wish.degrees_of_freedom],
+        water_density=_quoted(f"{wish.density:g} kg/m^3"),
+        forces=[_quoted(f"tau_{FORCE[i]}") for i in wish.own],
+        effects=tables,
+    )
+    try:
+        vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
+    except ValidationError as error:
+        raise UndertowError(f"no vehicle file can be made of it: {error.errors()[0]['msg']}") from error
+    return str(text).rstrip() + "\n"
+
+
+def _template() -> Any:
+    environment = Environment(
+        loader=PackageLoader("undertow.shape"),
+        autoescape=False,  # TOML, not HTML: texts are quoted by tomlkit, comments made harmless by `_plain`
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template("vehicle.txt")
+
+
+def _check(hull: Mesh, wish: Wish) -> None:
+    for what, value, unit in (("mass", wish.mass, "kg"), ("density", wish.density, "kg/m^3")):
+        if not (value > 0 and np.isfinite(value)):
+            raise UndertowError(f"{what} = {value:g} {unit} cannot be: give a positive number")
+    if wish.volume is not None and not 0 < wish.volume <= hull.volume * 1.001:
+        raise UndertowError(
+            f"volume = {wish.volume:g} m^3 cannot be: the hull encloses {hull.volume:.4g} m^3, and water "
+            "that gets in leaves less"
+        )
+
+
+def _about(mesh: Mesh, wish: Wish) -> Iterator[str]:
+    surface = float(mesh.areas.sum())
+    yield f"The hull is {_size(mesh)}, encloses {mesh.volume:.6g} m^3 and has {surface:.4g} m^2 of surface."
+    x, y, z = wish.origin
+    yield (
+        f"The origin is at ({x:.5g}, {y:.5g}, {z:.5g}) m of the mesh; axes: x forward, y to starboard, "
+        "z down."
+    )
+    yield from wish.remarks
+
+
+def _size(mesh: Mesh) -> str:
+    return " x ".join(f"{e:.4g}" for e in mesh.extents) + " m"
+
+
+# --- effects --------------------------------------------------------------------------------------
+def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[EffectTable]:
+    turns = len(wish.own) > 1
+    yield EffectTable("rigid_body", list(_rigid_body(mesh, wish)))
+    if turns:
+        yield EffectTable("rigid_body_coriolis", [])
+    if wish.volume is not None:
+        yield EffectTable("entrained_water", list(_water(mesh, wish, wish.volume)))
+    told = tuple(textwrap.wrap(_plain(f"Limits: {added.limits}."), _WIDTH))
+    yield EffectTable("added_mass", list(_added_mass(added, wish)), told)
+    yield EffectTable("added_mass_coupling", list(_couplings(added, wish)))
+    if turns:
+        yield EffectTable("added_mass_coriolis", [])
+    yield EffectTable("linear_damping", list(_linear_drag(mesh, drag, wish)))
+    yield EffectTable("quadratic_damping", list(_quadratic_drag(drag, wish)))
+    if {"heave", "roll", "pitch"} & set(wish.degrees_of_freedom):
+        told = ("Weight and centre of gravity are those of rigid_body.",)
+        yield EffectTable("restoring", list(_restoring(mesh, wish)), told)
+
+
+def _rigid_body(mesh: Mesh, wish: Wish) -> Iterator[str]:
+    yield _entry("m", wish.mass, "kg", source="as stated")
+    for axis, arm in zip("xyz", wish.cg, strict=True):
+        if arm:
+            yield _entry(f"{axis}_g", arm, "m", source="as stated")
+    cg = np.array(wish.cg)
+    inertia = mesh.inertia * wish.mass / mesh.volume + wish.mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
+    source = "assumed: mass spread evenly over the hull"
+    yield from _tensor(inertia, "", wish, source)
+
+
+def _tensor(inertia: Array, suffix: str, wish: Wish, source: str) -> Iterator[str]:
+    turning = [i - 3 for i in wish.own if i > 2]
+    for i in turning:
+        value = float(inertia[i, i])
+        sigma = _INERTIA_SHARE * value
+        yield _entry(f"I_{'xyz'[i]}{suffix}", value, "kg m^2", sigma=sigma, assumed=True, source=source)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        product = -float(inertia[i, j])
+        if {i, j} <= set(turning) and abs(product) > _NOTHING * np.trace(inertia):
+            sigma = _INERTIA_SHARE * float(np.sqrt(inertia[i, i] * inertia[j, j]))
+            name = f"I_{'xyz'[i]}{'xyz'[j]}{suffix}"
+            yield _entry(name, product, "kg m^2", sigma=sigma, assumed=True, source=source)
+
+
+def _water(mesh: Mesh, wish: Wish, volume: float) -> Iterator[str]:
+    mass = wish.density * (mesh.volume - volume)
+    source = "assumed: water fills what the hull encloses and does not displace, evenly"
+    yield _entry("m_w", mass, "kg", sigma=_INERTIA_SHARE * mass, assumed=True, source=source)
+    for axis, arm in zip("xyz", mesh.centroid, strict=True):
+        if abs(arm) > _NOTHING * mesh.extents.max():
+            yield _entry(f"m{axis}_w", mass * float(arm), "kg m", assumed=True, source=source)
+    centre = mesh.centroid
+    about = mesh.inertia / mesh.volume + centre @ centre * np.eye(3) - np.outer(centre, centre)
+    yield from _tensor(mass * about, "w", wish, source)
+
+
+def _added_mass(added: AddedMass, wish: Wish) -> Iterator[str]:
+    sigma = sigma_of(added)
+    for i in wish.own:
+        value, spread = entry(added, i, i), float(sigma[i, i])
+        yield _entry(
+            derivative(i, i), -value, _UNITS["m"][i > 2], sigma=spread, estimate=True, source=added.source
+        )
+
+
+def _couplings(added: AddedMass, wish: Wish) -> Iterator[str]:
+    sigma = sigma_of(added)
+    for i, j in coupled(added.matrix):
+        if {i, j} <= set(wish.own):
+            unit = ("kg", "kg m", "kg m^2")[(i > 2) + (j > 2)]
+            value, spread = float(added.matrix[i, j]), float(sigma[i, j])
+            yield _entry(derivative(i, j), -value, unit, sigma=spread, source=added.source)
+
+
+def _linear_drag(mesh: Mesh, drag: Drag, wish: Wish) -> Iterator[str]:
+    for i in wish.own:
+        even = _EVEN_SPEED if i < 3 else _EVEN_SPEED / (float(mesh.extents.max()) / 2)
+        value = float(drag.coefficients[i]) * even
+        unit = "m/s" if i < 3 else "rad/s"
+        told = f"assumed: as much as the quadratic drag at {even:.2g} {unit}"
+        name = f"{FORCE[i]}_{VELOCITY[i]}"
+        yield _entry(name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, assumed=True, source=told)
+
+
+def _quadratic_drag(drag: Drag, wish: Wish) -> Iterator[str]:
+    for i in wish.own:
+        value, sigma = float(drag.coefficients[i]), float(drag.sigma[i])
+        name = f"{FORCE[i]}_{VELOCITY[i]}abs{VELOCITY[i]}"
+        source = drag.sources[i]
+        yield _entry(name, -value, _UNITS["q"][i > 2], sigma=sigma, estimate=True, source=source)
+
+
+def _restoring(mesh: Mesh, wish: Wish) -> Iterator[str]:
+    volume = mesh.volume if wish.volume is None else wish.volume
+    buoyancy = wish.density * GRAVITY * volume
+    told = "volume of the hull" if wish.volume is None else "volume as stated"
+    source = f"{told}, {volume:.5g} m^3, times density and gravity"
+    yield _entry("B", buoyancy, "N", sigma=_BUOYANCY_SHARE * buoyancy, estimate=True, source=source)
+    centre = np.where(np.abs(mesh.centroid) > _NOTHING * mesh.extents.max(), mesh.centroid, 0.0)
+    for axis, arm in zip("xyz", centre, strict=True):
+        yield _entry(f"{axis}_b", float(arm), "m", source="centre of volume of the hull")
+
+
+# --- text -----------------------------------------------------------------------------------------
+def _entry(
+    name: str,
+    value: float,
+    unit: str,
+    *,
+    sigma: float = 0.0,
+    estimate: bool = False,
+    assumed: bool = False,
+    source: str,
+) -> str:
+    # What is zero by symmetry, and known to be so, leaves nothing to be estimated.
+    open_ = bool(value) or sigma > _NOTHING
+    fields = [f"value = {_quoted(f'{0.0 + value:.6g} {unit}')}"]
+    fields += ["assumed = true"] if assumed else []
+    fields += ["estimate = true"] if estimate and open_ else []
+    fields += [f"sigma = {_quoted(f'{sigma:.3g} {unit}')}"] if sigma and open_ else []
+    return f"{name} = {{ {', '.join([*fields, f'source = {_quoted(source)}'])} }}"
+
+
+def _quoted(text: str) -> str:
+    return tomlkit.item(text).as_string()
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def motions(names: Sequence[str]) -> tuple[str, ...]:
+    """Degrees of freedom in their order.
+
+    Raises
+    ------
+    UndertowError
+        If one is not known, or there is none.
+    """
+    wrong = [n for n in names if n not in DOFS]
+    if wrong or not names:
+        found = f"'{wrong[0]}'" if wrong else "nothing"
+        raise UndertowError(f"degrees of freedom: found {found}; choose from {', '.join(DOFS)}")
+    return tuple(d for d in DOFS if d in names)

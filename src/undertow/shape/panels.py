@@ -1,0 +1,384 @@
+"""Added mass and radiation damping of any hull, by a panel method on smooth surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+from undertow.errors import UndertowError
+from undertow.typing import Array, Progress
+
+from .bodies import AddedMass, transformation, turned
+from .mesh import Faces, Mesh, base_mesh, bisected, each_edge, quartered, quiet_capytaine, subdivided
+
+#: Angle in degrees below which the bend at an edge is taken for a coarsely drawn curve.
+CREASE = 30.0
+_FINE_ENOUGH = 8000
+_CANDIDATES = 12
+# Share of the volume that panels may miss.
+_MISSED = 0.05
+
+
+def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh, Mesh]:
+    """A hull in triangles of three sizes, each half of the one before.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The hull as it was drawn.
+    finest : int
+        Most triangles of the finest.
+    crease : float
+        Degrees. Edges at which the surface bends by less are taken for a curve, drawn coarsely.
+
+    Raises
+    ------
+    UndertowError
+        If the hull has too many triangles and cannot be simplified, or so few panels miss its shape.
+    """
+    coarse = base_mesh(mesh, finest // 16)
+    smooth = mesh
+    while len(smooth.faces) < _FINE_ENOUGH and _bends(smooth, crease):
+        smooth = curved(smooth, crease)
+    onto = _Surface(bisected(smooth, float(np.sqrt(coarse.areas.mean()))))
+    first = Mesh(onto.nearest(coarse.vertices), coarse.faces)
+    second = _finer(first, onto)
+    third = _finer(second, onto)
+    _check_shape(third, smooth)
+    return first, second, third
+
+
+def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
+    missed = abs(panelled.volume / smooth.volume - 1)
+    if missed > _MISSED:
+        raise UndertowError(
+            f"{len(panelled.faces)} panels miss the volume of the hull by {missed:.1%} "
+            f"(limit {_MISSED:.0%}): choose more panels"
+        )
+
+
+def _finer(mesh: Mesh, onto: _Surface) -> Mesh:
+    flat = subdivided(mesh)
+    return Mesh(onto.nearest(flat.vertices), flat.faces)
+
+
+class _Surface:
+    """Finds points on a surface whose triangles are of similar size."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._corners = mesh.corners
+        self._tree = KDTree(mesh.corners.mean(axis=1))
+
+    def nearest(self, points: Array) -> Array:
+        """The nearest point of the surface for each point, m, shape (n, 3)."""
+        count = min(_CANDIDATES, len(self._corners))
+        _, which = self._tree.query(points, k=count)
+        found = _on_triangles(points[:, None], self._corners[which.reshape(len(points), count)])
+        best = np.argmin(np.sum((found - points[:, None]) ** 2, axis=2), axis=1)
+        return np.asarray(found[np.arange(len(points)), best])
+
+
+def _on_triangles(points: Array, corners: Array) -> Array:
+    """Nearest points of triangles (..., 3 corners, 3) to points (..., 3)."""
+    a, b, c = (corners[..., i, :] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
+    flat = points - np.sum((points - a) * normal, axis=-1, keepdims=True) * normal
+    inside = np.stack(
+        [np.sum(np.cross(q - p, flat - p) * normal, axis=-1) >= 0 for p, q in ((a, b), (b, c), (c, a))]
+    )
+    ends = np.stack([_on_edge(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
+    nearest = np.argmin(np.sum((ends - points) ** 2, axis=-1), axis=0)
+    edge = np.take_along_axis(ends, nearest[None, ..., None], axis=0)[0]
+    return np.where(np.all(inside, axis=0)[..., None], flat, edge)
+
+
+def _on_edge(points: Array, a: Array, b: Array) -> Array:
+    along = b - a
+    share = np.sum((points - a) * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-300)
+    return np.asarray(a + np.clip(share, 0.0, 1.0)[..., None] * along)
+
+
+def _bends(mesh: Mesh, crease: float) -> bool:
+    edges, of_face = each_edge(mesh)
+    bulge = _bulge(mesh, edges, of_face, np.diff(mesh.vertices[edges], axis=1)[:, 0], _cosine(crease))
+    return bool(np.abs(bulge).max() > 1e-9 * mesh.extents.max())
+
+
+def _cosine(degrees: float) -> float:
+    return float(np.cos(np.radians(degrees)))
+
+
+def curved(mesh: Mesh, crease: float = CREASE) -> Mesh:
+    """Four triangles for each; new vertices lie on the curve that the normals at both ends of an edge tell.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The coarser mesh.
+    crease : float
+        Degrees. An edge at which the surface bends by more, or not at all, stays straight.
+
+    Notes
+    -----
+    The middle of an edge from a to b with normals n_a and n_b is that of the cubic of a PN triangle
+    (Vlachos, Peters, Boyd and Mitchell 2001, Curved PN triangles).
+    """
+    edges, of_face = each_edge(mesh)
+    a, b = mesh.vertices[edges[:, 0]], mesh.vertices[edges[:, 1]]
+    middles = (a + b) / 2 + _bulge(mesh, edges, of_face, b - a, _cosine(crease))
+    return quartered(mesh, of_face, middles)
+
+
+def _bulge(mesh: Mesh, edges: Faces, of_face: Faces, along: Array, least_cosine: float) -> Array:
+    """How far the middles of the edges lie off the chord, m."""
+    flat = mesh.vector_areas / mesh.areas[:, None]
+    smooth = _corner_normals(mesh, flat, least_cosine)
+    total = np.zeros((len(edges), 2, 3))
+    sides = np.zeros((len(edges), 3))
+    for i in range(3):
+        which, ends = of_face[:, i], np.stack([smooth[:, i], smooth[:, (i + 1) % 3]], axis=1)
+        backward = mesh.faces[:, i] != edges[which, 0]
+        np.add.at(total, which, np.where(backward[:, None, None], ends[:, ::-1], ends))
+        np.add.at(sides, which, flat)
+    # |n_1 + n_2|^2 = 2 + 2 cos of the bend.
+    bent = np.sum(sides**2, axis=1, keepdims=True) / 2 - 1 <= least_cosine
+    normals = total / np.maximum(np.linalg.norm(total, axis=2, keepdims=True), 1e-300)
+    slope = np.einsum("eki,ei->ek", normals, along)
+    bulge = (slope[:, 1, None] * normals[:, 1] - slope[:, 0, None] * normals[:, 0]) / 8
+    return np.where(bent, 0.0, bulge)
+
+
+def _corner_normals(mesh: Mesh, flat: Array, least_cosine: float) -> Array:
+    """Normals at the corners of each triangle, shape (k, 3, 3): mean over neighbours that bend little."""
+    corner = np.arange(3 * len(mesh.faces))
+    order = np.argsort(mesh.faces.reshape(-1), kind="stable")
+    vertex = mesh.faces.reshape(-1)[order]
+    begins = np.searchsorted(vertex, vertex, side="left")
+    counts = np.searchsorted(vertex, vertex, side="right") - begins
+    weights = (mesh.areas[:, None] * _angles(mesh)).reshape(-1)
+    found = np.zeros((3 * len(mesh.faces), 3))
+    for step in range(int(counts.max())):
+        here = step < counts
+        mine, other = corner[order][here], order[(begins + step)[here]]
+        alike = np.sum(flat[mine // 3] * flat[other // 3], axis=1) > least_cosine
+        near = alike | (mine == other)  # rounding can make a triangle differ from itself
+        found[mine] += np.where(near[:, None], weights[other][:, None] * flat[other // 3], 0.0)
+    return (found / np.linalg.norm(found, axis=1, keepdims=True)).reshape(-1, 3, 3)
+
+
+def _angles(mesh: Mesh) -> Array:
+    to_next = np.roll(mesh.corners, -1, axis=1) - mesh.corners
+    to_next /= np.linalg.norm(to_next, axis=2, keepdims=True)
+    cosine = -np.sum(to_next * np.roll(to_next, 1, axis=1), axis=2)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+#: Panels of the finest of three meshes: some seconds, 0.5 GB.
+PANELS = 3200
+_FEWEST, _MOST = 320, 12_000
+# Of memory for each pair of panels, three complex matrices.
+_BYTES = 48
+# The error of flat panels falls with their size where edges are sharp, with its square on a smooth hull.
+_ORDERS = (1.0, 2.0)
+# Between body axes (z down) and those of the panel method (z up).
+_UP = np.diag([1.0, -1.0, -1.0])
+_LIMITS = (
+    "ideal fluid: no separation, no boundary layer; appendages, thrusters and openings count as far as the "
+    "mesh has them"
+)
+
+
+@dataclass(frozen=True)
+class Radiation:
+    """What a hull radiates at one frequency, about the origin of its mesh.
+
+    Attributes
+    ----------
+    omega : float
+        rad/s.
+    damping : (6, 6) array
+        Force per velocity, N/(m/s) and so on, positive.
+    error : (6, 6) array
+        How far it may be off.
+    """
+
+    omega: float
+    damping: Array
+    error: Array
+
+    def placed(self, rotation: ArrayLike, offset: ArrayLike) -> Radiation:
+        """The same hull turned by `rotation` and with its origin at `offset`; see `transformation`."""
+        T = transformation(rotation, offset)
+        return replace(self, damping=T @ self.damping @ T.T, error=np.abs(T) @ self.error @ np.abs(T).T)
+
+
+@dataclass(frozen=True)
+class PanelResult:
+    """What a panel method says of a hull.
+
+    Attributes
+    ----------
+    added : AddedMass
+        At infinite frequency, about the origin of the mesh.
+    radiation : tuple of Radiation
+        Damping at the frequencies asked for.
+    panels : tuple of int
+        Sizes of the three meshes.
+    """
+
+    added: AddedMass
+    radiation: tuple[Radiation, ...]
+    panels: tuple[int, ...]
+
+    def placed(self, rotation: ArrayLike, offset: ArrayLike) -> PanelResult:
+        """The same hull turned by `rotation` and with its origin at `offset`; see `transformation`."""
+        radiation = tuple(r.placed(rotation, offset) for r in self.radiation)
+        return replace(self, added=self.added.placed(rotation, offset), radiation=radiation)
+
+
+def added_mass_of_hull(
+    mesh: Mesh,
+    density: float = 1000.0,
+    *,
+    depth: float | None = None,
+    omegas: Sequence[float] = (),
+    finest: int = PANELS,
+    crease: float = CREASE,
+    report: Progress = lambda done, words: None,
+) -> PanelResult:
+    """Added mass of a hull by panels of three sizes, extrapolated to endlessly small ones.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The hull, m, body axes.
+    density : float
+        Of the water, kg/m^3.
+    depth : float, optional
+        Depth of the centre of volume under the free surface, m; endlessly deep by default.
+    omegas : sequence of float
+        Frequencies of radiation damping, rad/s; they need a depth.
+    finest : int
+        Most panels of the finest mesh; the others have a quarter and a sixteenth.
+    crease : float
+        Degrees, 0 to 180; edges at which the surface bends by less are taken for a curve, drawn coarsely.
+    report : callable
+        Is told how much is done, and what is being done.
+
+    Raises
+    ------
+    UndertowError
+        If capytaine is not installed, the hull reaches out of the water, so few panels miss its shape, or a
+        number cannot be.
+
+    Notes
+    -----
+    Direct boundary-integral equation. Of the three results the order of convergence is observed, from one
+    (sharp edges) to two (smooth hulls); the error is half of what the extrapolation adds, more where two
+    extrapolations or the two triangles of the matrix differ more, or the panels miss some of the volume.
+    """
+    cpt = quiet_capytaine()
+    _check(mesh, depth, omegas, finest, crease)
+    report(0.0, "cutting the hull into panels" if not omegas else "panels, and a table of waves (made once)")
+    meshes = panels(mesh, finest, crease)
+    cases = [np.inf, *omegas]
+    found: list[list[NDArray[np.complex128]]] = []
+    for i, omega in enumerate(cases):
+        found.append([])
+        for j, coarse in enumerate(meshes):
+            report((i + (0.0, 0.02, 0.15)[j]) / len(cases), f"{len(coarse.faces)} panels")
+            found[-1].append(_solved(cpt, coarse, mesh.centroid, density, depth, omega))
+    missed = abs(meshes[-1].volume / mesh.volume - 1) if len(mesh.faces) > len(meshes[0].faces) else 0.0
+    parts = [_extrapolated([part(f) for f in fs], missed) for fs in found for part in (np.real, np.imag)]
+    sizes = tuple(len(m.faces) for m in meshes)
+    added = AddedMass(parts[0][0], _source(cpt, sizes, depth), _LIMITS, parts[0][1])
+    radiated = tuple(Radiation(w, *parts[2 * i + 1]) for i, w in enumerate(cases) if i)
+    return PanelResult(added, radiated, sizes).placed(np.eye(3), mesh.centroid)
+
+
+def _source(cpt: Any, sizes: tuple[int, ...], depth: float | None) -> str:
+    where = (
+        "far from surface and bottom" if depth is None else f"{depth:g} m under the surface, high frequency"
+    )
+    counts = f"{sizes[1]} and {sizes[2]} panels extrapolated, order from {sizes[0]}"
+    return f"capytaine {cpt.__version__}, direct method, {where}; {counts}"
+
+
+def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int, crease: float) -> None:
+    if not _FEWEST <= finest <= _MOST:
+        raise UndertowError(f"{finest} panels are out of reach: choose {_FEWEST} to {_MOST}")
+    if not 0.0 < crease < 180.0:
+        raise UndertowError(f"crease = {crease:g} degrees cannot be: choose more than 0 and less than 180")
+    if omegas and depth is None:
+        raise UndertowError("radiation damping is of waves: say how deep the hull is, with depth")
+    wrong = [w for w in omegas if not (w > 0 and np.isfinite(w))]
+    if wrong:
+        raise UndertowError(f"omega = {wrong[0]:g} rad/s cannot be: give a positive number")
+    above = 0.0 if depth is None else float(mesh.centroid[2] - mesh.bounds[0, 2])
+    if depth is not None and not depth > above:
+        raise UndertowError(
+            f"depth = {depth:g} m: the hull reaches {above:.4g} m above its centre and would stand out of "
+            "the water: go deeper, a hull that pierces the surface is not handled"
+        )
+
+
+def _solved(
+    cpt: Any, mesh: Mesh, centre: Array, density: float, depth: float | None, omega: float
+) -> NDArray[np.complex128]:
+    """Added mass + i radiation damping about the centre of the hull, body axes, shape (6, 6)."""
+    vertices = (mesh.vertices - centre) @ _UP - np.array([0.0, 0.0, depth or 0.0])
+    place = (0.0, 0.0, -(depth or 0.0))
+    body = cpt.FloatingBody(
+        mesh=cpt.Mesh(vertices, mesh.faces), dofs=cpt.rigid_body_dofs(rotation_center=place), name="hull"
+    )
+    surface = np.inf if depth is None else 0.0
+    # Without a surface the frequency is of no matter; at an infinite one there are no waves to be tabulated.
+    frequency = 1.0 if depth is None else omega
+    waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
+    solver = cpt.BEMSolver(green_function=cpt.Delhommeau(**waves), method="direct")
+    problems = [
+        cpt.RadiationProblem(body=body, radiating_dof=dof, omega=frequency, free_surface=surface, rho=density)
+        for dof in body.dofs
+    ]
+    results = solver.solve_all(problems, keep_details=False, progress_bar=False)
+    found = np.array(
+        [[r.added_masses[dof] + 1j * r.radiation_dampings[dof] for dof in body.dofs] for r in results]
+    )
+    if not np.isfinite(found).all():  # it goes on after an error, with numbers that are none
+        raise UndertowError(
+            f"capytaine gave no result for {len(mesh.faces)} panels, which take "
+            f"{_BYTES * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
+        )
+    return turned(found.real, _UP) + 1j * turned(found.imag, _UP)
+
+
+def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
+    """The symmetric matrix for endlessly small panels and its error, from three sizes halved each time."""
+    coarse, middle, fine = ((f + f.T) / 2 for f in found)
+    first, second = middle - coarse, fine - middle
+    with np.errstate(divide="ignore", invalid="ignore"):
+        orders = np.nan_to_num(np.log2(np.abs(first / second)), nan=1.0)
+    share = 1 / (2 ** np.clip(orders, *_ORDERS) - 1)
+    result, before = fine + share * second, middle + share * first
+    result = _without_negative(result)
+    scale = np.sqrt(np.outer(*2 * [np.diag(result)]))
+    parts = [
+        np.abs(result - fine) / 2,
+        np.abs(result - before),
+        np.abs(found[-1] - found[-1].T),
+        missed * scale,
+    ]
+    return result, np.maximum.reduce(parts)
+
+
+def _without_negative(matrix: Array) -> Array:
+    """The nearest matrix that gives no negative energy: a body of revolution spins without moving water."""
+    values, vectors = np.linalg.eigh(matrix)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(root @ root.T)
