@@ -9,7 +9,7 @@ import pytest
 from undertow import UndertowError
 from undertow.codegen import Functions
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.tape import Blockwise, blockwise, engine
+from undertow.codegen.engine import Blockwise, blockwise, engine
 from undertow.model.loading import bundled_vehicles, load_vehicle
 
 from .test_plain import OPERATIONS, A, B

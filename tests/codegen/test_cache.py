@@ -22,7 +22,7 @@ from undertow import UndertowError
 from undertow.codegen import Compiled, Simulator, cache, compiler
 from undertow.codegen.cache import cache_folder, library_for
 from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.codegen.rollout import rollout_source
+from undertow.codegen.trajectories import rollout_source
 
 SOURCE = "double undertow_test_answer(void);\ndouble undertow_test_answer(void) { return 42; }\n"
 SEEN = SOURCE.replace("double", '__attribute__((visibility("default"))) double', 1)
@@ -448,8 +448,8 @@ def _python(program: str, *arguments: str, **environment: str) -> subprocess.Com
 
 HASHES = """
 from tests.codegen.support import functions_of
-from undertow.codegen.gauss_newton import tangents_source
-from undertow.codegen.rollout import rollout_source
+from undertow.codegen.trajectories import tangents_source
+from undertow.codegen.trajectories import rollout_source
 from undertow.codegen.source import c_source, digest
 for name in ("bluerov2", "full"):
     functions = functions_of(name)

@@ -11,8 +11,7 @@ import sympy as sm
 from tests.codegen.support import functions_of, random_parameters, vehicle_with
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.gauss_newton import Products, tangents_source
-from undertow.codegen.lanes import shares
+from undertow.codegen.trajectories import Products, shares, tangents_source
 from undertow.model.effect import Wrench
 from undertow.model.symbols import Signals
 from undertow.model.vehicle import Vehicle

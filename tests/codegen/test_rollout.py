@@ -13,7 +13,7 @@ from tests.codegen.support import BUNDLED, functions_of, random_parameters
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.lanes import in_threads, packed, processors, shares, unpacked
+from undertow.codegen.trajectories import in_threads, packed, processors, shares, unpacked
 
 RUNS = 11
 

@@ -1,7 +1,8 @@
-"""Finding a C compiler and building a shared library with it."""
+"""Finding a C compiler, building a shared library with it, and loading that."""
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import platform
@@ -14,6 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
+
+import numpy as np
 
 from undertow.errors import UndertowError
 
@@ -231,3 +234,23 @@ def _say_who_runs(reason: str) -> None:
     if engine_file().is_file():
         who = "The engine of this installation runs simulations, the CasADi virtual machine the rest,"
     _LOG.warning("%s. %s instead of compiled code: same results, slower", reason, who)
+
+
+def loaded(library: Path) -> ctypes.CDLL:
+    """A compiled library, ready to be called.
+
+    Raises
+    ------
+    UndertowError
+        If the system cannot load it.
+    """
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise UndertowError(f"compiled code cannot be loaded: {error}; set UNDERTOW_NO_COMPILER=1") from error
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    """Address of a contiguous array."""
+    assert array.flags.c_contiguous
+    return ctypes.c_void_p(array.ctypes.data)

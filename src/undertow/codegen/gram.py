@@ -15,13 +15,12 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .cache import library_for
-from .compiler import Compiler
-from .driver import loaded, pointer
+from .compiler import Compiler, loaded, pointer
+from .engine import at_samples
 from .functions import Functions
-from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
 from .source import c_file, digest, integers
-from .tape import at_samples
+from .trajectories import LANES_HEADER
 
 # As many samples as fit in one instruction.
 _LANES = """\

@@ -1,24 +1,36 @@
-"""Simulation of logs, with exact sensitivities, in one call into compiled code."""
+"""Simulation of logs with exact sensitivities, by compiled code or by what there is in its place."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from html import escape
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
-from undertow.typing import Array, Integers
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Flags, Integers
 
 from .compiler import Compiler, compiled_or_virtual
+from .engine import engine
 from .functions import Functions
-from .gauss_newton import Products, Tangents, Uncompiled, compiled_tangents, products_of
-from .lanes import in_threads, shares
-from .problem import Problem, Stepper
-from .rollout import CompiledRollout
-from .tape import engine
-from .virtual import VirtualStepper
+from .library import Evaluator
+from .trajectories import (
+    CompiledRollout,
+    Problem,
+    Products,
+    Stepper,
+    Tangents,
+    Uncompiled,
+    compiled_tangents,
+    in_threads,
+    products_of,
+    shares,
+)
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
@@ -317,3 +329,170 @@ def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int 
         runs = "" if batch is None else f" for each of {batch} runs"
         raise UndertowError(f"{name} has shape {np.shape(array)}: give ({wanted}){runs}")
     return values
+
+
+# --- without compiled code -------------------------------------------------------------------------
+# Of the stages of a step: where in the step, how often it counts in six, and how far on the next one is.
+_STAGES = ((0.0, 1, 0.5), (0.5, 2, 0.5), (0.5, 2, 1.0), (1.0, 1, 0.0))
+
+
+def runge_kutta(
+    rates: Callable[[Sequence[Any], float], Sequence[Any]], state: Sequence[Any], h: Sequence[Any]
+) -> list[Any]:
+    """One step of the classical fourth-order Runge-Kutta method, on numbers or on CasADi's expressions.
+
+    Parameters
+    ----------
+    rates : callable
+        Time derivatives of the parts of a state, given these and the part of the step that has passed.
+    state, h : sequence
+        The parts, and the length of the step in a form that each can be multiplied with.
+    """
+    stage, total = state, [0.0] * len(state)
+    for reach, weight, ahead in _STAGES:
+        rate = rates(stage, reach)
+        total = [a + weight * f for a, f in zip(total, rate, strict=True)]
+        stage = [z + (ahead * step) * f for z, step, f in zip(state, h, rate, strict=True)]
+    return [z + step / 6 * a for z, step, a in zip(state, h, total, strict=True)]
+
+
+class VirtualStepper:
+    """Steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
+
+    def __init__(self, functions: Functions, *, sensitivities: bool) -> None:
+        self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
+        self._rows = functions.acceleration_rows
+        self._evaluators: dict[int, Evaluator] = {}
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        with np.errstate(all="ignore"):
+            for i in range(first, last):
+                self._interval(problem, i)
+
+    def _interval(self, problem: Problem, i: int) -> None:
+        """From sample i to i + 1; runs with fewer steps than others wait, runs that diverged are NaN."""
+        interval, count = problem.t[:, i + 1] - problem.t[:, i], problem.steps[:, i]
+        x, s = problem.x[:, i].copy(), problem.s[:, i].copy()
+        h = interval / count
+        for k in range(count.max()):
+            running = (k < count) & np.isfinite(x).all(axis=1)
+            new = self._step(problem, i, problem.t[:, i] + k * h, h, x, s)
+            x, s = (_where(running, a, b) for a, b in zip(new, (x, s), strict=True))
+        finite = np.asarray(np.isfinite(x).all(axis=1))
+        for target, last in ((problem.x, x), (problem.s, s)):
+            target[:, i + 1] = _where(finite, last, np.full_like(last, np.nan))
+
+    def _step(self, problem: Problem, i: int, t: Array, h: Array, x: Array, s: Array) -> list[Array]:
+        def rates(z: Sequence[Array], reach: float) -> list[Array]:
+            now = (t + reach * h)[:, None]
+            f, *slopes = self._evaluate(z[0], problem.u[:, i], problem.p, now)
+            return [f[:, :, 0], self._tangent_rate(slopes, z[1], problem.wrt)]
+
+        return runge_kutta(rates, [x, s], [h[:, None], h[:, None, None]])
+
+    def _evaluate(self, x: Array, *others: Array) -> list[Array]:
+        if len(x) not in self._evaluators:
+            self._evaluators[len(x)] = Evaluator(self._function, len(x))
+        return self._evaluators[len(x)](x, *others)
+
+    def _tangent_rate(self, slopes: list[Array], z: Array, wrt: Integers) -> Array:
+        if not slopes:
+            return np.zeros_like(z)
+        inverse, r_x, r_p = slopes
+        rate = r_x @ z
+        known = wrt >= 0
+        rate[:, :, known] += r_p[:, :, wrt[known]]
+        rate[:, self._rows] = inverse @ rate[:, self._rows]
+        return rate
+
+
+def _where(runs: Flags, then: Array, otherwise: Array) -> Array:
+    """`then` for the selected runs, `otherwise` for the others."""
+    return np.where(runs.reshape(-1, *[1] * (then.ndim - 1)), then, otherwise)
+
+
+# --- what `import undertow` gives ------------------------------------------------------------------
+class Model:
+    """A vehicle whose equations are ready to run.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        self._functions = Functions(vehicle)
+        self._simulator = Simulator(self._functions)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states: pose, velocities, then those that effects own."""
+        return self._functions.state_names
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the commands."""
+        return self.vehicle.command_names
+
+    def simulate(self, x0: ArrayLike, u: ArrayLike, dt: float) -> NDArray[np.float64]:
+        """Simulate with inputs that are held between samples (zero-order hold).
+
+        Parameters
+        ----------
+        x0 : array_like, shape (nx,)
+            State at the start, SI, in the order of `states`.
+        u : array_like, shape (n, nu)
+            Inputs; u[i] holds from i dt to (i + 1) dt.
+        dt : float
+            Time between samples, s.
+
+        Returns
+        -------
+        ndarray, shape (n, nx)
+            States at the samples, the first of them x0; NaN from where the motion diverges.
+
+        Raises
+        ------
+        UndertowError
+            If a shape does not fit, or dt is not positive.
+        """
+        if not (np.isfinite(dt) and dt > 0):
+            raise UndertowError(f"dt = {dt:g} s is no time between samples: give a positive one")
+        inputs = np.asarray(u, dtype=float)
+        p = np.array(self._functions.values(), dtype=float)
+        return self._simulator.run(np.asarray(x0, dtype=float), dt * np.arange(float(len(inputs))), inputs, p)
+
+    def __repr__(self) -> str:
+        return (
+            f"Model of {self.vehicle.name}: states {', '.join(self.states)}; inputs {', '.join(self.inputs)}"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>"
+
+
+def compile(vehicle: Vehicle) -> Model:
+    """Compile the equations of a vehicle, where there is a C compiler.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+
+    Raises
+    ------
+    UndertowError
+        If the compiler fails.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import undertow as ut
+    >>> model = ut.compile(ut.load_vehicle("mini-auv"))
+    >>> x = model.simulate(np.zeros(len(model.states)), np.zeros((11, len(model.inputs))), dt=0.1)
+    >>> x.shape == (11, len(model.states))
+    True
+    """
+    return Model(vehicle)

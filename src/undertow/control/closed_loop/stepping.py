@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.compiler import Compiler
-from undertow.codegen.driver import pointer
-from undertow.codegen.lanes import LANES_HEADER, defines, lanes_for, packed, unpacked
+from undertow.codegen.compiler import Compiler, pointer
 from undertow.codegen.library import Evaluator
 from undertow.codegen.plain import LANES, plain_c
-from undertow.codegen.rollout import Entries
+from undertow.codegen.simulate import runge_kutta
 from undertow.codegen.source import c_file, with_entry
-from undertow.codegen.virtual import runge_kutta
+from undertow.codegen.trajectories import LANES_HEADER, Entries, defines, lanes_for, packed, unpacked
 from undertow.errors import UndertowError
 
 from .parts import Parts

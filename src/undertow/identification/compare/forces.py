@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
-from undertow.codegen.tape import mapped
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
 from undertow.identification.estimation.pointwise import Pointwise

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
-from undertow.codegen.tape import mapped
+from undertow.codegen.engine import mapped
 from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps

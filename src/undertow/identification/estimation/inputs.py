@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
+from undertow.codegen.engine import call, mapped
 from undertow.codegen.functions import Functions
-from undertow.codegen.tape import call, mapped
-from undertow.codegen.virtual import runge_kutta
+from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
 from undertow.typing import Array, Index
 

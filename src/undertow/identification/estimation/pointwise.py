@@ -9,8 +9,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from undertow.codegen.engine import call
 from undertow.codegen.functions import Functions, solve_symmetric
-from undertow.codegen.tape import call
 from undertow.model.effect import Wrench
 from undertow.typing import Array
 

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
-from undertow.codegen.tape import mapped
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index

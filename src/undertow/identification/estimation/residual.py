@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
-from undertow.codegen.tape import at_samples
 from undertow.errors import UndertowError
 from undertow.typing import Array, Index
 

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
-from undertow.codegen.gauss_newton import Products, products_of
-from undertow.codegen.tape import mapped
+from undertow.codegen.trajectories import Products, products_of
 from undertow.typing import Array
 
 from .predictor import Predictor, reported_late

@@ -1,10 +1,15 @@
-"""Simulation with sensitivities in C: recorded, or only the sums that a Gauss-Newton step needs."""
+"""Trajectories in C: runs side by side in lanes and threads; sensitivities, or sums of them."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Lock
+from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -13,14 +18,252 @@ from undertow.errors import UndertowError
 from undertow.typing import Array, Integers
 
 from .cache import library_for
-from .compiler import Compiler
-from .driver import loaded, pointer
+from .compiler import Compiler, loaded, pointer
+from .engine import Engine, Tape, TapeData
 from .functions import Functions, solve_symmetric
-from .lanes import in_threads, shares
-from .plain import plain_c
-from .problem import Problem
+from .plain import LANES, plain_c
 from .source import c_file, integers, with_entry
-from .tape import Engine, Tape, TapeData
+
+
+@dataclass
+class Problem:
+    """Arrays of a simulation; where runs share t, u or p, its leading size is one.
+
+    Attributes
+    ----------
+    t : ndarray, shape (b or 1, n)
+        Times of the samples, s.
+    steps : ndarray of int64, shape (b or 1, n - 1)
+        Runge-Kutta steps from sample to sample.
+    u : ndarray, shape (b or 1, n, nu)
+        Inputs, held from their sample to the next.
+    p : ndarray, shape (b or 1, np)
+        Parameters.
+    x : ndarray, shape (b, n, nx)
+        States; the first sample is given, the others are written.
+    wrt : ndarray of int64, shape (m,)
+        Parameter of every sensitivity column, -1 for columns of an initial state.
+    s : ndarray, shape (b, n, nx, m)
+        Sensitivities; the first sample is given, the others are written. No column where none are wanted.
+    """
+
+    t: Array
+    steps: Integers
+    u: Array
+    p: Array
+    x: Array
+    wrt: Integers
+    s: Array
+
+    def part(self, runs: slice) -> Problem:
+        """Some of the runs, in the same memory."""
+        names = ("t", "steps", "u", "p", "x", "s")
+        arrays = {n: getattr(self, n) for n in names}
+        own = len(self.x)
+        return replace(self, **{n: a[runs] if len(a) == own else a for n, a in arrays.items()})
+
+
+class Stepper(Protocol):
+    """Advances a problem from sample `first` to sample `last`."""
+
+    def advance(self, problem: Problem, first: int, last: int) -> None: ...
+
+
+T = TypeVar("T")
+LANES_HEADER = c_file("lanes.h")
+_LIMIT = "UNDERTOW_JOBS"
+# So few runs are as fast one after the other.
+_FEW = 2
+
+
+def lanes_for(runs: int, lanes: int) -> int:
+    """How many lanes a number of runs goes through."""
+    return 1 if runs <= _FEW else lanes
+
+
+def packed(array: Array, lanes: int) -> Array:
+    """Runs side by side: shape (b, ...) to (groups, ..., lanes); the last run fills up the last group.
+
+    With one lane the memory is the same.
+    """
+    if lanes == 1:
+        return np.ascontiguousarray(array)[..., None]
+    groups = -(-len(array) // lanes)
+    lacking = groups * lanes - len(array)
+    full = np.concatenate([array, np.repeat(array[-1:], lacking, axis=0)]) if lacking else array
+    return np.ascontiguousarray(np.moveaxis(full.reshape(groups, lanes, *array.shape[1:]), 1, -1))
+
+
+def unpacked(array: Array, runs: int) -> Array:
+    """The reverse of `packed`, a view where there is one lane."""
+    if array.shape[-1] == 1:
+        return array[..., 0]
+    groups, lanes = len(array), array.shape[-1]
+    return np.moveaxis(array, -1, 1).reshape(groups * lanes, *array.shape[1:-1])[:runs]
+
+
+def processors() -> int:
+    """How many processors this process may use, or as many as UNDERTOW_JOBS says."""
+    stated = os.environ.get(_LIMIT, "")
+    if stated.isdecimal():
+        return max(1, int(stated))
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
+def in_threads(
+    work: Callable[[T], object],
+    parts: Sequence[T],
+    threads: int | None,
+    done: Callable[[T], object] = lambda part: None,
+) -> None:
+    """Do the parts of a work in threads; compiled code runs outside Python's lock.
+
+    Parameters
+    ----------
+    work : callable
+        Does one part.
+    parts : sequence
+        The parts.
+    threads : int, optional
+        How many at a time; by default as many as there are processors.
+    done : callable, optional
+        Called with every part that is done, in the thread of the caller.
+
+    Raises
+    ------
+    UndertowError
+        If there is no thread.
+    """
+    wanted = processors() if threads is None else threads
+    if wanted < 1:
+        raise UndertowError(f"threads = {threads}: give one at least")
+    if min(wanted, len(parts)) == 1:
+        for part in parts:
+            work(part)
+            done(part)
+        return
+    with ThreadPoolExecutor(min(wanted, len(parts))) as pool:
+        started = {pool.submit(work, part): part for part in parts}
+        try:
+            for future in as_completed(started):
+                future.result()
+                done(started[future])
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slice]:
+    """Runs in shares of whole groups, each a fraction of a second and a few for every thread."""
+    groups, wanted = -(-runs // lanes), threads or processors()
+    least, most = (max(int(steps / max(work, 1) / lanes), 1) for steps in _STEPS_IN_SHARE)
+    each = lanes * min(max(-(-groups // (_SHARES * wanted)), least), most)
+    return [slice(a, min(a + each, runs)) for a in range(0, runs, each)]
+
+
+# From what is worth a thread of its own, a millisecond, to the tenth of a second in which Ctrl-C is heard.
+_STEPS_IN_SHARE = (20_000, 1_000_000)
+# For each thread, so that none waits long for the others.
+_SHARES = 4
+
+
+def defines(sizes: Iterable[tuple[str, int]]) -> str:
+    """Sizes as C macros; C has no empty arrays."""
+    return "".join(f"#define {name} {max(size, 1)}\n" for name, size in sizes)
+
+
+_GROUP_ARRAYS = ("t", "count", "u", "p")
+
+
+class _RolloutLogs(ctypes.Structure):
+    _fields_ = (
+        ("samples", ctypes.c_int64),
+        *((f"{name}_step", ctypes.c_int64) for name in _GROUP_ARRAYS),
+        *((name, ctypes.c_void_p) for name in (*_GROUP_ARRAYS, "x")),
+    )
+
+
+class Entries:
+    """Entry points of a loop for different numbers of lanes, each compiled when it is first asked for."""
+
+    def __init__(self, source: Callable[[int], tuple[str, str]], compiler: Compiler) -> None:
+        # What is a vector is so already; others that the compiler makes up cost a twentieth.
+        self._source, self._compiler = source, compiler.for_this_machine("-fno-tree-vectorize")
+        self._known: dict[int, Callable[..., None]] = {}
+        self.libraries: dict[int, Path] = {}
+        self._building = Lock()
+
+    def __call__(self, lanes: int) -> Callable[..., None]:
+        """The entry point for so many lanes."""
+        with self._building:
+            if lanes not in self._known:
+                source, name = self._source(lanes)
+                self.libraries[lanes] = library_for(source, self._compiler)
+                entry: Any = getattr(loaded(self.libraries[lanes]), name)
+                entry.restype = None
+                self._known[lanes] = entry
+        return self._known[lanes]
+
+
+class CompiledRollout:
+    """Runge-Kutta around the generated dynamics: one call for many samples of many runs."""
+
+    parallel = True
+
+    def __init__(self, functions: Functions, compiler: Compiler) -> None:
+        self.lanes = compiler.lanes
+        self._entries = Entries(lambda lanes: rollout_source(functions, lanes), compiler)
+        self._entries(1)
+
+    @property
+    def library(self) -> Path:
+        """The library for one lane."""
+        return self._entries.libraries[1]
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        lanes, runs = lanes_for(len(problem.x), self.lanes), len(problem.x)
+        arrays = {
+            "t": packed(problem.t[:, first : last + 1], lanes),
+            "count": packed(problem.steps[:, first:last].astype(float), lanes),
+            "u": packed(problem.u[:, first:last], lanes),
+            "p": packed(problem.p, lanes),
+        }
+        x = packed(problem.x[:, first : last + 1], lanes)
+        steps = (0 if len(a) < len(x) else a[0].size for a in arrays.values())
+        logs = _RolloutLogs(last + 1 - first, *steps, *map(_address, [*arrays.values(), x]))
+        self._entries(lanes)(ctypes.byref(logs), ctypes.c_int64(len(x)))
+        problem.x[:, first + 1 : last + 1] = unpacked(x, runs)[:, 1:]
+
+
+def _address(array: Array) -> ctypes.c_void_p:
+    assert array.dtype == np.float64
+    return pointer(array)
+
+
+def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
+    """C source of a simulation and the name of its entry point, which carries the hash of the source."""
+    model = model_source(functions)
+    text = "\n".join([defines([("LANES", lanes)]), LANES_HEADER, model, c_file("rollout.c")])
+    return with_entry(text, "RUN", "simulate")
+
+
+def model_source(functions: Functions) -> str:
+    """C source of the prepared form, for any number of lanes, with its sizes."""
+    form = functions.prepared
+    sizes = {
+        "NX": functions.x.numel(),
+        "NU": functions.u.numel(),
+        "NP": functions.p.numel(),
+        "NQ": form.prepare.size1_out("q"),
+        "NW": form.hold.size1_out("w"),
+    }
+    steps = form.prepare, form.hold, form.held_dynamics
+    model = [plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES) for f in steps]
+    return "\n".join([defines(sizes.items()), *model])
+
 
 # Windows that are simulated in one share of a thread at least.
 _ABREAST = 8

@@ -1,4 +1,4 @@
-"""The instructions of a CasADi function as data for a library that is the same for all models: the engine."""
+"""The instructions of a CasADi function as data for a library that is the same for all models."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .cache import library_for
-from .compiler import Compiler, compiled_or_virtual
-from .driver import loaded
+from .compiler import Compiler, compiled_or_virtual, loaded
 from .library import Direct
 from .source import INSTRUCTIONS, engine_file, engine_source
 
