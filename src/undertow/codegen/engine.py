@@ -15,7 +15,6 @@ from undertow.typing import Array
 
 from .cache import library_for
 from .compiler import Compiler, compiled_or_virtual, loaded
-from .library import Direct
 from .source import INSTRUCTIONS, engine_file, engine_source
 
 # Making a map costs time in proportion to its length; one of this length serves any number of samples.
@@ -174,21 +173,21 @@ def mapped(function: ca.Function, columns: Sequence[Array], p: Array, t: Array) 
     return [f.reshape(len(t), c, r).transpose(0, 2, 1) for f, (r, c) in zip(flat, shapes, strict=True)]
 
 
-def _in_chunks(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
-    """The same by CasADi's virtual machine."""
-    run = Direct(_map_over(function, _CHUNK))
-    # CasADi stores columns one after the other, so a sample is a row of these arrays.
-    inputs = [a.reshape(_CHUNK, a.size // _CHUNK) for a in run.inputs.values()]
-    outputs = [a.reshape(_CHUNK, a.size // _CHUNK) for a in run.outputs.values()]
-    results = [np.zeros((count, a.shape[1])) for a in outputs]
-    for first in range(0, count, _CHUNK):
-        here = min(_CHUNK, count - first)
-        for array, given in zip(inputs, arguments, strict=True):
-            array[:here] = given[first : first + here] if given.ndim > 1 else given
-        run()
-        for result, array in zip(results, outputs, strict=True):
-            result[first : first + here] = array[:here]
-    return results
+# --- by the virtual machine -----------------------------------------------------------------------
+class _Bound:
+    """A function that reads the nonzeros of its inputs from arrays and writes those of its outputs.
+
+    CasADi stores columns one after the other, so each of `count` evaluations is a row of these arrays.
+    """
+
+    def __init__(self, function: ca.Function, count: int = 1) -> None:
+        self._buffer, self.run = (_map_over(function, count) if count > 1 else function).buffer()
+        self.inputs = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
+        self.outputs = [np.zeros((count, function.nnz_out(i))) for i in range(function.n_out())]
+        for i, array in enumerate(self.inputs):
+            self._buffer.set_arg(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
+        for i, array in enumerate(self.outputs):
+            self._buffer.set_res(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
 
 
 @lru_cache(maxsize=256)
@@ -197,10 +196,24 @@ def _map_over(function: ca.Function, count: int) -> ca.Function:
     return function.map(count)
 
 
+def _in_chunks(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
+    """What `at_samples` gives."""
+    bound = _Bound(function, _CHUNK)
+    results = [np.zeros((count, a.shape[1])) for a in bound.outputs]
+    for first in range(0, count, _CHUNK):
+        here = min(_CHUNK, count - first)
+        for array, given in zip(bound.inputs, arguments, strict=True):
+            array[:here] = given[first : first + here] if given.ndim > 1 else given
+        bound.run()
+        for result, array in zip(results, bound.outputs, strict=True):
+            result[first : first + here] = array[:here]
+    return results
+
+
 def call(function: ca.Function, arguments: Sequence[Array]) -> list[Array]:
-    """Call a function once by the virtual machine; arguments and results are flat, column-major, dense."""
-    run = Direct(function)
-    for array, given in zip(run.inputs.values(), arguments, strict=True):
-        array[:] = np.ravel(given)
-    run()
-    return [*run.outputs.values()]
+    """Call a function once; arguments and results are flat, column-major, dense."""
+    bound = _Bound(function)
+    for array, given in zip(bound.inputs, arguments, strict=True):
+        array[0] = np.ravel(given)
+    bound.run()
+    return [array[0] for array in bound.outputs]
