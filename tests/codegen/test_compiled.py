@@ -72,19 +72,6 @@ def test_earlier_results_survive_the_next_call() -> None:
     assert np.array_equal(first, kept)
 
 
-@pytest.mark.parametrize("compiled", [False, None])
-def test_a_direct_call_works_on_its_own_arrays(compiled: bool | None) -> None:
-    functions = functions_of("bluerov2")
-    direct = Compiled(functions, compiled=compiled).direct("dynamics")
-    x_dot = direct.outputs["x_dot"]
-    for seed in (1, 2):
-        point = random_point(functions, seed)
-        for name, value in (("x", point.x), ("u", point.u), ("p", point.p), ("t", point.t)):
-            direct.inputs[name][:] = value
-        direct.run()
-        assert_close(x_dot, np.array(functions.dynamics(point.x, point.u, point.p, point.t)).ravel())
-
-
 def test_a_model_without_inputs_has_an_evaluator() -> None:
     function = ca.Function("f", [ca.SX.sym("x", 2), ca.SX.sym("u", 0)], [ca.SX(0, 1)], ["x", "u"], ["y"])
     assert Evaluator(function, 3)(np.zeros((3, 2)), np.zeros((3, 0)))[0].shape == (3, 0, 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,16 @@ from tests.codegen.support import BUNDLED, functions_of, random_parameters
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.trajectories import in_threads, packed, processors, shares, unpacked
+from undertow.codegen.plain import LANES, plain_c
+from undertow.codegen.trajectories import (
+    LANES_HEADER,
+    in_threads,
+    packed,
+    processors,
+    rollout_source,
+    shares,
+    unpacked,
+)
 
 RUNS = 11
 
@@ -144,3 +154,23 @@ def test_the_environment_says_how_many_threads(monkeypatch: pytest.MonkeyPatch) 
         assert processors() == taken
     monkeypatch.setenv("UNDERTOW_JOBS", "many")
     assert 1 <= processors() <= (os.cpu_count() or 1)
+
+
+@pytest.mark.parametrize("part", ["dynamics", "rollout"])
+def test_one_run_keeps_out_of_512_bit_registers(part: str, c_compiler: Compiler, tmp_path: Path) -> None:
+    """Also on a processor that GCC does not know: a single 512-bit instruction halves the speed on Intel."""
+    functions = functions_of("bluerov2")
+    sources = {
+        "dynamics": lambda: (
+            LANES_HEADER + plain_c(functions.prepared.dynamics, "f", words=LANES, shared=("t",))
+        ),
+        "rollout": lambda: rollout_source(functions, 1)[0],
+    }
+    (tmp_path / "model.c").write_text(sources[part](), encoding="utf-8")
+    stranger = replace(c_compiler, command=(*c_compiler.command, "-mtune=generic")).for_this_machine("-S")
+    if stranger.lanes < 8:
+        pytest.skip("a processor without 512-bit vectors")
+    stranger.build(tmp_path / "model.c", tmp_path / "model.s")
+    assembly = (tmp_path / "model.s").read_text(encoding="utf-8")
+    assert "%ymm" in assembly
+    assert "%zmm" not in assembly

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from html import escape
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Array, Flags, Integers
 
 from .compiler import Compiler, compiled_or_virtual
@@ -470,7 +470,7 @@ class Model:
         )
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>"
+        return html(repr(self))
 
 
 def compile(vehicle: Vehicle) -> Model:
@@ -480,6 +480,11 @@ def compile(vehicle: Vehicle) -> Model:
     ----------
     vehicle : Vehicle
         The vehicle.
+
+    Returns
+    -------
+    Model
+        `states`, `inputs` and `simulate(x0, u, dt)`.
 
     Raises
     ------
