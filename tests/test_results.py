@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from undertow.cli._lazy import commands
 
 from benchmarks.results.hidden import CASES, CaseResult, run_case
 from benchmarks.results.summary import EMPTY, speed_of, summary_of, with_summary
 from benchmarks.results.text import number, percent, table
 from benchmarks.speed.goals import GOALS
 from benchmarks.speed.history import by_processor, runs
+from undertow.cli.main import commands
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "hidden-effects"
