@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .cache import library_for
-from .compiler import Compiler, compiled_or_virtual, loaded
+from .compiler import Bound, Compiler, compiled_or_virtual, loaded
 from .source import INSTRUCTIONS, engine_file, engine_source
 
 # Making a map costs time in proportion to its length; one of this length serves any number of samples.
@@ -174,31 +174,9 @@ def mapped(function: ca.Function, columns: Sequence[Array], p: Array, t: Array) 
 
 
 # --- by the virtual machine -----------------------------------------------------------------------
-class _Bound:
-    """A function that reads the nonzeros of its inputs from arrays and writes those of its outputs.
-
-    CasADi stores columns one after the other, so each of `count` evaluations is a row of these arrays.
-    """
-
-    def __init__(self, function: ca.Function, count: int = 1) -> None:
-        self._buffer, self.run = (_map_over(function, count) if count > 1 else function).buffer()
-        self.inputs = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
-        self.outputs = [np.zeros((count, function.nnz_out(i))) for i in range(function.n_out())]
-        for i, array in enumerate(self.inputs):
-            self._buffer.set_arg(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
-        for i, array in enumerate(self.outputs):
-            self._buffer.set_res(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
-
-
-@lru_cache(maxsize=256)
-def _map_over(function: ca.Function, count: int) -> ca.Function:
-    """The function over `count` samples in one call; made once."""
-    return function.map(count)
-
-
 def _in_chunks(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
     """What `at_samples` gives."""
-    bound = _Bound(function, _CHUNK)
+    bound = Bound(function, _CHUNK)
     results = [np.zeros((count, a.shape[1])) for a in bound.outputs]
     for first in range(0, count, _CHUNK):
         here = min(_CHUNK, count - first)
@@ -212,7 +190,7 @@ def _in_chunks(function: ca.Function, arguments: Sequence[Array], count: int) ->
 
 def call(function: ca.Function, arguments: Sequence[Array]) -> list[Array]:
     """Call a function once; arguments and results are flat, column-major, dense."""
-    bound = _Bound(function)
+    bound = Bound(function)
     for array, given in zip(bound.inputs, arguments, strict=True):
         array[0] = np.ravel(given)
     bound.run()

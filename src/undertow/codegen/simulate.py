@@ -15,10 +15,9 @@ from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Array, Flags, Integers
 
-from .compiler import Compiler, compiled_or_virtual
+from .compiler import Compiler, Evaluator, compiled_or_virtual
 from .engine import engine
 from .functions import Functions
-from .library import Evaluator
 from .trajectories import (
     CompiledRollout,
     Problem,

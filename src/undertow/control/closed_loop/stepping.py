@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.compiler import Compiler, pointer
-from undertow.codegen.library import Evaluator
+from undertow.codegen.compiler import Compiler, Evaluator, pointer
 from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.simulate import runge_kutta
 from undertow.codegen.source import c_file, with_entry
