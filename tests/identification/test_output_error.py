@@ -11,7 +11,7 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
-from undertow.codegen.gauss_newton import Products
+from undertow.codegen.trajectories import Products
 from undertow.errors import UndertowError
 from undertow.identification.estimation import shooting as multiple_shooting
 from undertow.identification.estimation.data import prepare
