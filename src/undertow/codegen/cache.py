@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -29,15 +29,24 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-if TYPE_CHECKING:
-    from .compiler import Compiler
-
 _LOG = logging.getLogger("undertow")
 _OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+|numba-[0-9a-f]{16}")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
 # Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
 _LEFT_FOR = 3600.0
+
+
+class Compiler(Protocol):
+    """What makes a library out of a source: a command with its options."""
+
+    @property
+    def command(self) -> tuple[str, ...]: ...
+
+    @property
+    def identity(self) -> str: ...
+
+    def build(self, source: Path, library: Path) -> None: ...
 
 
 def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
