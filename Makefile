@@ -33,7 +33,7 @@ bench: $(VENV)/.installed-bench
 
 # The page of commands anew, then the site: open docs/_build/html/index.html.
 docs: $(VENV)/.installed-docs
-	$(BIN)/python -m undertow.cli._docs docs/cli.md
+	$(BIN)/python docs/_ext/commands_page.py docs/cli.md
 	$(BIN)/python -m sphinx -b html -q -W --keep-going docs docs/_build/html
 
 # Warnings are errors; links between pages, to files and in the README lead somewhere; code on pages runs.

@@ -16,8 +16,8 @@ import pytest
 
 import undertow
 import undertow.cli
+from docs._ext.commands_page import page
 from undertow.cli import _terminal
-from undertow.cli._docs import page
 from undertow.cli.main import commands, load, main
 
 ROOT = Path(__file__).parents[1]
@@ -377,7 +377,7 @@ def test_a_bar_that_comes_too_late_is_not_shown() -> None:
 def test_every_command_is_documented() -> None:
     text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     missing = [name for name in commands() if f"## undertow {name}\n" not in text]
-    assert not missing, f"not in docs/cli.md: {missing}; run: python -m undertow.cli._docs docs/cli.md"
+    assert not missing, f"not in docs/cli.md: {missing}; run: python docs/_ext/commands_page.py docs/cli.md"
 
 
 def test_every_option_and_operand_says_what_it_means() -> None:
@@ -396,7 +396,7 @@ def _parameters(command: object) -> list[object]:
 
 def test_the_page_of_commands_is_up_to_date() -> None:
     text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
-    assert text == page(), "docs/cli.md is out of date; run: python -m undertow.cli._docs docs/cli.md"
+    assert text == page(), "docs/cli.md is out of date; run: python docs/_ext/commands_page.py docs/cli.md"
 
 
 def test_the_page_shows_operands_options_and_sub_commands(added: Added) -> None:

@@ -22,9 +22,9 @@ import pytest
 from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, Columns, contents, refusal, text_of
 from undertow import files
-from undertow.cli import _vehicle_and_logs
 from undertow.cli.main import main, run
 from undertow.identification.diagnose import diagnose as diagnosed
+from undertow.identification.logs.checks import MEASURABLE
 
 Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parents[2]
@@ -338,7 +338,7 @@ def test_more_samples_than_a_search_can_take_are_refused_with_the_remedy(
 ) -> None:
     line = refusal(_words(command, million / "hull.toml", million / "million.parquet"), capsys, million)
     assert "1000000 samples" in line
-    assert str(_vehicle_and_logs.MOST_SAMPLES) in line
+    assert str(MEASURABLE.samples) in line
     assert "--from" in line
     assert "--to" in line
 
@@ -372,7 +372,7 @@ def test_a_read_only_folder_is_refused_before_the_work(
     asked = os.access
     monkeypatch.setattr(os, "access", lambda p, mode: mode != os.W_OK and asked(p, mode))
     _refuse_folders_in(out, monkeypatch)
-    monkeypatch.setattr(_vehicle_and_logs, "_runs", _not_reached)
+    monkeypatch.setattr("undertow.identification.logs.reading.read_logs", _not_reached)
     line = refusal(_writing(command, options, out), capsys, case)
     assert str(out) in line
     assert "permission denied" in line.lower()
@@ -389,7 +389,7 @@ def _refuse_folders_in(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "mkdir", mkdir)
 
 
-def _not_reached(*_: object) -> None:
+def _not_reached(*_: object, **__: object) -> None:
     raise AssertionError("logs were read before the outputs were checked")
 
 
@@ -397,7 +397,7 @@ def _not_reached(*_: object) -> None:
 def test_a_folder_that_is_not_there_is_refused_before_the_work(
     command: str, options: list[str], case: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_vehicle_and_logs, "_runs", _not_reached)
+    monkeypatch.setattr("undertow.identification.logs.reading.read_logs", _not_reached)
     assert "'nowhere' does not exist" in refusal(_writing(command, options, "nowhere"), capsys, case)
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from undertow.cli.diagnose import _content
 from undertow.errors import UndertowError
+from undertow.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.diagnose import _with_doctor
 from undertow.identification.diagnosis.result import (
     Diagnosis,
@@ -26,7 +27,6 @@ from undertow.identification.diagnosis.result import (
 )
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.doctor.findings import Finding as Found
-from undertow.identification.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.report.data import (
     Budget,
     ErrorMap,

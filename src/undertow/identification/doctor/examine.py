@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
-from undertow.identification.figures import AFTER, BEFORE, FAINT, figure, look, plain
+from undertow.figures import AFTER, BEFORE, FAINT, figure, look, plain
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import UNITS, Run

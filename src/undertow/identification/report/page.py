@@ -13,8 +13,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from undertow.figures import svg, unit_text
 from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Verdict
-from undertow.identification.figures import svg, unit_text
 from undertow.model.symbols import POSE, VELOCITY, VELOCITY_UNITS
 
 from .data import ReportData

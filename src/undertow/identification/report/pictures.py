@@ -10,8 +10,8 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
 from undertow.identification.diagnosis.result import Ranked, Step
-from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
 from undertow.typing import Array
 
 from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
