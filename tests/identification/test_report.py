@@ -266,7 +266,7 @@ def test_numbers_have_their_units() -> None:
 
 def test_the_record_tells_files_hashes_roles_notes_settings_and_versions() -> None:
     words = _words(render_report(_diagnosis(role="blocks"), _data()))
-    for text in ("/logs/mini-auv.csv", "ab" * 32, "fitting, with blocks kept aside", "3 outliers dropped"):
+    for text in ("/logs/mini-auv.csv", "ab" * 32, "fitting, with blocks for validation", "3 outliers dropped"):
         assert text in words
     for text in ("a setting run1", "numpy 2.0", "undertow 0.1.0", "12.3 s"):
         assert text in words

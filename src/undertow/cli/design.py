@@ -47,14 +47,14 @@ def design(
     from undertow.control.linear.trim import find_trim
     from undertow.files import check_writable, write_whole
     from undertow.model.loading import load_vehicle
-    from undertow.model.symbols import DOFS, FORCE_UNITS, POSE
+    from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, POSE_UNITS
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
     with told():
         model = load_vehicle(vehicle, effect_files=effects or [])
         done = lqr(
             model,
-            _values("--error", error, POSE, (*("m",) * 3, *("rad",) * 3)),
+            _values("--error", error, POSE, POSE_UNITS),
             _values("--force", force, DOFS, FORCE_UNITS),
             law=law,
             trim=find_trim(model, direction=directions(direction or [])),

@@ -1,7 +1,7 @@
 """Find out which physical effect a model lacks, and write it into a new vehicle file.
 
 Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on
-data that was kept aside: the logs given with --holdout, or stretches of the logs where none is given. The
+validation data: the logs given with --holdout, or stretches of the logs where none is given. The
 answer is one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that
 these data cannot tell apart, or unexplained.
 
@@ -130,7 +130,7 @@ def _ranking(diagnosis: Diagnosis) -> Table:
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     model = "model with other values" if diagnosis.freed else "model as it is"
     table = Table(
-        title=f"Candidates on kept-aside data (error of the {model} {before:.3g}, noise 1)",
+        title=f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)",
         title_justify="left",
         caption_justify="left",
     )
@@ -170,7 +170,7 @@ def _steps(diagnosis: Diagnosis) -> Table:
 
     horizons = list(dict.fromkeys(h for step in diagnosis.steps for h in step.ahead))
     table = Table(
-        title="Error on kept-aside data against effects added (noise floor 1); error of predicted velocities",
+        title="Error on validation data against effects added (noise floor 1); error of predicted velocities",
         title_justify="left",
     )
     table.add_column("model")

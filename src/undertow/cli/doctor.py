@@ -70,7 +70,7 @@ def doctor(
 
     def draw(path: Path) -> None:
         from undertow.figures import save_png
-        from undertow.identification.doctor.examine import rates_picture
+        from undertow.identification.report.pictures import rates_picture
 
         save_png(rates_picture(examined, model), path)
 

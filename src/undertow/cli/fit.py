@@ -1,4 +1,4 @@
-"""Refit the parameters that a vehicle file marks as estimated, and judge the result on data kept aside.
+"""Refit the parameters that a vehicle file marks as estimated, and judge the result on validation data.
 
 By the weak form (quick, needs no simulation; integral is its simplest kind), by output error: simulation of
 many windows with the start of each estimated, too (the final word), or by prediction error where something
@@ -20,7 +20,8 @@ as wide, hold what logs leave open.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
-Without --holdout, stretches of the logs are kept aside. Without --out and --in-place nothing is written.
+Without --holdout, stretches of the logs are used for validation. Without --out and --in-place nothing is
+written.
 """
 
 from __future__ import annotations
@@ -119,10 +120,10 @@ def show(done: Refit) -> None:
         if said:
             say(f"  {name}: {'; '.join(said)}", "yellow")
     horizon = done.before.windows.horizon
-    section(f"Velocity error {horizon:.3g} s ahead on kept-aside data, % of the motion", _errors(done))
+    section(f"Velocity error {horizon:.3g} s ahead on validation data, % of the motion", _errors(done))
     if not done.errors[1] <= done.errors[0]:
         console().print(
-            text("the refitted model predicts kept-aside data worse than the model as given", "yellow")
+            text("the refitted model predicts validation data worse than the model as given", "yellow")
         )
 
 

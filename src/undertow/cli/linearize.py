@@ -137,11 +137,10 @@ def _in_current(vehicle: str, current: str | None, effects: Sequence[Path]) -> V
 
 def held(at: Sequence[str]) -> dict[str, float] | None:
     """Values of --at that are held, SI; None for hovering."""
-    from undertow.model.symbols import POSE, VELOCITY, VELOCITY_UNITS
+    from undertow.model.symbols import MOTION_UNITS
 
-    units = dict(zip((*POSE, *VELOCITY), (*("m",) * 3, *("rad",) * 3, *VELOCITY_UNITS), strict=True))
     pairs = names_and_values("--at", at, "u=0.5")
-    return {n: in_si(f"--at {n}", v, units.get(n, "command")) for n, v in pairs} or None
+    return {n: in_si(f"--at {n}", v, MOTION_UNITS.get(n, "command")) for n, v in pairs} or None
 
 
 def directions(texts: Sequence[str]) -> dict[str, int]:

@@ -126,16 +126,16 @@ class ScenarioOptions:
     def scenario(self) -> Scenario:
         """The same for a closed loop; what cannot be read, or cannot be, is refused."""
         from undertow.control.closed_loop import Scenario
-        from undertow.control.closed_loop.scenario import UNITS
+        from undertow.model.symbols import MOTION_UNITS
 
         return Scenario(
             _values(self.to, "--to"),
             self.duration,
             self.dt,
             _values(self.start, "--from") if self.start else (),
-            _named(self.moving, "--moving", UNITS.get),
+            _named(self.moving, "--moving", MOTION_UNITS.get),
             self.continuous,
-            _named(self.noise, "--noise", UNITS.get),
+            _named(self.noise, "--noise", MOTION_UNITS.get),
             self.seed,
             tuple(_push(text) for text in self.push or ()),
             self.log,

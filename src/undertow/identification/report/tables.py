@@ -162,14 +162,8 @@ def report_data(
 ) -> ReportData:
     """What a report shows of a model, and of the same model with something added, on the same logs.
 
-    Parameters
-    ----------
-    before, after : Comparison
-        Comparisons of both models with the same kept-aside logs; without `after` one model is shown.
-    names : (str, str)
-        What pictures call the two.
-    settings : mapping, optional
-        Further lines for the record of what was done.
+    Without `after` one model is shown; pictures call the two by their `names`; `settings` are further lines
+    of the record of what was done.
     """
     result = before.result
     both = [c for c in (before, after) if c is not None]
