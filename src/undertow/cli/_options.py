@@ -48,7 +48,7 @@ FillOption = Annotated[
 ]
 TrustOption = Annotated[
     bool,
-    typer.Option("--trust-log", help="Go on with logs that cannot be: wrong units, contradicting channels."),
+    typer.Option("--trust-log", help="Use logs that would be refused: wrong units, contradicting channels."),
 ]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")

@@ -1,4 +1,4 @@
-"""Say how much water moves with a body: simple bodies in closed form, boxes by table, hulls by panels.
+"""Compute the added mass of a body: simple bodies in closed form, boxes by table, hulls by panels.
 
 What is printed is the positive added mass, minus the SNAME derivatives: about the centre of the body (of a
 mesh: about its origin), or about the vehicle's origin with --at and --turn. With --into it is written into a
@@ -53,7 +53,7 @@ def _metres(name: str, help: str) -> typer.models.OptionInfo:
 _LENGTH = _metres("--length", "Along x.")
 _DIAMETER = _metres("--diameter", "Across.")
 _MESH = typer.Argument(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
-_DEPTH = _metres("--depth", "Depth of the centre of volume under the surface; endless without it.")
+_DEPTH = _metres("--depth", "Depth of the centre of volume under the surface; unbounded water without it.")
 _OMEGA = typer.Option("--omega", metavar="RAD/S", help="Radiation damping there; may be repeated.")
 
 

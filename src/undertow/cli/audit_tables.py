@@ -1,4 +1,4 @@
-"""Check the paper's printed tables of estimates for numbers that cannot stand together.
+"""Check the paper's printed tables of estimates for numbers that contradict each other.
 
 Tables A1 to A6 of the paper on the mini-AUV come with undertow as they were printed, with what its Table 4
 took from them. Found are repeated rows, values that change their sign on the way, values far from the trend

@@ -1,9 +1,9 @@
 """Find out which physical effect a model lacks, and write it into a new vehicle file.
 
 Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on
-validation data: the logs given with --holdout, or stretches of the logs where none is given. The
-answer is one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that
-these data cannot tell apart, or unexplained.
+validation data: the logs given with --holdout, or stretches of the logs where none is given. The answer is
+one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that these data
+cannot tell apart, or unexplained.
 
 Values that the vehicle file holds fixed (all that are not marked estimate = true) are tried as well: where
 others explain more than any effect, the answer names them, and what is written has them fitted. What is
@@ -68,13 +68,13 @@ def diagnose(
     check_false_alarms(false_alarms)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
     model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
-    with progress("looking for what is missing") as tell:
+    with progress("looking for what is missing") as bar:
         outcome = run(
             model,
             train,
             test,
             known=options.known,
-            report=tell,
+            report=bar,
             false_alarms=false_alarms,
             trust_log=options.trust_log,
         )

@@ -5,9 +5,9 @@ against the commands. Where they disagree, the usual mistakes are undone one aft
 radians, mm/s, knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis,
 velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or
 a thousand times too large, the dry mass. Where pose and velocity are wrong alike, or one of them is missing,
-the force that the motion needs and the size of the vehicle tell. A mistake is told only where undoing it
-explains the log; with it comes the line for the mapping file that mends it. What could not be looked at, for
-want of velocities or of a pose, is noted.
+the force that the motion needs and the size of the vehicle decide. A mistake is reported only where undoing
+it explains the log, with the line for the mapping file that corrects it. What could not be examined, for lack
+of velocities or of a pose, is listed.
 
     undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml
 
@@ -63,8 +63,8 @@ def doctor(
     check_writable(json, plot, mend, inputs=[vehicle, *logs, *options.files])
     mapping = options.mapping
     model, runs, _ = options.load(vehicle, logs, in_any_order=True)
-    with progress("examining") as tell:
-        examined = examine(model, runs, mapping=mapping, report=tell)
+    with progress("examining") as report:
+        examined = examine(model, runs, mapping=mapping, report=report)
     result = examined.result
     show(result, options.map)
 
@@ -87,7 +87,7 @@ _INDENT = "    "
 
 
 def show(result: Examination, map: Path | None) -> None:
-    """Print findings, the most serious first, then excitation, then what it comes to."""
+    """Print findings, the most serious first, then excitation, then the conclusion."""
     for finding in result.findings:
         show_finding(finding, map)
     section("Excitation", table(_HEAD, [_row(e) for e in result.excitation]))

@@ -83,7 +83,7 @@ def fit(
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, inputs=[*read, *([] if in_place else [vehicle])])
     model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
-    with progress("fitting") as tell:
+    with progress("fitting") as report:
         done = refit(
             model,
             train,
@@ -93,7 +93,7 @@ def fit(
             loss=loss,
             equal=equal or [],
             dissipative=dissipative,
-            report=tell,
+            report=report,
             trust_log=options.trust_log,
         )
     show(done)

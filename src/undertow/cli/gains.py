@@ -13,8 +13,8 @@ The first line shows why the published PID gains do not work: their surge loop i
 prints everything for a program. --repair proposes the smallest change of the gains after which the literal
 (printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
 
-Then comes what makes a yes: the region from which every motion comes to rest with no command beyond the
-limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
+Then comes what the answer depends on: the region from which every motion comes to rest with no command beyond
+the limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
 sensors or such axes are outside the conditions, the whole loop, linearised at all headings and simulated.
 
 The exit code is 0 where all conditions hold, a region is certified (or the axes left alone come to rest) and

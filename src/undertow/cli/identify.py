@@ -16,7 +16,7 @@ Logs of any length are read in parts, in constant memory and with the same answe
 
     undertow identify mini-auv week.parquet --stream
 
-This is the baseline that others are held against: filtering the motion and not the force biases the
+This is the baseline that other methods are compared with: filtering the motion and not the force biases the
 estimates, and the errors that it states take smoothed samples as independent. `undertow fit` has neither
 fault.
 """

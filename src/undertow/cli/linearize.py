@@ -1,4 +1,4 @@
-"""Linearise a vehicle at a steady motion: poles, zeros, margins, what can be moved and seen, pictures.
+"""Linearise a vehicle at a steady motion: poles, zeros, margins, controllability, observability, pictures.
 
 The steady motion (trim) is found first: what is not stated with --at is found, with as little drift, tilt
 and command as can be. Without --at the vehicle hovers, with --current in moving water. Values are in SI, or
@@ -153,7 +153,7 @@ def directions(texts: Sequence[str]) -> dict[str, int]:
 
 
 def _check_picture(plot: str | None, out: Path | None, *inputs: str | None) -> None:
-    """Refuse a picture without a place, a place without a picture, or a name that is none of a picture."""
+    """Refuse a picture without a place, a place without a picture, or a file that is not PNG."""
     from undertow.files import check_writable
 
     if plot and out is None:

@@ -17,9 +17,9 @@ without one it is taken from the direction of the set-point (--heading). Numbers
 unit: 135deg. A current, noise and pushes are not known to the controller.
 
 --out writes a log that undertow itself reads: what the sensors report, and the mean of every command from one
-row to the next. An interval --dt that is too long for the law is refused, and the limit is said. The exit
-code is 1 if a run diverges: if the state is no number any more, a speed is beyond 100 m/s or 100 rad/s, which
-nothing in water reaches, or the pose is farther from the start than twice that can lead. The tables, the log
+row to the next. An interval --dt that is too long for the law is refused, and the limit is named. The exit
+code is 1 if a run diverges: if the state is not finite, a speed is beyond 100 m/s or 100 rad/s, which nothing
+in water reaches, or the pose is farther from the start than twice that can lead. The tables, the log
 and the pictures are of the run up to there. A run that has not settled yet has not diverged.
 """
 

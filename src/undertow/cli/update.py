@@ -10,7 +10,7 @@ The gain files and the motion are remembered: after the next edit the name of th
 
     undertow update rov.toml
 
-Nothing is written if a file is no good. What was there the last time stands in build/NAME/update.json.
+Nothing is written if a file is invalid. The state of the last update is in build/NAME/update.json.
 """
 
 from __future__ import annotations
