@@ -357,10 +357,11 @@ def page(found: Fleet) -> str:
 
 _HOW = """\
 A change is reported where it stands out of the scatter from day to day (jackknife over days, Student's t,
-Holm's rule over all vehicles, months and effects: 1 % for a single false one in this report), and is named where no
-other cause that was tried explains all of it. Values are one linear step from those of the vehicle file, with
-thrust as the file states it: where a thruster wears, drag and added mass of a month make up for it. ± is one
-standard error by the scatter of the days, or by the noise where that is more; days count as independent.
+Holm's rule over all vehicles, months and effects: 1 % for a single false one in this report), and is named
+where no other cause that was tried explains all of it. Values are one linear step from those of the vehicle
+file, with thrust as the file states it: where a thruster wears, drag and added mass of a month make up for
+it. ± is one standard error by the scatter of the days, or by the noise where that is more; days count as
+independent.
 """
 
 
