@@ -41,7 +41,7 @@ def design(
     out: Annotated[Path | None, _OUT] = None,
     effects: EffectsOption = None,
 ) -> None:
-    from undertow.control.conditions.check import certified
+    from undertow.control.conditions.check import derived_conditions_hold
     from undertow.control.linear.design import lqr
     from undertow.control.linear.numeric import told
     from undertow.control.linear.trim import find_trim
@@ -58,7 +58,7 @@ def design(
             _values("--force", force, DOFS, FORCE_UNITS),
             law=law,
             trim=find_trim(model, direction=directions(direction or [])),
-            conditions=certified,
+            conditions=derived_conditions_hold,
             name=name,
         )
     show(done)
@@ -96,9 +96,9 @@ _VERDICTS = {True: "all hold", False: "not all hold"}
 
 def _on_conditions(done: Design) -> Iterator[str]:
     """What the conditions say, with everything for which undertow gains would say no."""
-    from undertow.control.conditions.check import checked
+    from undertow.control.conditions.check import check
 
-    report = checked(done.gains)
+    report = check(done.gains)
     yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}"
     if report.alone:
         yield f"left alone: {report.alone.text}"

@@ -40,7 +40,7 @@ from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.doctor.examine import Examined
-    from undertow.identification.doctor.findings import Examination, Excited, Finding
+    from undertow.identification.doctor.findings import DofExcitation, Examination, Finding
 
 _PLOT = typer.Option(
     "--plot", metavar="OUT.png", help="Draw pose rates against velocities, as given and mended."
@@ -126,7 +126,7 @@ def verdict(result: Examination) -> str:
 _HEAD = ("motion", "rms", "noise", "moving", "one way", "reversals", "command range")
 
 
-def _row(e: Excited) -> tuple[str, ...]:
+def _row(e: DofExcitation) -> tuple[str, ...]:
     span = "" if e.command_range is None else f"{e.command_range:.0%}"
     numbers = (f"{e.rms:.3g} {e.unit}", f"{e.noise:.2g}", f"{e.moving:.0%}", f"{e.positive:.0%}")
     return f"{e.degree_of_freedom} ({e.velocity})", *numbers, str(e.reversals), span

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from undertow.fleet.engine import Engine
     from undertow.fleet.rollouts import Band
-    from undertow.fleet.verdicts import Fleet, Of, Parameter, Period
+    from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
     from undertow.identification.logs.mapping import LogMapping
 
 app = typer.Typer(add_completion=False)
@@ -134,7 +134,7 @@ def diagnose(
     import json
 
     from undertow.files import together, write_whole
-    from undertow.fleet.diagnose import Question, Store
+    from undertow.fleet.diagnose import Store
     from undertow.fleet.diagnose import diagnose as diagnose_fleet
     from undertow.fleet.reduction import DAILY, Job
     from undertow.model.loading import load_vehicle
@@ -153,7 +153,7 @@ def diagnose(
         )
         store = Store(out)
         with progress("looking at files") as report:
-            found = diagnose_fleet(Question(logs, job, passes), engine, store, report)
+            found = diagnose_fleet(logs, job, engine, store, report, passes=passes)
         show(found)
         with together():
             write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
@@ -219,7 +219,7 @@ def rollouts(
     mistake in the input.
     """
     from undertow.files import check_writable, write_whole
-    from undertow.fleet.rollouts import Flights, to_parquet
+    from undertow.fleet.rollouts import RolloutJob, to_parquet
     from undertow.fleet.rollouts import rollouts as roll_out
 
     with options.engine() as engine:
@@ -229,12 +229,12 @@ def rollouts(
             raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
         seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
         mapping = options.mapping.model_dump_json()
-        flights = Flights(
+        job = RolloutJob(
             seen, options.files, mapping, options.fill, horizon, coverage, seed, options.trust_log
         )
         with progress("rolling out") as report:
             paths = [str(p.absolute()) for p in logs]
-            bands, failed, source = roll_out(flights, paths, count, engine, report)
+            bands, failed, source = roll_out(job, paths, count, engine, report)
         diverged = _show_bands(bands, count, horizon, coverage, source)
         for place, words in failed.items():
             say(f"left out: {words if place.partition(',')[0] in words else f'{place}: {words}'}", "yellow")
@@ -285,7 +285,7 @@ _SHOWN = 20
 _MONTHS = 4
 
 
-def show(found: Fleet) -> None:
+def show(found: FleetReport) -> None:
     """Print what is said of every vehicle, then what is missing."""
     out = console()
     for of in found.vehicles:
@@ -308,18 +308,18 @@ def _failed(path: str, words: str) -> str:
     return words if path in words else f"{path}: {words}"
 
 
-def _heads(of: Of) -> list[str]:
+def _heads(of: VehicleReport) -> list[str]:
     return [*(p.name for p in of.months[-_MONTHS:]), "all days"]
 
 
-def _estimates(of: Of) -> Iterator[tuple[str, ...]]:
+def _estimates(of: VehicleReport) -> Iterator[tuple[str, ...]]:
     """One line for each parameter: its last months, then all days."""
     periods = [*of.months[-_MONTHS:], of.whole]
     for i, one in enumerate(of.whole.parameters):
         yield f"{one.name}, {one.unit}", *(_cell(p.parameters[i]) for p in periods)
 
 
-def _rows(of: Of) -> Iterator[tuple[str, ...]]:
+def _rows(of: VehicleReport) -> Iterator[tuple[str, ...]]:
     for period in of.months:
         said = period.statement
         answer, words = ("", "the first") if said is None else (said.answer, said.words)
@@ -333,7 +333,7 @@ def _rows(of: Of) -> Iterator[tuple[str, ...]]:
         )
 
 
-def _lines(of: Of) -> Iterator[str]:
+def _lines(of: VehicleReport) -> Iterator[str]:
     if of.whole.statement is not None:
         yield f"over all days, in proportion to time: {of.whole.statement.words}"
     yield from of.remarks
@@ -343,7 +343,7 @@ def _lines(of: Of) -> Iterator[str]:
         yield f"the model may lack {names}: run undertow diagnose on some days"
 
 
-def page(found: Fleet) -> str:
+def page(found: FleetReport) -> str:
     """The report as Markdown."""
     parts = ["# Fleet\n", f"{found.done} of {found.found} files count.\n"]
     parts += [_section(of) for of in found.vehicles]
@@ -365,7 +365,7 @@ independent.
 """
 
 
-def _section(of: Of) -> str:
+def _section(of: VehicleReport) -> str:
     names = [p.name for p in of.whole.parameters]
     units = [p.unit for p in of.whole.parameters]
     heads = ["month", "days", "hours", *(f"{n}, {u}" for n, u in zip(names, units, strict=True))]
@@ -380,7 +380,7 @@ def _section(of: Of) -> str:
     return "\n".join([*parts, ""])
 
 
-def _all(of: Of) -> list[Period]:
+def _all(of: VehicleReport) -> list[Period]:
     return [*of.months, of.whole]
 
 

@@ -38,7 +38,7 @@ from ._options import EffectsOption, JsonOption, VehicleArgument
 from ._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
-    from undertow.control.conditions.repair import Repair, Single
+    from undertow.control.conditions.repair import Repair, SingleRepair
     from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
 
 
@@ -72,7 +72,7 @@ def gains(
     from undertow.control.api import check_gains
     from undertow.control.conditions.problem import Problem
     from undertow.control.conditions.repair import repair as repaired
-    from undertow.control.conditions.repair import singles
+    from undertow.control.conditions.repair import single_repairs
     from undertow.control.gains import load_gains
     from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
     from undertow.model.saving import last_covariance
@@ -96,7 +96,7 @@ def gains(
             progress=report,
         )
         problem = Problem(chosen, math.radians(tilt))
-        alone, together = singles(problem), repaired(problem, repair) if repair else None
+        alone, together = single_repairs(problem), repaired(problem, repair) if repair else None
     (_show_json if json else show)(found, alone, together)
     return 0 if found.ok else 1
 
@@ -106,7 +106,7 @@ SCHEMA = "undertow/gain-report/1"
 _GREEN, _RED = "green", "red"
 
 
-def _show_json(report: Report, singles: Sequence[Single], repair: Repair | None) -> None:
+def _show_json(report: Report, singles: Sequence[SingleRepair], repair: Repair | None) -> None:
     """Everything as JSON; roots as [real, imaginary], what has no end as null."""
     content = {
         "schema": SCHEMA,
@@ -128,7 +128,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def show(report: Report, singles: Sequence[Single] = (), repair: Repair | None = None) -> None:
+def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | None = None) -> None:
     """Print the report, with the repairs that were asked for."""
     from undertow.control.conditions.by_law import FORMS
 
@@ -365,7 +365,7 @@ def _iota(row: Row, verdict: str) -> str:
     return f"{verdict} at ι = {row.at_iota:.4g}" if row.at_iota is not None else verdict
 
 
-def _show_repairs(singles: Sequence[Single], repair: Repair | None) -> None:
+def _show_repairs(singles: Sequence[SingleRepair], repair: Repair | None) -> None:
     if singles:
         section("Repairs by one gain alone")
         rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_wanted(s)}") for s in singles)
@@ -390,7 +390,7 @@ def _show_repairs(singles: Sequence[Single], repair: Repair | None) -> None:
     say(f"  {repair.method}", "dim")
 
 
-def _wanted(single: Single) -> str:
+def _wanted(single: SingleRepair) -> str:
     """The bound rounded to the side on which the condition holds."""
     if single.bound is None:
         return "alone never suffices"

@@ -40,7 +40,7 @@ from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.planning.parameters import Planned
-    from undertow.identification.planning.result import Known, Plan
+    from undertow.identification.planning.result import Plan, PlannedParameter
 
 
 _LOGS = typer.Argument(metavar="LOG", help="Logs that exist already: CSV, CSV.gz or Parquet.")
@@ -130,8 +130,8 @@ def plan(
 ) -> None:
     from undertow.files import check_writable, write_whole
     from undertow.identification.api import plan as planned_for
-    from undertow.identification.planning.flight import Request
     from undertow.identification.planning.manoeuvres import MotionLimits
+    from undertow.identification.planning.problem import PlanRequest
 
     logs = logs or []
     check_writable(out, picture, json, inputs=[vehicle, *logs, *options.files, *filter(None, [diagnosis])])
@@ -144,7 +144,7 @@ def plan(
         done = planned_for(
             model,
             runs,
-            Request(
+            PlanRequest(
                 duration=duration,
                 rate=rate,
                 motion=MotionLimits(**limits),
@@ -335,7 +335,7 @@ def _error(error: float | None) -> str:
     return "not known" if error is None else f"± {error:.2g}"
 
 
-def _share(known: Known) -> str:
+def _share(known: PlannedParameter) -> str:
     """Expected error as a share of the value."""
     if known.error_after is None or not known.value:
         return ""

@@ -40,8 +40,7 @@ from ._terminal import progress, section, table
 
 if TYPE_CHECKING:
     from undertow.control.closed_loop import Choices, LoopResult, Push, Record, Scenario
-    from undertow.control.closed_loop.cycles import Cycle
-    from undertow.control.closed_loop.measures import CoordinateResult
+    from undertow.control.closed_loop.measures import CoordinateResult, Cycle
 
 
 _GAINS = typer.Argument(metavar="GAINS", help="Gain files (TOML), or names of bundled ones (paper-pd ...).")
@@ -156,8 +155,8 @@ def simulate(
     json: JsonFileOption = None,
     effects: EffectsOption = None,
 ) -> int:
-    from undertow.control.closed_loop.choices import simulate as simulated
-    from undertow.control.closed_loop.choices import without as left_out
+    from undertow.control.closed_loop.simulate import simulate_all
+    from undertow.control.closed_loop.simulate import without as left_out
     from undertow.files import check_folder, check_writable
     from undertow.model.loading import load_vehicle
 
@@ -173,7 +172,7 @@ def simulate(
     _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)
     moving = load_vehicle(plant, effect_files=effects or []) if plant else None
     with progress("simulating", total=len(gains) * scenario.duration) as report:
-        records = simulated(known, gains, scenario, choices, plant=moving, progress=report)
+        records = simulate_all(known, gains, scenario, choices, plant=moving, progress=report)
     show([record.result for record in records])
     _write(records, out, figures, json)
     return int(any(record.result.diverged is not None for record in records))

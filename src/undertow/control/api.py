@@ -16,9 +16,9 @@ from undertow.files import check_folder, make_folder, read_json, together, write
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Progress
 
-from .conditions.check import check, told
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
+from .conditions.whole import certify, verdicts
 from .controller import PICTURES, Controller, ControllerExport
 from .gains import GainSet, load_gains
 
@@ -82,7 +82,8 @@ def check_gains(
     """
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
     uncertainty = Uncertainty(vehicle, confidence, covariance)
-    return check(chosen, uncertainty, forms=forms, iota=iota, tilt=radians(tilt), tell=progress)
+    options = {"forms": forms, "iota": iota, "tilt": radians(tilt)}
+    return certify(chosen, uncertainty, progress=progress, **options)
 
 
 def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0) -> ct.StateSpace:
@@ -96,6 +97,12 @@ def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: 
         Velocities, attitude, depth or commands that are held, SI; hovering by default.
     pade : int
         Order of the approximation of dead times; 0 leaves them out.
+
+    Returns
+    -------
+    control.StateSpace
+        States are pose, velocities and those of the effects; inputs are the commands, outputs pose and
+        velocities.
 
     Raises
     ------
@@ -189,7 +196,7 @@ def update(
         for one in exports:
             assert one.texts  # what cannot be stated in C is refused before anything is written
         progress(0.3, "eigenvalues, margins and conditions")
-        new, loops = snapshot(vehicle, sets, at, at_words, told)
+        new, loops = snapshot(vehicle, sets, at, at_words, verdicts)
         progress(0.6, "pictures")
         drawn = _pictures(vehicle, sets, at, loops)
         with together():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import date
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -15,6 +14,7 @@ from undertow.identification.diagnosis.validation import check_excitation, keep_
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Progress
 
 from .compare.comparison import compare
@@ -41,8 +41,8 @@ from .logs.mapping import LogMapping, read_mapping
 from .logs.pose_velocity import velocities_from_pose
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .planning.flight import Request
 from .planning.parameters import Planned, plan_parameters
+from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
 from .planning.separation import plan_separation
 from .report.data import ReportData
@@ -101,7 +101,7 @@ class Estimator:
         free : sequence of str, optional
             Names of the parameters to fit.
         progress : callable
-            Told what share is done, and what is being done.
+            Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
         trust_log : bool
             Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
@@ -244,7 +244,8 @@ class Refit:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(self._headline)}</p>{self.parameters._repr_html_()}"
+        table = self.parameters
+        return html(self._headline, table.columns, table.iter_rows())
 
 
 def _spread(row: Mapping[str, Any]) -> str:
@@ -343,7 +344,10 @@ class Diagnosed(Outcome):
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
-        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
+        head = ("model", "error on validation data (1: noise of the sensors)")
+        steps = enumerate(self.diagnosis.steps)
+        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        return html(repr(self), head, rows)
 
 
 def read_log(
@@ -374,7 +378,7 @@ def read_log(
     Raises
     ------
     UndertowError
-        If a file cannot be read or holds what no log may hold.
+        If a file cannot be read or is not a valid log or mapping.
 
     Examples
     --------
@@ -409,7 +413,7 @@ def fit(
     vehicle : Vehicle
         The model.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
         "weak", "integral", "instrumental", "output_error" or "prediction_error".
     horizon : float
@@ -421,14 +425,19 @@ def fit(
     dissipative : bool
         Let linear damping take energy from every motion.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Refit
+        `summary()`, `parameters` (a data frame), `plot()`, `errors` on validation data, and `vehicle`.
 
     Raises
     ------
     UndertowError
-        If there is no such method, nothing is to be estimated, or a log does not serve.
+        If there is no such method, nothing is to be estimated, or a log cannot be used.
 
     Examples
     --------
@@ -480,20 +489,25 @@ def diagnose(
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     false_alarms : float
         Chance of naming an effect where nothing is missing, 0.005 to 0.2.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Diagnosed
+        `verdict`, `effects`, the models `before` and `after` adding them, and `report(path)`.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
+        If a channel is missing, a log is too short or contradicts itself, or nothing moved in it.
 
     Examples
     --------
@@ -525,7 +539,7 @@ def add_effect(
     *,
     force: bool = False,
 ) -> Vehicle:
-    """Put an effect into a model and refit it.
+    """Add an effect to a model and refit the model.
 
     Parameters
     ----------
@@ -534,9 +548,14 @@ def add_effect(
     effect : str
         Id of an effect of the catalogue.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     force : bool
-        Put it in although it does not lower the error on validation data.
+        Add it even if it does not lower the error on validation data.
+
+    Returns
+    -------
+    Vehicle
+        The refitted model with the effect.
 
     Raises
     ------
@@ -602,7 +621,7 @@ def save_addition(ground: Ground, addition: Addition, template: str | Path, out:
 def plan(
     vehicle: Vehicle,
     runs: Sequence[Run],
-    request: Request,
+    request: PlanRequest,
     *,
     only: Sequence[str] = (),
     between: Sequence[str] = (),
