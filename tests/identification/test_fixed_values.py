@@ -9,11 +9,13 @@ from functools import cache
 
 import pytest
 
+import undertow as ut
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import Outcome, diagnose
 from undertow.identification.diagnosis.rounds import Round, _finding, other_values, try_all
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.page import render_report
@@ -142,7 +144,7 @@ def test_evidence_is_held_to_the_rate_of_false_alarms_that_is_asked_for(rate: fl
     """The same fall of the error, that happens by chance in 2 of 100 searches among as many candidates."""
     found = _round().findings[0]
     tried = round(0.01 / found.evidence.p_value)
-    bench = replace(_round().bench, false_alarms=rate)
+    bench = replace(_round().bench, settings=Settings(false_alarm_rate=rate))
     again = _finding(found.trial, bench, 1.0, 1.0, tried)
     assert again.p_value == pytest.approx(0.02, rel=0.05)
     assert again.significant is enough
@@ -152,4 +154,4 @@ def test_evidence_is_held_to_the_rate_of_false_alarms_that_is_asked_for(rate: fl
 def test_a_rate_of_false_alarms_that_cannot_be_held_to_is_refused(rate: float) -> None:
     case = _case()
     with pytest.raises(UndertowError, match=r"choose one between 0.005 and 0.2"):
-        diagnose(vehicle_of(case), runs_of(case), false_alarms=rate)
+        ut.diagnose(vehicle_of(case), runs_of(case), false_alarms=rate)

@@ -22,7 +22,12 @@ from undertow.identification.diagnosis.trial import (
     scout,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import Contender, Referee, clearly_worse
+from undertow.identification.diagnosis.validation import (
+    Contender,
+    Referee,
+    clearly_worse,
+    outdone_in_windows,
+)
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak
@@ -139,31 +144,26 @@ def test_windows_that_contradict_each_other_or_a_single_one_decide_nothing(
     short: np.ndarray, long: np.ndarray, outdone: bool
 ) -> None:
     """Short and long windows each give twice a log-likelihood ratio; one that says the opposite is heard."""
-    bench, referee = _bench(), _referee()
-    one, other = (fit_weak(bench.base.model, bench.train, max_iterations=n) for n in (0, 1))
     least = [_spread(5e3, 20), _spread(5e3, 5)]
-    referee._known["costs", id(one)] = one, [least[0] + short, least[1] + long]
-    referee._known["costs", id(other)] = other, least
-    referee._known["levels", id(other)] = other, [1.0, 1.0]
-    assert referee.outdone(one, other) is outdone
+    costs = [least[0] + short, least[1] + long]
+    assert outdone_in_windows(costs, least, [1.0, 1.0]) is outdone
     # The same where eight times the noise is left: it passes for noise.
-    referee._known["levels", id(other)] = other, [8.0, 8.0]
     diverged = not (np.isfinite(short).all() and np.isfinite(long).all())
-    assert referee.outdone(one, other) is (outdone and diverged)
+    assert outdone_in_windows(costs, least, [8.0, 8.0]) is (outdone and diverged)
 
 
 @pytest.mark.parametrize(("times", "stands"), [(1.004, True), (1.2, False)])
 def test_a_regular_gap_of_little_tells_nothing_where_more_than_noise_is_left(
-    times: float, stands: bool, monkeypatch: pytest.MonkeyPatch
+    times: float, stands: bool
 ) -> None:
     """As on a roll decay: a trim error and a compass that is off bend alike to what neither explains."""
     bench, referee = _bench(), _referee()
     left = np.full(20, 3.4)
     chains = [Chain((), replace(bench.base), bench.base_score) for _ in range(2)]
-    level = {id(chains[0]): 1.0, id(chains[1]): times}
-    monkeypatch.setattr(referee, "contender", lambda c: Contender(c, c.fit, left * level[id(c)]))
+    pairs = zip(chains, (1.0, times), strict=True)
+    contenders = [Contender(c, c.fit, left * level) for c, level in pairs]
     assert clearly_worse(left * times, left)
-    assert [id(c) for c in referee.standing(chains)] == [id(c) for c in chains[: 1 + stands]]
+    assert [id(c) for c in referee.standing(contenders)] == [id(c) for c in chains[: 1 + stands]]
 
 
 def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
@@ -176,7 +176,7 @@ def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
         for c in candidates
     )
     worse = Chain((), bench.base, bench.base_score)
-    assert referee.standing([free, worse, plain]) == [plain, free]
+    assert referee.standing([referee.contender(c) for c in (free, worse, plain)]) == [plain, free]
 
 
 def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.identification.surge import surge_run, surge_vehicle
-from undertow.identification.diagnosis import trial
-from undertow.identification.diagnosis.trial import only_noise
+from undertow.identification.diagnosis.trial import is_noise
 from undertow.identification.diagnosis.validation import Referee, means_over, simulates_to_noise
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak
@@ -102,12 +101,8 @@ def test_channels_that_are_not_there_have_no_say() -> None:
 @pytest.mark.parametrize(("rows", "level", "expected"), [
     (400, 1.3, True), (400, 1.45, False), (40, 1.45, True), (40, 1.9, True), (40, 2.1, False),
 ])  # fmt: skip
-def test_few_rows_leave_more_to_chance(
-    rows: int, level: float, expected: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(trial, "noise_ratio", lambda *_: np.array([1.0, level]))
-    data = SimpleNamespace(equation=np.repeat([0, 1], rows), names=("x", "u"))
-    assert only_noise(None, data) is expected  # type: ignore[arg-type]
+def test_few_rows_leave_more_to_chance(rows: int, level: float, expected: bool) -> None:
+    assert is_noise(np.array([1.0, level]), np.array([rows, rows])) is expected
 
 
 def test_the_right_model_simulates_to_noise_and_one_without_square_drag_does_not() -> None:
@@ -121,9 +116,7 @@ def test_the_right_model_simulates_to_noise_and_one_without_square_drag_does_not
     assert not referee.leaves_only_noise(lacking)
 
 
-def test_no_number_is_no_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "noise_ratio", lambda *_: np.array([1.0, np.nan, np.nan]))
-    used, lacking = np.repeat([0, 1], 50), np.repeat([0], 50)
-    for equation, expected in ((used, False), (lacking, True)):
-        data = SimpleNamespace(equation=equation, names=("x", "u", "v"))
-        assert only_noise(None, data) is expected  # type: ignore[arg-type]
+def test_no_number_is_no_noise() -> None:
+    ratio = np.array([1.0, np.nan, np.nan])
+    assert not is_noise(ratio, np.array([50, 50, 0]))
+    assert is_noise(ratio, np.array([50, 0, 0]))

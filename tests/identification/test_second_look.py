@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification.diagnosis import evidence
-from undertow.identification.diagnosis.evidence import explains_all, hidden_by_disturbance
+from undertow.identification.diagnosis.evidence import (
+    a_little_more_than_noise,
+    explains_all,
+    hidden_by_disturbance,
+)
 from undertow.identification.diagnosis.search import search
 from undertow.identification.diagnosis.trial import Bench, only_noise, open_bench
 from undertow.identification.estimation.data import prepare
@@ -82,11 +84,7 @@ def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
     ("disturbance", "left", "expected"),
     [(0.0, 5.0, False), (1.0, 1.1, False), (1.0, 5.0, True), (1.0, 5000.0, False)],
 )
-def test_when_it_is_worth_a_second_look(
-    disturbance: float, left: float, expected: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_when_it_is_worth_a_second_look(disturbance: float, left: float, expected: bool) -> None:
     """Not without a disturbance, not where noise is all there is, not where the model is far off."""
-    monkeypatch.setattr(evidence, "noise_ratio", lambda *_: np.array([1.0, left]))
-    monkeypatch.setattr(evidence, "only_noise", lambda *_: left < 2.0)
-    bench = SimpleNamespace(base=SimpleNamespace(disturbance=np.array([disturbance])), test=None)
-    assert hidden_by_disturbance(bench) is expected  # type: ignore[arg-type]
+    ratio, rows = np.array([1.0, left]), np.array([400, 400])
+    assert a_little_more_than_noise(np.array([disturbance]), ratio, rows) is expected

@@ -33,8 +33,7 @@ from undertow.identification.diagnosis.addition import (
     lay_ground,
     visible_effects,
 )
-from undertow.identification.diagnosis.trial import T_KEEP
-from undertow.identification.diagnosis.verdict import NAMED_SHARE
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.figures import unit_text
 from undertow.identification.report.data import ErrorMap
 from undertow.identification.report.page import render_report
@@ -493,9 +492,10 @@ def _unnamed(ways: tuple[Way, Way], best: str) -> str:
     listed = [r for way in ways for r in way.outcome.diagnosis.ranking if r.effect == best]
     text = f"All the same {best} is not what the diagnosis names as missing both ways round"
     if any(not r.parameters for r in listed):
-        reason = f"it does not help, or none of its parameters is {T_KEEP:g} standard errors from zero"
+        t = Settings().t_in_search
+        reason = f"it does not help, or none of its parameters is {t:g} standard errors from zero"
         return f"{text}: by the force on one of the other profiles {reason}."
-    return f"{text}: it wants the effect to explain {NAMED_SHARE:.0%} of what exceeds the noise."
+    return f"{text}: it wants the effect to explain {Settings().named_share:.0%} of what exceeds the noise."
 
 
 def _runs(scene: Scene, ways: tuple[Way, Way], best: str) -> None:

@@ -79,13 +79,13 @@ def diagnose(
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
     from undertow.identification.api import diagnose as run
-    from undertow.identification.diagnose import check_false_alarms
+    from undertow.identification.diagnosis.settings import Settings
     from undertow.model.catalogue import catalogue, load_effects, merge
 
     from ._terminal import progress
 
     read: list[str | Path] = [vehicle, *logs, *(holdout or []), *(effects or []), *([map] if map else [])]
-    check_false_alarms(false_alarms)
+    settings = Settings(false_alarm_rate=false_alarms)
     check_writable(json, report, apply, inputs=read)
     loaded = load(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
@@ -98,7 +98,7 @@ def diagnose(
             loaded.holdout,
             known=known,
             report=tell,
-            false_alarms=false_alarms,
+            settings=settings,
             trust_log=trust_log,
         )
     show(outcome)

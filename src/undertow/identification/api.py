@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -20,7 +20,7 @@ from .diagnose import Outcome
 from .diagnose import diagnose as diagnosed
 from .diagnosis.addition import add_effect as added
 from .diagnosis.addition import lay_ground
-from .diagnosis.trial import FALSE_ALARM_RATE
+from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
 from .estimation.data import channel_noise, prepare
@@ -414,7 +414,8 @@ def diagnose(
     *,
     known: Catalogue | None = None,
     report: Progress = lambda done, words: None,
-    false_alarms: float = FALSE_ALARM_RATE,
+    false_alarms: float | None = None,
+    settings: Settings = DEFAULT,
     trust_log: bool = False,
 ) -> Diagnosed:
     """Find out which effect a model lacks, judged on validation data.
@@ -429,8 +430,10 @@ def diagnose(
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
         Told what share is done, and what is being done.
-    false_alarms : float
-        Chance of naming an effect where nothing is missing, 0.005 to 0.2.
+    false_alarms : float, optional
+        Chance of naming an effect where nothing is missing, 0.005 to 0.2; that of `settings` by default.
+    settings : Settings
+        The numbers that decide, see `undertow.identification.diagnosis.settings`.
     trust_log : bool
         Take logs as they are, also those that cannot be.
 
@@ -450,13 +453,15 @@ def diagnose(
     >>> ut.diagnose(vehicle, [run], known=current).effects
     ['ocean_current']
     """
+    if false_alarms is not None:
+        settings = replace(settings, false_alarm_rate=false_alarms)
     done = diagnosed(
         vehicle,
         _moving(vehicle, runs),
         _moving(vehicle, validation),
         known=known,
         report=report,
-        false_alarms=false_alarms,
+        settings=settings,
         trust_log=trust_log,
     )
     return Diagnosed(**{f.name: getattr(done, f.name) for f in fields(done)})

@@ -30,8 +30,9 @@ from .diagnosis.evidence import Chain, FoundEffect, fitted, with_effects
 from .diagnosis.residual import remaining
 from .diagnosis.result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
 from .diagnosis.search import Search, last_fit, search
-from .diagnosis.trial import FALSE_ALARM_RATE, Bench, Score, error_of, noise_ratio, scored, told_apart
-from .diagnosis.validation import DECIDING, Referee, clearly_worse, sizes
+from .diagnosis.settings import DEFAULT, Settings
+from .diagnosis.trial import Bench, Score, error_of, noise_ratio, scored, told_apart
+from .diagnosis.validation import Referee, sizes
 from .diagnosis.verdict import (
     Judgement,
     Left,
@@ -47,10 +48,6 @@ from .diagnosis.verdict import (
     unique_ids,
     with_values,
 )
-
-_MANOEUVRES = 20
-# Mean square of every equation, in units of the noise, below which next to nothing is left.
-_NEARLY_NOISE = 2.0
 
 
 class Story:
@@ -71,7 +68,7 @@ class Story:
     def __init__(self, vehicle: Vehicle, found: Search, referee: Referee, known: Catalogue) -> None:
         self.vehicle, self.referee, self._known = vehicle, referee, known
         self.found = found = decided(found, referee)
-        self.bench = found.bench
+        self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
         refined = [referee.refined(f) for f in weak]
         self.fits = [fit for fit, _ in refined]
@@ -84,8 +81,9 @@ class Story:
         self._quiet = quiet = referee.quiet(weak[-1], self.bench.test)
         left = Left(
             quiet=quiet,
-            confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
-            nearly=quiet or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
+            confirmed=not referee.clearly_worse(self.simulated[-1], self.simulated[0]),
+            nearly=quiet
+            or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < self.settings.nearly_noise),
             change="" if quiet else self._change(),
         )
         scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
@@ -97,7 +95,9 @@ class Story:
         if len(unique_ids(winners)) != 1:
             return ""
         own = [p for w in winners for p in w.trial.candidate.parameters]
-        return sizes(self.fits[-1], own, self.bench.test, self._whitening).change
+        return sizes(self.fits[-1], own, self.bench.test, self._whitening, self.settings).change(
+            self.settings
+        )
 
     @property
     def after(self) -> Fitted:
@@ -127,7 +127,7 @@ class Story:
             warnings=self._warnings(equivalent),
             remaining=left,
             parameters=estimates(self.after, self.vehicle),
-            false_alarm_rate=self.bench.false_alarms,
+            false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
             seconds=seconds,
         )
@@ -155,7 +155,7 @@ class Story:
         return [
             f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
             "by heart would look as good: judge by another one."
-            for kept, fitted in repeats(self.vehicle, self.referee.train, self.referee.test)
+            for kept, fitted in repeats(self.vehicle, self.referee.train, self.referee.test, self.settings)
         ]
 
     def _sets(self) -> list[Indistinguishable]:
@@ -177,7 +177,7 @@ class Story:
                 self.referee.train,
                 values,
                 known=self._known,
-                tries=_MANOEUVRES,
+                tries=self.settings.manoeuvres,
             )
         except UndertowError as error:
             return f"No manoeuvre can be suggested: {error}"
@@ -209,7 +209,7 @@ class Story:
         return Step(
             added=added,
             error=self._normalised(fit),
-            prediction=ahead.get(f"{DECIDING:g} s", ahead["free run"]),
+            prediction=ahead.get(f"{self.settings.short_windows:g} s", ahead["free run"]),
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
             freed=list(freed),
@@ -247,7 +247,7 @@ class Story:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
-        return absorbing(self.vehicle, self.base, helpers, alike)
+        return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
 
 
 def decided(found: Search, referee: Referee) -> Search:
@@ -260,7 +260,8 @@ def decided(found: Search, referee: Referee) -> Search:
     found = _without_surplus(found, referee)
     for place in range(len(found.rivals)):
         if found.rivals[place]:
-            best, *others = referee.standing([found.chain, *found.rivals[place]])
+            equals = [found.chain, *found.rivals[place]]
+            best, *others = referee.standing([referee.contender(c) for c in equals])
             rivals: list[list[Chain]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, chain=best, rivals=rivals)
@@ -268,7 +269,7 @@ def decided(found: Search, referee: Referee) -> Search:
 
 
 def _last(chain: Chain, bench: Bench) -> Chain:
-    fit = last_fit(chain.fit, [f.trial.candidate for f in chain.findings])
+    fit = last_fit(chain.fit, [f.trial.candidate for f in chain.findings], bench.settings)
     return replace(chain, fit=fit, score=bench.judge(fit))
 
 
@@ -295,7 +296,7 @@ def _hidden_in_noise(found: Search, referee: Referee) -> bool:
         return False
     without = fitted(found.vehicle, [], found.bench)
     squares = [referee.contender(c).squares for c in (without, found.chain)]
-    return not (clearly_worse(*squares) or referee.outdone(without.fit, found.chain.fit))
+    return not (referee.clearly_worse(*squares) or referee.outdone(without.fit, found.chain.fit))
 
 
 def _only(chain: Chain, places: list[int]) -> Chain:
@@ -304,11 +305,6 @@ def _only(chain: Chain, places: list[int]) -> Chain:
 
 def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
-
-
-HORIZON = DECIDING
-# Chances of a false alarm that evidence can be held to: less than the first no bootstrap of 1000 draws shows.
-_LEAST_RATE, _MOST_RATE = 0.005, 0.2
 
 
 Role = Literal["train", "holdout", "blocks"]
@@ -345,7 +341,7 @@ def diagnose(
     *,
     known: Catalogue | None = None,
     report: Progress = lambda done, words: None,
-    false_alarms: float = FALSE_ALARM_RATE,
+    settings: Settings = DEFAULT,
     trust_log: bool = False,
 ) -> Outcome:
     """Find out which effect a model lacks, judged on data kept aside.
@@ -362,26 +358,24 @@ def diagnose(
         Effects that may be missing; the whole catalogue by default.
     report : callable
         Told what share is done, and what is being done.
-    false_alarms : float
-        Chance of naming an effect where nothing is missing, that the evidence is held to.
+    settings : Settings
+        The numbers that decide.
     trust_log : bool
         Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, nothing moved in it, or `false_alarms` is
-        out of bounds.
+        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
     """
-    check_false_alarms(false_alarms)
     began = time.perf_counter()
     refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs, settings)
     train = prepare(train_runs, vehicle)
-    check_excitation(vehicle, train_runs, train.sigma)
+    check_excitation(vehicle, train_runs, train.sigma, settings)
     with aside(lambda: examine(vehicle, [*runs, *holdout]).result) as examined:
         test = prepare(test_runs, vehicle, sigma=train.sigma)
-        referee = Referee(vehicle, train_runs, test_runs, train.sigma)
+        referee = Referee(vehicle, train_runs, test_runs, train.sigma, settings)
         effects = known or catalogue()
         found = search(
             vehicle,
@@ -390,7 +384,7 @@ def diagnose(
             effects,
             lambda done, words: report(0.9 * done, words),
             referee.quiet,
-            false_alarms,
+            settings,
         )
         report(0.9, "judging the result by simulation")
         story = Story(vehicle, found, referee, effects)
@@ -398,21 +392,6 @@ def diagnose(
         infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
         diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
     return Outcome(diagnosis, story.given.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
-
-
-def check_false_alarms(rate: float) -> None:
-    """Refuse a chance of false alarms that the evidence cannot be held to.
-
-    Raises
-    ------
-    UndertowError
-        If it is below what 1000 draws can show, or so high that a name would mean little.
-    """
-    if not _LEAST_RATE <= rate <= _MOST_RATE:
-        raise UndertowError(
-            f"a chance of false alarms of {rate:g} is not possible: choose one between {_LEAST_RATE:g} and "
-            f"{_MOST_RATE:g} ({FALSE_ALARM_RATE:g} by default)"
-        )
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:

@@ -13,14 +13,13 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.trial import (
-    FALSE_ALARM_RATE,
     Bench,
     Trial,
     error_of,
     open_bench,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import DECIDING, check_excitation, keep_blocks_aside
+from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
@@ -34,6 +33,7 @@ from undertow.model.effect import Effect
 from undertow.model.vehicle import Vehicle
 
 from .search import last_fit
+from .settings import DEFAULT
 from .trial import begun, scout, scouts
 from .validation import Referee
 
@@ -104,7 +104,7 @@ class Addition:
     @property
     def helps(self) -> bool:
         """Whether the error on kept-aside data falls by more than chance and by enough to matter."""
-        return self.evidence.beyond_chance(FALSE_ALARM_RATE) and self.after.error < self.before.error
+        return self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
 
 
 def lay_ground(
@@ -133,7 +133,7 @@ def lay_ground(
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(DECIDING, 0.9 * longest))
+    windows = cut(test_runs, vehicle, min(bench.settings.short_windows, 0.9 * longest))
     referee = Referee(vehicle, train_runs, test_runs, train.sigma)
     return Ground(vehicle, train_runs, test_runs, bench, windows, referee)
 

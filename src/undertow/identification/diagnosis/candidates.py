@@ -19,6 +19,8 @@ from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
 
+from .settings import DEFAULT, Settings
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -155,16 +157,7 @@ def _of_velocity_sensor(effect: type[Effect]) -> bool:
     return issubclass(effect, Measurement) and effect.of_velocity_sensor
 
 
-# A swing is looked for from so many periods in a run on: fewer are a trend.
-_FEWEST_PERIODS = 3.0
-# Frequencies per resolution cell of the longest run, and cells on either side that a peak is held against.
-_FINE = 4
-_BESIDE = 12
-# Half width, in resolution cells, of where the frequency may lie: moving vehicles meet waves Doppler-shifted.
-_SPREAD = 1.0
-
-
-def beat(r: Array, data: WeakData) -> tuple[float, float] | None:
+def beat(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
     """Least and greatest angular frequency around the sharpest line in a residual, rad/s.
 
     Parameters
@@ -185,13 +178,15 @@ def beat(r: Array, data: WeakData) -> tuple[float, float] | None:
     if not spacings:
         return None
     spacing = max(spacings)
-    grid = np.arange(_FEWEST_PERIODS * cell, 0.5 * np.pi / spacing, cell / _FINE)
-    if len(grid) <= 2 * _BESIDE * _FINE:
+    grid = np.arange(settings.line_periods * cell, 0.5 * np.pi / spacing, cell / settings.line_grid)
+    neighbours = settings.line_neighbours * settings.line_grid
+    if len(grid) <= 2 * neighbours:
         return None
-    slow = np.arange(0.0, _FEWEST_PERIODS + 0.5) * cell
+    slow = np.arange(0.0, settings.line_periods + 0.5) * cell
     power = _power(_turned(_without(r, data, slow), data), data, grid)
-    best = float(grid[np.argmax(power / _beside(power))])
-    return max(best - _SPREAD * cell, 0.5 * cell), best + _SPREAD * cell
+    best = float(grid[np.argmax(power / _beside(power, neighbours))])
+    wide = settings.line_half_width * cell
+    return max(best - wide, 0.5 * cell), best + wide
 
 
 def _without(r: Array, data: WeakData, slow: Array) -> Array:
@@ -232,8 +227,7 @@ def _power(r: Array, data: WeakData, grid: Array) -> Array:
     return power
 
 
-def _beside(power: Array) -> Array:
-    """Median power around each frequency."""
-    wide = _BESIDE * _FINE
+def _beside(power: Array, wide: int) -> Array:
+    """Median power around each frequency, over so many on either side."""
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, wide, mode="reflect"), 2 * wide + 1)
     return np.asarray(np.median(windows, axis=1))

@@ -18,14 +18,8 @@ from undertow.identification.estimation.weak_form import WeakFit, free_parameter
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .trial import Bench, Score, Trial, noise_ratio, only_noise, told_apart
-
-# A fall of the mean square, in units of the noise, that is hidden in the noise.
-SMALLEST_FALL = 0.05
-# Chance below which the better of two models is held to be better.
-_SURE = 0.01
-# Mean square, in units of the noise, from which an equation counts as not explained by it.
-_ABOVE_NOISE = 1.3
+from .settings import DEFAULT, Settings
+from .trial import Bench, Score, Trial, is_noise, noise_ratio, rows_of, told_apart
 
 
 @dataclass(frozen=True)
@@ -47,9 +41,9 @@ class Comparison:
     interval: tuple[float, float]
     p_value: float
 
-    def beyond_chance(self, rate: float, among: int = 1) -> bool:
-        """Whether the fall is enough to matter and, the best among so many, no chance of this rate."""
-        return among * self.p_value < rate and self.mean > SMALLEST_FALL
+    def beyond_chance(self, settings: Settings = DEFAULT, among: int = 1) -> bool:
+        """Whether the fall is enough to matter and, the best among so many, beyond chance."""
+        return among * self.p_value < settings.false_alarm_rate and self.mean > settings.smallest_fall
 
 
 def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
@@ -70,14 +64,14 @@ def _summary(means: Array) -> Comparison:
     return Comparison(mean, (mean - half, mean + half), float(wilcoxon(means, alternative="greater").pvalue))
 
 
-def explained(before: Array, after: Array, noise: Array) -> float:
+def explained(before: Array, after: Array, noise: Array, settings: Settings = DEFAULT) -> float:
     """Share of what exceeds the noise of the sensors that went away, from mean squares by equation.
 
     Equations that the noise explains have no say; the others count by how far they are above it, in
     that one very bad equation does not hide the rest.
     """
     floor = np.maximum(noise, 1e-12)
-    counted = np.nan_to_num(before / floor) > _ABOVE_NOISE
+    counted = np.nan_to_num(before / floor) > settings.above_noise
     if not np.any(counted):
         return 0.0
     first, last, floor = before[counted], after[counted], floor[counted]
@@ -85,10 +79,10 @@ def explained(before: Array, after: Array, noise: Array) -> float:
     return float(np.average(share, weights=np.log(first / floor)))
 
 
-def as_good(best: Score, other: Score, data: WeakData) -> bool:
-    """Whether kept-aside data leave open which of two models is the better one."""
-    gap = compare_scores(other, best, data)
-    return gap.p_value > _SURE or gap.mean < SMALLEST_FALL
+def as_good(best: Score, other: Score, bench: Bench) -> bool:
+    """Whether the validation data leave open which of two models is the better one."""
+    gap, settings = compare_scores(other, best, bench.test), bench.settings
+    return gap.p_value > settings.as_good_chance or gap.mean < settings.smallest_fall
 
 
 @dataclass(frozen=True)
@@ -131,12 +125,6 @@ class FoundEffect:
 
 
 Quiet = Callable[[WeakFit, WeakData], bool]
-# Share of what exceeds the noise that effects must take away beside leaving only noise: a model that is just
-# above the limit of noise may get below it by chance.
-_MOST = 0.5
-# Mean square in units of the sensors' noise from which no second look is worth its time: what is so far off
-# hardly comes down to noise by what the first look has not found.
-_FAR_OFF = 1000.0
 
 
 def hidden_by_disturbance(bench: Bench) -> bool:
@@ -150,9 +138,18 @@ def hidden_by_disturbance(bench: Bench) -> bool:
     bench : Bench
         Data, noise model and the model.
     """
-    if not np.any(bench.base.disturbance) or only_noise(bench.base, bench.test):
+    ratio = noise_ratio(bench.base, bench.test)
+    return a_little_more_than_noise(bench.base.disturbance, ratio, rows_of(bench.test), bench.settings)
+
+
+def a_little_more_than_noise(
+    disturbance: Array, ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT
+) -> bool:
+    """Whether mean squares exceed noise, but not by far, where there is process noise to take them up."""
+    if not np.any(disturbance) or is_noise(ratio, rows, settings):
         return False
-    return bool(np.nanmax(noise_ratio(bench.base, bench.test)) < _FAR_OFF)
+    # What is far off hardly comes down to noise by what the first search has not found.
+    return bool(np.nanmax(ratio) < settings.second_look_limit)
 
 
 def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
@@ -167,8 +164,10 @@ def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
     quiet : callable
         Whether a model leaves only noise of the kept-aside data.
     """
-    share = explained(*told_apart(bare.base_score, bare.judge(fit), bare.test), bare.noise_level)
-    return share >= _MOST and quiet(fit, bare.test)
+    scores = told_apart(bare.base_score, bare.judge(fit), bare.test)
+    share = explained(*scores, bare.noise_level, bare.settings)
+    # A model that is just above the limit of noise may get below it by chance.
+    return share >= bare.settings.second_look_share and quiet(fit, bare.test)
 
 
 @dataclass(frozen=True)
@@ -231,11 +230,6 @@ class Blocks:
         return Blocks(table, self.rows)
 
 
-DRAWS = 1000
-_RESAMPLES = 200
-_SEED = 20150518
-
-
 @dataclass(frozen=True)
 class Linear:
     """A candidate linearised where it was fitted, on the data for the fit and on those kept aside.
@@ -291,17 +285,17 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
     return inverse
 
 
-def best_by_chance(candidates: Sequence[Linear]) -> Array:
-    """Largest fall of the kept-aside error over all candidates in draws where nothing is missing, (DRAWS,).
+def best_by_chance(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
+    """Largest fall of the kept-aside error over all candidates in draws where nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
     of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
     """
     if not candidates:
-        return np.zeros(DRAWS)
-    rng = np.random.default_rng(_SEED)
+        return np.zeros(settings.null_draws)
+    rng = np.random.default_rng(settings.seed)
     first = candidates[0]
-    train, test = (rng.choice([-1.0, 1.0], (DRAWS, b.count)) for b in (first.train, first.test))
+    train, test = (rng.choice([-1.0, 1.0], (settings.null_draws, b.count)) for b in (first.train, first.test))
     return np.asarray(np.max([c.falls(train, test) for c in candidates], axis=0))
 
 
@@ -310,18 +304,18 @@ def p_value(fall: float, by_chance: Array) -> float:
     return float((1 + np.count_nonzero(by_chance >= fall)) / (1 + len(by_chance)))
 
 
-def inclusion(candidates: Sequence[Linear]) -> Array:
+def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
     """How often each candidate is the best one when the blocks are drawn anew, shape (len(candidates),)."""
     if not candidates:
         return np.zeros(0)
-    rng = np.random.default_rng(_SEED)
-    first = candidates[0]
+    rng = np.random.default_rng(settings.seed)
+    first, draws = candidates[0], settings.resamples
     train, test = (
-        rng.multinomial(b.count, np.full(b.count, 1.0 / b.count), _RESAMPLES).astype(float)
+        rng.multinomial(b.count, np.full(b.count, 1.0 / b.count), draws).astype(float)
         for b in (first.train, first.test)
     )
     squares = np.array([c.resampled(train, test) for c in candidates])
-    return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / _RESAMPLES
+    return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / draws
 
 
 def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Linear:
@@ -380,7 +374,7 @@ def thinned(vehicle: Vehicle, chain: Chain, bench: Bench) -> Chain:
     """The chain without effects that those found later make superfluous."""
     for finding in chain.findings[:-1]:
         shorter = fitted(vehicle, [f for f in chain.findings if f is not finding], bench)
-        if as_good(chain.score, shorter.score, bench.test):
+        if as_good(chain.score, shorter.score, bench):
             return thinned(vehicle, shorter, bench)
     return chain
 
@@ -395,6 +389,6 @@ def alternatives(
         if rival.id not in {f.id for f in others}:
             others[place] = rival
             tried = fitted(vehicle, others, bench)
-            if as_good(chain.score, tried.score, bench.test):
+            if as_good(chain.score, tried.score, bench):
                 found.append(tried)
     return sorted(found, key=lambda c: c.score.error)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
     PRIOR_WIDTH,
@@ -25,7 +24,6 @@ from undertow.typing import Array, Progress
 
 from .candidates import Candidate, possible
 from .evidence import (
-    SMALLEST_FALL,
     FoundEffect,
     Linear,
     Quiet,
@@ -38,6 +36,7 @@ from .evidence import (
     p_value,
 )
 from .parallel import mapped
+from .settings import DEFAULT, Settings
 from .trial import (
     Bench,
     Score,
@@ -54,17 +53,6 @@ from .trial import (
 )
 
 _log = logging.getLogger("undertow.diagnosis")
-
-_FULL_FITS = 10
-_FINALISTS = 6
-# Times that the noise model is made anew because another candidate leads under it.
-_LEADERS = 2
-# Share of the sum of squares that a step must promise before the leading candidates are known.
-_FIRST_LOOK = 1e-2
-# Times the mean square of the best candidate, under its noise model, from which another is no rival of it.
-_OUT_OF_REACH = 2.0
-# Candidates that one step cannot make better than this (chi-square) are not worth a full fit.
-_WORTH_A_FIT = 20.0
 
 
 @dataclass(frozen=True)
@@ -104,15 +92,15 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     report : callable
         Told the share done and what is going on.
     """
-    vehicle = bench.base.model.functions.vehicle
+    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
     scouted = _scouted(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(scouted))
-    by_chance = best_by_chance([s.linear for s in scouted])
-    worth = [s for s in scouted if bench.base.cost - s.cost > _WORTH_A_FIT][:_FULL_FITS]
+    by_chance = best_by_chance([s.linear for s in scouted], settings)
+    worth = [s for s in scouted if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
     trials = _tried(worth, bench, report)
     chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
     able = ((c, t) for c, t in trials if t.kept or not c.removable)
-    leading = sorted(able, key=lambda entry: entry[1].score.error)[:_FINALISTS]
+    leading = sorted(able, key=lambda entry: entry[1].score.error)[: settings.finalists]
     bench, finalists = _final(bench, [received(t, c, bench) for c, t in leading], report)
     tried = {t.id for t in finalists}
     others = [rejected(s.candidate, bench) for s in scouted if s.candidate.id not in tried]
@@ -146,10 +134,12 @@ def _scouted(listed: Sequence[Candidate], bench: Bench, report: Progress) -> lis
 def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, Sent]]:
     """Fits of the candidates that promise something."""
 
+    enough = bench.settings.first_step
+
     def one(i: int) -> Sent:
         candidate = worth[i].candidate
-        start = begun(candidate, bench, worth[i].starts, _FIRST_LOOK)
-        return sent(try_candidate(candidate, bench, start, _FIRST_LOOK), bench)
+        start = begun(candidate, bench, worth[i].starts, enough)
+        return sent(try_candidate(candidate, bench, start, enough), bench)
 
     found = []
     for i, trial in enumerate(mapped(one, len(worth))):
@@ -173,7 +163,7 @@ def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Benc
     """
     if not finalists or finalists[0].score.error >= bench.base_score.error:
         return bench, finalists
-    for _ in range(_LEADERS):
+    for _ in range(bench.settings.leader_rounds):
         leader = finalists[0]
         # What a parameter that was left out would explain must not count as noise here: all are in.
         bench = bench.sharpened(leader.full)
@@ -204,22 +194,31 @@ def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
     belongs: a step brings it there.
     """
     left, least = (float(np.mean(sharp.judge(t.full).r ** 2)) for t in (trial, best))
-    if left <= _OUT_OF_REACH * least:
-        return False
-    promised = Scouted(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
-    return promised > _OUT_OF_REACH * max(least, 1.0)
+
+    def after_a_step() -> float:
+        return Scouted(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
+
+    return far_behind(left, least, after_a_step, sharp.settings)
+
+
+def far_behind(
+    left: float, least: float, after_a_step: Callable[[], float], settings: Settings = DEFAULT
+) -> bool:
+    """Whether a mean square is far above the least one, and stays so after a further step of the fit."""
+    limit = settings.out_of_reach
+    return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
 def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
     linears = [linear(t.fit, bench) for t in finalists]
-    often = [*inclusion(linears).tolist(), *[float("nan")] * len(others)]
+    often = [*inclusion(linears, bench.settings).tolist(), *[float("nan")] * len(others)]
     findings = [
         _finding(t, bench, chances.get(t.id, 1.0), share, len(often))
         for t, share in zip([*finalists, *others], often, strict=True)
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     best = findings[0].trial.score
-    rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench.test)]
+    rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench)]
     for f in findings[:5]:
         _log.info(
             "%s: normalised error %.3f, p = %.2g, best in %.0f %% of resamples",
@@ -233,14 +232,12 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     # The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
     # other is blind to, and each gets half of the false alarms.
     chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
-    strong = chance < bench.false_alarms and evidence.mean > SMALLEST_FALL
-    share = explained(*told_apart(bench.base_score, trial.score, bench.test), bench.noise_level)
+    settings = bench.settings
+    strong = chance < settings.false_alarm_rate and evidence.mean > settings.smallest_fall
+    scores = told_apart(bench.base_score, trial.score, bench.test)
+    share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
     return FoundEffect(trial, evidence, share, chance, strong and better, inclusion)
-
-
-# Fall of the sum of squares, in units of the noise, from which another value is worth a fit.
-_WORTH = 20.0
 
 
 @dataclass(frozen=True)
@@ -287,7 +284,7 @@ def values_to_free(current: Round, quiet: Quiet) -> dict[str, tuple[str, ...]]:
     if not _fixed(bench) or quiet(bench.base, bench.test):
         return {}
     found = other_values(bench)
-    if found is None or as_good(found.score, bench.base_score, bench.test):
+    if found is None or as_good(found.score, bench.base_score, bench):
         return {}
     winner = current.winner
     if winner is not None and not _preferred(found, winner.trial.fit, winner.trial.score, bench, quiet):
@@ -318,8 +315,8 @@ def _preferred(found: OtherValues, fit: WeakFit, score: Score, bench: Bench, qui
     """Whether other values are the better explanation than an effect."""
     sound, effect_sound = quiet(found.fit, bench.test), quiet(fit, bench.test)
     if sound and effect_sound:
-        return _unlikely(found.fit, found.score) + MORE_THAN_CHANCE < _unlikely(fit, score)
-    return sound or (not effect_sound and not as_good(found.score, score, bench.test))
+        return _unlikely(found.fit, found.score) + bench.settings.more_than_chance < _unlikely(fit, score)
+    return sound or (not effect_sound and not as_good(found.score, score, bench))
 
 
 # --- which values ---------------------------------------------------------------------------------
@@ -353,10 +350,10 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     own = list(range(count))
     while rest := [k for k in open_to_change if k not in chosen]:
         falls = [_fixed_values_fall(gram, slope, [*own, *chosen, k]) for k in rest]
-        if max(falls) < _fixed_values_fall(gram, slope, [*own, *chosen]) + _WORTH:
+        if max(falls) < _fixed_values_fall(gram, slope, [*own, *chosen]) + bench.settings.other_values_fall:
             break
         chosen.append(rest[int(np.argmax(falls))])
-    least = _fixed_values_fall(gram, slope, [*own, *chosen]) - MORE_THAN_CHANCE
+    least = _fixed_values_fall(gram, slope, [*own, *chosen]) - bench.settings.more_than_chance
 
     def does_as_well(k: int, other: int) -> bool:
         columns = [*own, *(c for c in chosen if c != k), other]

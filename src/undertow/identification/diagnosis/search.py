@@ -11,7 +11,6 @@ from itertools import combinations
 import numpy as np
 
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.fitted import SURE
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import inverse_of
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak, free_parameters, settled
@@ -34,11 +33,8 @@ from .evidence import (
     with_effects,
 )
 from .rounds import Round, freed, try_all, values_to_free
-from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench, parameters_that_matter
-
-_LEADING = 8
-# Pairs that are tried beside an effect that shows alone, and where none does.
-_PAIRS, _LONE_PAIRS = 2, 6
+from .settings import DEFAULT, Settings
+from .trial import Bench, only_noise, open_bench, parameters_that_matter
 
 
 def pair_beside(current: Round, quiet: Quiet) -> Chain | None:
@@ -53,7 +49,9 @@ def pair_beside(current: Round, quiet: Quiet) -> Chain | None:
     quiet : callable
         Whether a model leaves only noise of the kept-aside data.
     """
-    good = [c for c in _tried(current, _PAIRS) if quiet(c.fit, current.bench.test)]
+    good = [
+        c for c in _tried(current, current.bench.settings.pairs_beside) if quiet(c.fit, current.bench.test)
+    ]
     return min(good, key=lambda c: c.score.error, default=None)
 
 
@@ -74,10 +72,14 @@ def lone_pair(current: Round, quiet: Quiet) -> Chain | None:
     if quiet(bench.base, bench.test):
         return None
     count = len(current.findings) * (len(current.findings) - 1) // 2
-    tried = _tried(current, _LONE_PAIRS)
+    return only_one_in_evidence(_tried(current, bench.settings.lone_pairs), bench, count, quiet)
+
+
+def only_one_in_evidence(tried: Sequence[Chain], bench: Bench, count: int, quiet: Quiet) -> Chain | None:
+    """The pair, of `count` possible ones, that leaves only noise, if no other one does as well."""
     good = [c for c in tried if _in_evidence(c, bench, count) and quiet(c.fit, bench.test)]
     best = min(good, key=lambda c: c.score.error, default=None)
-    if best is None or any(as_good(best.score, c.score, bench.test) for c in tried if c is not best):
+    if best is None or any(as_good(best.score, c.score, bench) for c in tried if c is not best):
         return None
     return best
 
@@ -92,7 +94,7 @@ def _tried(current: Round, most: int) -> list[Chain]:
 
 def _in_evidence(pair: Chain, bench: Bench, count: int) -> bool:
     gap = compare_scores(bench.base_score, pair.score, bench.test)
-    return gap.beyond_chance(bench.false_alarms, among=count)
+    return gap.beyond_chance(bench.settings, among=count)
 
 
 def promising_pairs(
@@ -111,7 +113,7 @@ def promising_pairs(
     most : int
         Number of pairs.
     """
-    leading = [f for f in findings if f.trial.kept][:_LEADING]
+    leading = [f for f in findings if f.trial.kept][: bench.settings.pair_candidates]
     columns = [_columns(f, bench) for f in leading]
     pairs = [(i, j) for i, j in combinations(range(len(leading)), 2)]
     costs = [_together(bench, columns[i], columns[j]) for i, j in pairs]
@@ -137,14 +139,6 @@ def _together(bench: Bench, first: tuple[Array, Array], second: tuple[Array, Arr
 _log = logging.getLogger("undertow.diagnosis")
 Freed = Mapping[str, tuple[str, ...]]
 ToFree = Callable[[Round, Quiet], Freed]
-MAX_EFFECTS = 3
-_RIVALS = 5
-# Significant effects of which one may leave only noise although another has the smaller weak residual.
-_LEADING_ROUNDS = 4
-# Parameters more than the plainest of equally good effects from which one is none of them.
-_BENDABLE = 3
-# Times the error of an effect with many parameters up to which a plain one is worth another look.
-_NEAR = 1.1
 
 
 @dataclass(frozen=True)
@@ -193,7 +187,7 @@ def search(
     known: Catalogue,
     report: Progress = lambda done, words: None,
     quiet: Quiet = only_noise,
-    false_alarms: float = FALSE_ALARM_RATE,
+    settings: Settings = DEFAULT,
 ) -> Search:
     """Look for missing effects until the noise floor or until nothing helps.
 
@@ -209,15 +203,15 @@ def search(
         Told the share done and what is going on.
     quiet : callable, optional
         Whether a model leaves only noise of the kept-aside data; the search ends with one that does.
-    false_alarms : float
-        Chance of naming an effect where nothing is missing.
+    settings : Settings
+        The numbers that decide.
     """
     report(0.0, "fitting the model as it is")
-    opened = open_bench(vehicle, train, test, false_alarms)
+    opened = open_bench(vehicle, train, test, settings)
     steps = _stepwise(vehicle, opened, known, report, quiet, values_to_free)
     if names := steps.freed:
         _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
-        found = search(freed(vehicle, list(names)), train, test, known, report, quiet, false_alarms)
+        found = search(freed(vehicle, list(names)), train, test, known, report, quiet, settings)
         if not _do_alone(vehicle, found.winners, opened, quiet):
             return replace(found, freed={**names, **found.freed})
         steps = _stepwise(vehicle, opened, known, report, quiet, _none_to_free)
@@ -282,8 +276,15 @@ def _steps(
     """Rounds of candidates, each on top of what was found so far."""
     rounds: list[Round] = []
     chain, fit = list(found), bench.base
-    while len(chain) < MAX_EFFECTS:
-        current = _sound_first(try_all(bench, known, _share_of(report, len(rounds))), quiet)
+    while len(chain) < bench.settings.max_effects:
+        current = _sound_first(
+            try_all(
+                bench,
+                known,
+                _share_of(report, len(rounds) / bench.settings.max_effects, 1.0 / bench.settings.max_effects),
+            ),
+            quiet,
+        )
         rounds.append(current)
         if names := to_free(current, quiet):
             return _Steps(rounds, chain, fit, names)
@@ -312,7 +313,7 @@ def _sound_first(current: Round, quiet: Quiet) -> Round:
 
     Under a noise model with room for disturbances, some effects look alike that simulation tells apart.
     """
-    leading = [f for f in current.findings if f.significant][:_LEADING_ROUNDS]
+    leading = [f for f in current.findings if f.significant][: current.bench.settings.leading]
     test = current.bench.test
     if not leading or quiet(leading[0].trial.fit, test):
         return current
@@ -329,13 +330,9 @@ def _on_top(bench: Bench, vehicle: Vehicle, chain: list[FoundEffect], fit: WeakF
     return replace(bench, base=base)
 
 
-def _share_of(report: Progress, done_rounds: int) -> Progress:
+def _share_of(report: Progress, begin: float, share: float) -> Progress:
     """Progress within one round as progress of the whole."""
-
-    def told(done: float, words: str) -> None:
-        report(0.9 * (done_rounds + done) / MAX_EFFECTS, words)
-
-    return told
+    return lambda done, words: report(0.9 * (begin + share * done), words)
 
 
 def _refitted_together(
@@ -351,7 +348,11 @@ def _refitted_together(
         equals = sorted([chain, *_rivals(vehicle, chain, place, rounds, bench)], key=lambda c: c.score.error)
         # With enough parameters an effect can be bent into another: it is no rival of the plain one.
         plainest = min(len(c.findings[place].parameters) for c in equals)
-        chain, *others = [c for c in equals if len(c.findings[place].parameters) <= plainest + _BENDABLE]
+        chain, *others = [
+            c
+            for c in equals
+            if len(c.findings[place].parameters) <= plainest + bench.settings.more_parameters
+        ]
         rivals.append(others or _plain_ones(vehicle, chain, rounds, bench))
     return Search(vehicle, rounds, bench, chain, rivals)
 
@@ -364,29 +365,44 @@ def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Benc
     """
     if len(chain.findings) != 1 or len(rounds) != 1:
         return []
-    others = [f for f in rounds[0].findings if f.significant and f is not chain.findings[0]]
-    near = [f for f in others if f.trial.score.error < _NEAR * chain.score.error][:_RIVALS]
-    most = len(chain.findings[0].parameters) - _BENDABLE
-    plain = [fitted(vehicle, [f], bench) for f in near if len(f.parameters) < most]
+    near = much_plainer(chain.findings[0], chain.score.error, rounds[0].findings, bench.settings)
+    plain = [fitted(vehicle, [f], bench) for f in near]
     if not plain:
         return []
     best = bench.judge(settled(chain.fit))
-    return [c for c in plain if as_good(best, bench.judge(settled(c.fit)), bench.test)]
+    return [c for c in plain if as_good(best, bench.judge(settled(c.fit)), bench)]
+
+
+def much_plainer(
+    leader: FoundEffect, error: float, findings: Sequence[FoundEffect], settings: Settings = DEFAULT
+) -> list[FoundEffect]:
+    """Significant effects with far fewer parameters than the leading one and nearly its error."""
+    others = [f for f in findings if f.significant and f is not leader]
+    near = [f for f in others if f.trial.score.error < settings.plain_error * error][: settings.rivals]
+    return [f for f in near if len(f.parameters) < len(leader.parameters) - settings.more_parameters]
 
 
 def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], bench: Bench) -> list[Chain]:
     """What does as well as one of the effects, the others being what they are."""
+    return alternatives(vehicle, chain, place, possible_rivals(chain, place, rounds, bench), bench)
+
+
+def possible_rivals(chain: Chain, place: int, rounds: Sequence[Round], bench: Bench) -> list[FoundEffect]:
+    """Significant effects of the round in which an effect was found; of a single effect those as good.
+
+    Beside another effect one may do well that does not alone.
+    """
     effect = chain.findings[place]
     for current in rounds:
         others = [f for f in current.findings if f is not effect and f.significant]
         if effect in current.findings and others:
             if len(rounds) == len(chain.findings) == 1:
-                others = [f for f in others if as_good(chain.score, f.trial.score, bench.test)]
-            return alternatives(vehicle, chain, place, others[:_RIVALS], bench)
+                others = [f for f in others if as_good(chain.score, f.trial.score, bench)]
+            return others[: bench.settings.rivals]
     return []
 
 
-def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
+def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings = DEFAULT) -> WeakFit:
     """Fit a model once more under the noise that it leaves itself, with what the search was too strict about.
 
     While effects compete, a parameter has to be far from zero to stay, for there are many that could be there
@@ -407,7 +423,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
     if not left_out:
         return fit
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
-    kept = parameters_that_matter(whole, tuple(sorted(removable)), SURE)
+    kept = parameters_that_matter(whole, tuple(sorted(removable)), settings.t_in_last_fit)
     free = (*fit.model.free, *(n for n in kept if n in left_out))
     return fit if free == fit.model.free else settled(_refitted(whole, free))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undertow.identification.estimation.data import WeakData, Whitening
 from undertow.identification.estimation.fitted import Fitted
@@ -32,17 +33,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .candidates import Candidate, beat
-
-# |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
-T_KEEP = 4.0
-# Share to which the variance of the sensors' noise is known, and standard errors of a mean square of as many
-# rows by which it may exceed that.
-_NOISE_KNOWN_TO, _BY_CHANCE = 0.1, 4.0
-# Share of the sum of squares that a step must promise while candidates are compared with each other.
-_ROUGH = 1e-4
-_SHARPENING = 3
-#: Chance of naming an effect where nothing is missing, unless another is asked for.
-FALSE_ALARM_RATE = 0.01
+from .settings import DEFAULT, Settings
 
 
 @dataclass(frozen=True)
@@ -131,8 +122,8 @@ class Bench:
         Noise of both, the same for all candidates.
     base : WeakFit
         The model without any candidate, fitted to the training data.
-    false_alarms : float
-        Chance up to which the best of all candidates may look as good when nothing is missing.
+    settings : Settings
+        The numbers that decide.
     """
 
     train: WeakData
@@ -140,7 +131,7 @@ class Bench:
     train_whitening: list[Whitening]
     test_whitening: list[Whitening]
     base: WeakFit
-    false_alarms: float = FALSE_ALARM_RATE
+    settings: Settings = DEFAULT
 
     @cached_property
     def base_score(self) -> Score:
@@ -195,9 +186,9 @@ class Bench:
 
     def sharpened(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        fit = settled(fit, most=_SHARPENING)
+        fit = settled(fit, most=self.settings.noise_rounds)
         test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
-        refitted = self._base_under(fit.whitening, fit.disturbance, _ROUGH)
+        refitted = self._base_under(fit.whitening, fit.disturbance, self.settings.rough_step)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
     def without_disturbance(self) -> Bench:
@@ -232,18 +223,16 @@ class Bench:
         poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
         low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
         found = dict(zip(names, zip(low, high, strict=True), strict=True))
-        line = beat(self.base.at.r, self.train)
+        line = beat(self.base.at.r, self.train, self.settings)
         return found if line is None else found | {"beat": line}
 
 
-def open_bench(
-    vehicle: Vehicle, train: WeakData, test: WeakData, false_alarms: float = FALSE_ALARM_RATE
-) -> Bench:
+def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
     base = fit_weak(vehicle, train)
     quiet = base.model.whitening(test, base.p)
     noise = base.whitening, disturbed(quiet, base.disturbance, test)
-    return Bench(train, test, *noise, base, false_alarms)
+    return Bench(train, test, *noise, base, settings)
 
 
 def noise_ratio(fit: Fitted, data: WeakData) -> Array:
@@ -255,16 +244,25 @@ def noise_ratio(fit: Fitted, data: WeakData) -> Array:
     return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
 
 
-def only_noise(fit: Fitted, data: WeakData) -> bool:
+def only_noise(fit: Fitted, data: WeakData, settings: Settings = DEFAULT) -> bool:
     """Whether the sensors' noise explains what a model leaves in each equation, as far as rows can show."""
-    rows = np.bincount(data.equation, minlength=len(data.names))
+    return is_noise(noise_ratio(fit, data), rows_of(data), settings)
+
+
+def rows_of(data: WeakData) -> NDArray[np.intp]:
+    """Number of rows of each equation."""
+    return np.bincount(data.equation, minlength=len(data.names))
+
+
+def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT) -> bool:
+    """Whether mean squares over so many rows each are those of noise; what has no rows has no say."""
     used = rows > 0
-    limit = 1.0 + _NOISE_KNOWN_TO + _BY_CHANCE * np.sqrt(2.0 / rows[used])
-    return bool(np.all(noise_ratio(fit, data)[used] <= limit))
+    limit = 1.0 + settings.noise_known_to + settings.chance_errors * np.sqrt(2.0 / rows[used])
+    return bool(np.all(ratio[used] <= limit))
 
 
 def try_candidate(
-    candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float = _ROUGH
+    candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float | None = None
 ) -> Trial:
     """Fit a candidate, drop the parameters that do not matter, and judge it.
 
@@ -277,14 +275,17 @@ def try_candidate(
     start : mapping
         Values to start from.
     enough : float
-        Share of the sum of squares that a step has to promise for another to follow.
+        Share of the sum of squares that a step has to promise for another to follow; that of the settings
+        by default.
     """
+    settings = bench.settings
+    enough = settings.rough_step if enough is None else enough
     fit = bench.fit(candidate.model(), start=start, enough=enough)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
-    if fit.cost < 0.5 * len(fit.at.r):
+    if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = settled(fit, most=1)
-    kept = parameters_that_matter(fit, candidate.removable)
+    kept = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
     thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
@@ -326,9 +327,7 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
     return {n for n, idle in zip(fit.model.free, lost, strict=True) if n in shapes and idle}
 
 
-def parameters_that_matter(
-    fit: WeakFit, removable: tuple[str, ...], least: float = T_KEEP
-) -> tuple[str, ...]:
+def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: float) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
     This thins an effect out; whether it is needed at all is for the kept-aside data to say, so one stays.
@@ -360,9 +359,6 @@ def parameters_that_matter(
         estimate[active] += valley * estimate[gone]
 
 
-# Of more starts than this, only the best are looked at more closely.
-_MANY_STARTS, _BEST_STARTS = 4, 2
-_CLOSER = 2
 # Relative difference of two residuals up to which they are the same.
 _SAME = 1e-9
 
@@ -410,7 +406,7 @@ class Scouted:
 
     def closer(self) -> Scouted:
         """The same from where the step leads, after some more."""
-        return Scouted(self._candidate, self._bench, self.values, _CLOSER)
+        return Scouted(self._candidate, self._bench, self.values, self._bench.settings.closer_steps)
 
     @property
     def on_test(self) -> Linearised:
@@ -442,13 +438,13 @@ def scouts(candidate: Candidate, bench: Bench) -> list[Scouted]:
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
     """
     starts = candidate.starts(bench.command_scale, bench.seen)
-    if len(starts) > _MANY_STARTS:
+    if len(starts) > bench.settings.many_starts:
         starts = _promising(candidate, bench, starts)
     found = sorted((Scouted(candidate, bench, start) for start in starts), key=lambda s: s.cost)
     if len(found) == 1:
         return found
     # What a step promises may not come true; what some steps have reached has.
-    return sorted((s.closer() for s in found[:_BEST_STARTS]), key=lambda s: s.start.cost)
+    return sorted((s.closer() for s in found[: bench.settings.best_starts]), key=lambda s: s.start.cost)
 
 
 def begun(
@@ -501,7 +497,7 @@ def _promising(
         now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
         step = bounded_step(beside, now, within_reach(bounds, now, reach), prior)
         costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
-    return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
+    return [starts[i] for i in np.argsort(costs)[: bench.settings.best_starts]]
 
 
 @dataclass(frozen=True)

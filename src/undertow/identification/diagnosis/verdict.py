@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.fitted import MORE_THAN_CHANCE, Fitted
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.step import (
     NOTHING_SAID,
     PRIOR_WIDTH,
@@ -29,13 +29,8 @@ from .evidence import Chain, FoundEffect, Quiet, explained, fitted
 from .result import Equivalent, Estimate, Indistinguishable, Verdict
 from .rounds import other_values
 from .search import Search
+from .settings import DEFAULT, Settings
 from .trial import Bench, Score, scout, told_apart
-
-# An effect is named only where it (with those named before it) explains this share of what exceeds the noise:
-# a wrong effect often takes half of a residual, seldom four fifths of it.
-NAMED_SHARE = 0.8
-# Of more effects than this that do equally well, none is in evidence.
-_MANY = 4
 
 
 @dataclass(frozen=True)
@@ -99,15 +94,15 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Left) 
     left : Left
         What the final model leaves.
     """
-    winners = found.winners
-    share = explained(*told_apart(*scores, found.bench.test), noise)
+    winners, settings = found.winners, found.bench.settings
+    share = explained(*told_apart(*scores, found.bench.test), noise, settings)
     sets = _sets(found)
     if not winners:
         return _without_effect(left.quiet, share)
-    if doubt := _doubt(winners, share, left):
+    if doubt := _doubt(winners, share, left, settings):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > _MANY for s in sets):
+    if any(len(s.effects) > settings.many_alike for s in sets):
         verdict = "not_identifiable"
     return Judgement(verdict, _named(winners, sets, share, left.quiet), winners, sets, share)
 
@@ -123,7 +118,7 @@ def _without_effect(quiet: bool, share: float) -> Judgement:
     return Judgement("unexplained", text, [], [], share)
 
 
-def _doubt(winners: list[FoundEffect], share: float, left: Left) -> str:
+def _doubt(winners: list[FoundEffect], share: float, left: Left, settings: Settings) -> str:
     """Why nothing can be named, or nothing where it can.
 
     Where more than noise is left, a later effect may only make up for an earlier one that is wrong or poorly
@@ -133,7 +128,7 @@ def _doubt(winners: list[FoundEffect], share: float, left: Left) -> str:
         return "makes the simulation of the kept-aside runs worse, so it is not what is missing"
     if left.quiet:
         return ""
-    if share < NAMED_SHARE:
+    if share < settings.named_share:
         much = f"only {share:.0%}" if share > 0.0 else "none"
         return f"explains {much} of what exceeds the noise, too little to be named as what is missing"
     if len(unique_ids(winners)) > 1 and not left.nearly:
@@ -265,12 +260,6 @@ def with_values(judgement: Judgement, values: str, quiet: bool) -> str:
     return f"{said} Values that the vehicle file holds fixed were fitted with the rest: {values}."
 
 
-# Standard deviations from which a parameter has moved away from what was stated.
-_MOVED = 3.0
-# ... and within which it is where it was stated.
-_HOME = 2.0
-
-
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
     """What could stand behind parameters that the refit of the model moved far from their stated values.
 
@@ -288,7 +277,7 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
     list of Equivalent
         One entry with all effects that do what the moved parameters do, or none.
     """
-    moved = moved_parameters(stated, bench.base)
+    moved = moved_parameters(stated, bench.base, bench.settings)
     if not moved:
         return []
     found = [c.id for c in possible if c.parameters and _brings_back(c, bench, moved)]
@@ -332,14 +321,14 @@ def _instead_of(effect: str, bench: Bench, quiet: Quiet) -> list[Equivalent]:
     return [Equivalent(parameters=list(found.alike), effects=[effect], **told)]
 
 
-def moved_parameters(stated: Vehicle, fit: WeakFit) -> dict[str, float]:
-    """Change of the parameters that a fit moved by more than three standard deviations of prior and fit."""
+def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT) -> dict[str, float]:
+    """Change of the parameters that a fit moved far, in standard deviations of prior and fit."""
     changes = {}
     for name, value in fit.values.items():
         prior = stated.value_of(name)
         if prior.sigma is not None:
             spread = float(np.hypot(prior.sigma, fit.standard_errors[name]))
-            if abs(value - prior.value) > _MOVED * spread:
+            if abs(value - prior.value) > settings.moved * spread:
                 changes[name] = value - prior.value
     return changes
 
@@ -357,9 +346,9 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     bounds = within_reach(bounds_of(model), now, reach_of(model))
     step = bounded_step(start.at, now, bounds, (centre, stiffness))
     off = np.abs(stiffness * (now + step - centre))
-    home = all(off[model.free.index(n)] < _HOME for n in moved)
+    home = all(off[model.free.index(n)] < bench.settings.at_home for n in moved)
     left = np.sum((start.at.r + start.at.J @ step) ** 2)
-    return bool(home and left < np.sum(bench.base.at.r**2) + MORE_THAN_CHANCE)
+    return bool(home and left < np.sum(bench.base.at.r**2) + bench.settings.more_than_chance)
 
 
 def _equivalents_reason(moved: dict[str, float]) -> str:
@@ -379,16 +368,9 @@ def _separating(moved: list[str]) -> str:
     )
 
 
-# Standard deviations of prior and fit together from which a value is far from what was stated.
-_FAR = 3.0
-# Share of its way that a parameter must come back.
-_BACK = 0.5
-# Times the error of the leading candidate up to which another does as well.
-_AS_GOOD = 1.05
 _SHOWN_OTHERS = 2
+# Relative distance up to which a value is on its bound.
 _ON_BOUND = 1e-6
-# Factor from which a value is far from one that was stated without a standard deviation.
-_MANY_TIMES = 3.0
 
 
 @dataclass(frozen=True)
@@ -437,7 +419,11 @@ def reliefs(findings: Iterable[FoundEffect]) -> list[Relief]:
 
 
 def absorbing(
-    vehicle: Vehicle, fit: Fitted, helpers: Sequence[Relief], alike: Mapping[str, Sequence[str]] | None = None
+    vehicle: Vehicle,
+    fit: Fitted,
+    helpers: Sequence[Relief],
+    alike: Mapping[str, Sequence[str]] | None = None,
+    settings: Settings = DEFAULT,
 ) -> list[str]:
     """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be.
 
@@ -459,30 +445,39 @@ def absorbing(
         ranking and the parameter comes back with it.
     """
     least = min((h.error for h in helpers), default=0.0)
-    leading = [h for h in helpers if h.error <= _AS_GOOD * least]
+    leading = [h for h in helpers if h.error <= settings.as_good_error * least]
     lines = [
-        _line(vehicle, pushed, leading, (alike or {}).get(pushed.name, ()))
-        for pushed in _pushed(vehicle, fit)
+        _line(
+            vehicle,
+            pushed,
+            [h for h in leading if _comes_back(pushed, h, settings)],
+            (alike or {}).get(pushed.name, ()),
+        )
+        for pushed in _pushed(vehicle, fit, settings)
     ]
     return [*lines, *_impossible(vehicle, fit.vehicle)]
 
 
-def _pushed(vehicle: Vehicle, fit: Fitted) -> list[_Pushed]:
+def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
     errors, found = fit.standard_errors, []
     for name, value in fit.values.items():
         stated, bound = vehicle.value_of(name), _bound(vehicle, name, value)
-        if stated.sigma is None and bound is None and not _many_times(value, stated.value):
+        if (
+            stated.sigma is None
+            and bound is None
+            and not _many_times(value, stated.value, settings.many_times)
+        ):
             continue
         spread = float(np.hypot(stated.sigma or 0.0, errors[name]))
         distance = abs(value - stated.value) / spread if spread > 0 else np.inf
-        if distance > _FAR:
+        if distance > settings.moved:
             found.append(_Pushed(name, value, stated.value, distance, bound))
     return found
 
 
-def _many_times(value: float, stated: float) -> bool:
+def _many_times(value: float, stated: float, factor: float) -> bool:
     ratio = value / stated if stated else 1.0
-    return not 1.0 / _MANY_TIMES < ratio < _MANY_TIMES
+    return not 1.0 / factor < ratio < factor
 
 
 def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
@@ -493,11 +488,10 @@ def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
 
 
 # --- words ------------------------------------------------------------------------------------
-def _line(vehicle: Vehicle, pushed: _Pushed, leading: Sequence[Relief], alike: Sequence[str]) -> str:
+def _line(vehicle: Vehicle, pushed: _Pushed, helping: Sequence[Relief], alike: Sequence[str]) -> str:
     bare = vehicle.declaration(pushed.name).name
     owner = next(e.id for e in vehicle.all_effects if any(p.name == bare for p in e.parameters))
     line = f"{owner.replace('_', ' ')}: {pushed.name} {_where(vehicle, pushed)}"
-    helping = [h for h in leading if _comes_back(pushed, h)]
     if not helping:
         missing = " or ".join(alike) or "something that is missing"
         return f"{line}: either the prior is wrong, or it makes up for {missing}"
@@ -526,9 +520,9 @@ def _number(vehicle: Vehicle, name: str, value: float) -> str:
     return f"{printed(vehicle.declaration(name), value, vehicle.signs):.3g}"
 
 
-def _comes_back(pushed: _Pushed, helper: Relief) -> bool:
+def _comes_back(pushed: _Pushed, helper: Relief, settings: Settings) -> bool:
     after = helper.values.get(pushed.name)
-    return after is not None and abs(after - pushed.prior) < _BACK * abs(pushed.change)
+    return after is not None and abs(after - pushed.prior) < settings.comes_back * abs(pushed.change)
 
 
 def _impossible(stated: Vehicle, fitted: Vehicle) -> list[str]:
