@@ -18,6 +18,7 @@ from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import plain_world
 from benchmarks.trust import sizing
 from benchmarks.trust.__main__ import main
+from benchmarks.trust.ablation import ablation_page, ablations, sample, switchable
 from benchmarks.trust.cases import COMPLETE, FAINT, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
@@ -31,6 +32,7 @@ from benchmarks.trust.tally import Share, scored
 from benchmarks.trust.terms import _filled, make_terms
 from benchmarks.trust.verdicts import Answer, accepted
 from undertow.identification.diagnosis.parallel import jobs
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.logs.run import Run
 
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
@@ -322,6 +324,40 @@ def test_a_goal_is_met_from_as_many_cases_on_as_show_it(cases: int, said: str) -
     one = record(LIFT, "unexplained", truth=("lift",), known=False, grade="strong")
     found = {g.name: g for g in goals(scored([one] * cases))}
     assert found["outsiders: unexplained"].row[-1] == said
+
+
+# --- ablation ----------------------------------------------------------------------------------------------
+
+
+def test_every_number_is_switched_off_on_the_same_cases() -> None:
+    doing = ablations(sample()[:2])
+    assert len(doing) == 2 * (1 + len(switchable()))
+    assert len({one.id for one in doing}) == len(doing)
+    assert {case.kind for case in sample()} == {"complete", "single", "pair", "outsider"}
+    for one in doing:
+        changed = [n for n in Settings.about() if getattr(one.settings, n) != getattr(Settings(), n)]
+        assert changed == ([one.number] if one.number else [])
+    with pytest.raises(ValueError, match="cannot be switched off"):
+        ablations(sample()[:1], ["seed"])
+
+
+def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
+    names = {"default": ["lift"], "named_share": ["lift"], "within_reach": []}
+    records = [
+        {
+            "id": f"{LIFT}:{n}",
+            "number": "" if n == "default" else n,
+            "answer": {"verdict": "missing_effect" if found else "unexplained", "named": found, "sets": []},
+        }
+        for n, found in names.items()
+    ]
+    rows = {line.split("|")[1].strip(): line for line in ablation_page(records).splitlines() if "|" in line}
+    assert [c.strip() for c in rows["`named_share`"].split("|")[-3:-1]] == ["1", "0"]
+    assert [c.strip() for c in rows["`within_reach`"].split("|")[-3:-1]] == ["1", "1"]
+    assert [c.strip() for c in rows["`excited`"].split("|")[-3:-1]] == ["–", "not run"]
+    assert f"- `within_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
+        records
+    )
 
 
 # --- running -----------------------------------------------------------------------------------------------

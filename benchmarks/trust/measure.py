@@ -78,14 +78,18 @@ def _data(made: Case, keep: Path | None) -> Data:
 
 
 def _said(found: Diagnosis) -> Record:
-    sets = [list(group.effects) for group in found.indistinguishable]
-    order = [entry.effect for entry in found.ranking]
     return {
-        "answer": Answer(found.verdict, list(found.effects), sets, order).as_dict(),
+        "answer": answer_of(found).as_dict(),
         "headline": found.headline,
         "warnings": list(found.warnings),
         "steps": [[*step.added, round(step.error, 4)] for step in found.steps],
     }
+
+
+def answer_of(found: Diagnosis) -> Answer:
+    """What counts of a diagnosis."""
+    sets = [list(group.effects) for group in found.indistinguishable]
+    return Answer(found.verdict, list(found.effects), sets, [entry.effect for entry in found.ranking])
 
 
 def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: Outcome) -> Record:
