@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hidden_effects import Case
-from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.logs.run import Run
@@ -24,7 +24,9 @@ Record = dict[str, Any]
 Data = tuple[Vehicle, list[Run], list[Run]]
 
 
-def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> tuple[Record, Outcome]:
+def measured(
+    case: Planned, *, peers: bool = True, keep: Path | None = None
+) -> tuple[Record, DiagnosisResult]:
     """Simulate, diagnose and grade one case.
 
     Parameters
@@ -38,7 +40,7 @@ def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> 
 
     Returns
     -------
-    (dict, Outcome)
+    (dict, DiagnosisResult)
         What is written as one line of JSON, and the whole diagnosis.
     """
     made = simulated(sized(case))
@@ -92,7 +94,7 @@ def answer_of(found: Diagnosis) -> Answer:
     return Answer(found.verdict, list(found.effects), sets, [entry.effect for entry in found.ranking])
 
 
-def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: Outcome) -> Record:
+def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: DiagnosisResult) -> Record:
     """Ratio and grade, and the errors they come from, in units of one noise model.
 
     What no catalogue knows has no told refit: it is held against the same vehicle with nothing hidden.
@@ -109,7 +111,7 @@ def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: Outc
     return found | {"grade": grade_of(ratio), "grading_seconds": time.perf_counter() - began}
 
 
-def _against_told(truth: Told, outcome: Outcome) -> Record:
+def _against_told(truth: Told, outcome: DiagnosisResult) -> Record:
     return {
         "ratio": truth.ratio,
         "before": truth.before,

@@ -13,7 +13,7 @@ import undertow as ut
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from undertow.errors import UndertowError
-from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.rounds import Round, _finding, other_values, try_all
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.trial import Bench, open_bench
@@ -43,7 +43,7 @@ def _fixed(case: Case, factors: dict[str, float]) -> Vehicle:
 
 
 @cache
-def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) -> Outcome:
+def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) -> DiagnosisResult:
     case = _case(*hidden)
     runs = runs_of(case)
     known = {i: catalogue()[i] for i in KNOWN}

@@ -25,7 +25,7 @@ from rich.table import Table
 from undertow.files import write_whole
 from undertow.identification.compare.comparison import compare
 from undertow.identification.compare.forces import Forces, residual_forces
-from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.addition import (
     Addition,
     Ground,
@@ -56,7 +56,7 @@ from .diagnose import write_vehicle
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undertow.identification.diagnose import Outcome
+    from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.report.data import ReportData, RunTraces
 
     from ._vehicle_and_logs import Loaded
@@ -78,7 +78,7 @@ def demo(out: Annotated[Path, _OUT] = Path("demo-output")) -> None:
 DATA = Path(str(files("undertow") / "demo_data"))
 
 
-def report_data_of(outcome: Outcome) -> ReportData:
+def report_data_of(outcome: DiagnosisResult) -> ReportData:
     """What a report draws, without a compiler: for a minute of data compiling takes longer than it saves."""
     from undertow.identification.compare.comparison import compare
     from undertow.identification.report.tables import report_data
@@ -238,7 +238,7 @@ def tell_auv(scene: Scene) -> None:
     _truth(scene)
 
 
-def _verdict(scene: Scene, outcome: Outcome) -> None:
+def _verdict(scene: Scene, outcome: DiagnosisResult) -> None:
     d = outcome.diagnosis
     scene.say(
         f"Every effect of the catalogue that could be added was tried ({len(d.ranking)} of them), each "
@@ -253,7 +253,7 @@ def _verdict(scene: Scene, outcome: Outcome) -> None:
     scene.text("auv/diagnosis.json", d.model_dump_json(indent=1) + "\n", "the diagnosis, for programs")
 
 
-def _pictures(scene: Scene, outcome: Outcome) -> None:
+def _pictures(scene: Scene, outcome: DiagnosisResult) -> None:
     data = report_data_of(outcome)
     names = (data.before, data.after)
     scene.text("auv/report.html", render_report(outcome.diagnosis, data), "the full report")
@@ -277,7 +277,7 @@ def _sway(data: ReportData, names: tuple[str, str]) -> Any:
     return residual_against([c for c in data.residuals if c.degree_of_freedom == "sway"], names)
 
 
-def _added(scene: Scene, loaded: Loaded, outcome: Outcome) -> None:
+def _added(scene: Scene, loaded: Loaded, outcome: DiagnosisResult) -> None:
     """The effect goes into a new vehicle file, and the error falls."""
     d = outcome.diagnosis
     write_vehicle(outcome, loaded.path, scene.path("auv/vehicle.toml"), "undertow demo")
@@ -323,7 +323,7 @@ class Way:
         Profile that was fitted to, and profile that judges.
     ground : Ground
         Logs and the fitted model of inertia and drag.
-    outcome : Outcome
+    outcome : DiagnosisResult
         The diagnosis.
     additions : dict of Addition
         Every effect that these logs could show, put into the model, by its id.
@@ -332,7 +332,7 @@ class Way:
     profile: str
     other: str
     ground: Ground
-    outcome: Outcome
+    outcome: DiagnosisResult
     additions: dict[str, Addition]
 
     @property

@@ -42,8 +42,7 @@ from undertow.cli._vehicle_and_logs import (
 from .doctor import show_finding
 
 if TYPE_CHECKING:
-    from undertow.identification.api import Diagnosed
-    from undertow.identification.diagnose import Outcome
+    from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
 
@@ -78,7 +77,7 @@ def diagnose(
 ) -> None:
     from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
-    from undertow.identification.api import diagnose as run
+    from undertow.identification.diagnose import diagnose as run
     from undertow.identification.diagnosis.settings import Settings
     from undertow.model.catalogue import catalogue, load_effects, merge
 
@@ -108,7 +107,7 @@ def diagnose(
 _SHOWN = 6
 
 
-def show(outcome: Outcome, console: Console | None = None) -> None:
+def show(outcome: DiagnosisResult, console: Console | None = None) -> None:
     """Print verdict, ranking, the falling error and warnings."""
     console = console or Console()
     diagnosis = outcome.diagnosis
@@ -191,7 +190,7 @@ def _steps(diagnosis: Diagnosis) -> Table:
 
 
 def write_outcome(
-    outcome: Diagnosed, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
+    outcome: DiagnosisResult, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
 ) -> None:
     """Write what was asked for, each file whole, and say where it is."""
     from undertow.files import together, write_whole
@@ -222,7 +221,7 @@ def _content(diagnosis: Diagnosis) -> str:
     return said
 
 
-def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> None:
+def write_vehicle(outcome: DiagnosisResult, template: Path, out: Path, command: str) -> None:
     """Write the vehicle file with what was found, and how it came about."""
     from undertow.model.saving import save_vehicle
 

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.files import write_whole
-from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
-from undertow.model.catalogue import Catalogue, catalogue, lookup
+from undertow.identification.diagnosis.validation import training_and_validation
+from undertow.model.catalogue import catalogue, lookup
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Progress
 
-from .compare.comparison import compare
-from .diagnose import Outcome
-from .diagnose import diagnose as diagnosed
+from .diagnose import diagnose as diagnose
 from .diagnosis.addition import add_effect as added
 from .diagnosis.addition import lay_ground
-from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
-from .estimation.data import channel_noise, prepare
+from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
 from .estimation.output_error import LossName, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
@@ -34,10 +30,8 @@ from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
 from .estimation.windows import Prediction, cut, prediction_error
 from .logs.mapping import LogMapping, read_mapping
-from .logs.pose_velocity import velocities_from_pose
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .report.data import ReportData
 
 if TYPE_CHECKING:
     import polars as pl
@@ -251,9 +245,7 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
-    check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
+    train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     tell(0.0, "fitting")
     # Whole logs have been looked at: what is left of them after some was kept aside need not be.
     fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
@@ -262,36 +254,6 @@ def refit(
     windows = cut(test, vehicle, min(horizon, 0.9 * longest))
     before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
     return Refit(vehicle, fit, estimator, train, test, before, after)
-
-
-class Diagnosed(Outcome):
-    """A diagnosis with its models, ready to be read, shown in a notebook and written as a report."""
-
-    @property
-    def verdict(self) -> str:
-        """adequate, missing_effect, indistinguishable, unexplained or not_identifiable."""
-        return self.diagnosis.verdict
-
-    @property
-    def effects(self) -> list[str]:
-        """Ids of the effects that are named; empty where none is."""
-        return self.diagnosis.effects
-
-    def report(self, out: str | Path) -> None:
-        """Write the report: one HTML page with all pictures.
-
-        Raises
-        ------
-        UndertowError
-            If the file cannot be written.
-        """
-        write_whole(Path(out), _page(self))
-
-    def __repr__(self) -> str:
-        return f"{self.verdict}: {self.diagnosis.headline}"
-
-    def _repr_html_(self) -> str:
-        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
 
 
 def read_log(
@@ -391,8 +353,7 @@ def fit(
     """
     constraints = Constraints(read_equalities(equal, vehicle), dissipative)
     estimator = Estimator(_method(method), horizon, constraints, loss)
-    logs, kept = _moving(vehicle, runs), _moving(vehicle, validation)
-    return refit(vehicle, logs, kept, estimator, horizon, report, trust_log=trust_log)
+    return refit(vehicle, runs, validation, estimator, horizon, report, trust_log=trust_log)
 
 
 def _method(name: str) -> Method:
@@ -400,71 +361,6 @@ def _method(name: str) -> Method:
     if name.replace("-", "_") not in methods:
         raise UndertowError(f"method '{name}' is not known: choose one of {', '.join(methods)}")
     return methods[name.replace("-", "_")]
-
-
-def _moving(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
-    """Logs with the velocities that they have a pose for only."""
-    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
-
-
-def diagnose(
-    vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
-    *,
-    known: Catalogue | None = None,
-    report: Progress = lambda done, words: None,
-    false_alarms: float | None = None,
-    settings: Settings = DEFAULT,
-    trust_log: bool = False,
-) -> Diagnosed:
-    """Find out which effect a model lacks, judged on validation data.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` are refitted.
-    runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
-    known : mapping, optional
-        Effects that may be missing, by id; the whole catalogue by default.
-    report : callable
-        Told what share is done, and what is being done.
-    false_alarms : float, optional
-        Chance of naming an effect where nothing is missing, 0.005 to 0.2; that of `settings` by default.
-    settings : Settings
-        The numbers that decide, see `undertow.identification.diagnosis.settings`.
-    trust_log : bool
-        Take logs as they are, also those that cannot be.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> import undertow as ut
-    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
-    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
-    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
-    >>> current = {"ocean_current": ut.catalogue()["ocean_current"]}
-    >>> ut.diagnose(vehicle, [run], known=current).effects
-    ['ocean_current']
-    """
-    if false_alarms is not None:
-        settings = replace(settings, false_alarm_rate=false_alarms)
-    done = diagnosed(
-        vehicle,
-        _moving(vehicle, runs),
-        _moving(vehicle, validation),
-        known=known,
-        report=report,
-        settings=settings,
-        trust_log=trust_log,
-    )
-    return Diagnosed(**{f.name: getattr(done, f.name) for f in fields(done)})
 
 
 def add_effect(
@@ -505,28 +401,10 @@ def add_effect(
     True
     """
     wanted = lookup(effect, catalogue())
-    done = added(wanted, lay_ground(vehicle, _moving(vehicle, runs), _moving(vehicle, validation)))
+    done = added(wanted, lay_ground(vehicle, runs, validation))
     if not (done.helps or force):
         raise UndertowError(
             f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
             f"without, {done.after.error:.3g} with it): force=True puts it in all the same"
         )
     return done.fit.vehicle
-
-
-def _page(outcome: Outcome) -> str:
-    """The report of a diagnosis as one HTML page."""
-    from .report.page import render_report  # brings matplotlib, which only a report needs
-
-    return render_report(outcome.diagnosis, _pictures_data(outcome))
-
-
-def _pictures_data(outcome: Outcome) -> ReportData:
-    """Comparison of the refitted model with the kept-aside runs, before and after."""
-    from .report.tables import report_data
-
-    before = compare(outcome.before, outcome.test)
-    added = outcome.diagnosis.last_step.changes
-    after = compare(outcome.after, outcome.test) if added else None
-    names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
-    return report_data(before, after, names=names)

@@ -7,14 +7,17 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from html import escape
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.files import write_whole
 from undertow.identification.diagnosis.parallel import aside
-from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside, repeats
-from undertow.identification.doctor.examine import examine, refuse_impossible
+from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
+from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
@@ -25,6 +28,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 from undertow.version import __version__
 
+from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import Chain, FoundEffect, fitted, with_effects
 from .diagnosis.residual import remaining
@@ -48,6 +52,7 @@ from .diagnosis.verdict import (
     unique_ids,
     with_values,
 )
+from .report.data import ReportData
 
 
 class Story:
@@ -310,8 +315,8 @@ def _either(equivalent: Equivalent) -> str:
 Role = Literal["train", "holdout", "blocks"]
 
 
-@dataclass(frozen=True)
-class Outcome:
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult:
     """A diagnosis with the models it is about.
 
     Attributes
@@ -333,54 +338,104 @@ class Outcome:
     test: list[Run]
     fit: Fitted
 
+    @property
+    def verdict(self) -> str:
+        """adequate, missing_effect, indistinguishable, unexplained or not_identifiable."""
+        return self.diagnosis.verdict
+
+    @property
+    def effects(self) -> list[str]:
+        """Ids of the effects that are named; empty where none is."""
+        return self.diagnosis.effects
+
+    def report(self, out: str | Path) -> None:
+        """Write the report: one HTML page with all pictures.
+
+        Raises
+        ------
+        UndertowError
+            If the file cannot be written.
+        """
+        from .report.page import render_report  # brings matplotlib, which only a report needs
+
+        write_whole(Path(out), render_report(self.diagnosis, self.comparison()))
+
+    def comparison(self) -> ReportData:
+        """The refitted model beside the validation runs, without and with what was added."""
+        from .report.tables import report_data
+
+        before = compare(self.before, self.test)
+        added = self.diagnosis.last_step.changes
+        after = compare(self.after, self.test) if added else None
+        names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
+        return report_data(before, after, names=names)
+
+    def __repr__(self) -> str:
+        return f"{self.verdict}: {self.diagnosis.headline}"
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
+
 
 def diagnose(
     vehicle: Vehicle,
     runs: Sequence[Run],
-    holdout: Sequence[Run] = (),
+    validation: Sequence[Run] = (),
     *,
     known: Catalogue | None = None,
     report: Progress = lambda done, words: None,
+    false_alarms: float | None = None,
     settings: Settings = DEFAULT,
     trust_log: bool = False,
-) -> Outcome:
-    """Find out which effect a model lacks, judged on data kept aside.
+) -> DiagnosisResult:
+    """Find out which effect a model lacks, judged on validation data.
 
     Parameters
     ----------
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
-    runs : sequence of Run
-        Logs to fit to.
-    holdout : sequence of Run
-        Logs to judge by; without any, stretches of `runs` are kept aside.
+    runs, validation : sequence of Run
+        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
     known : mapping, optional
-        Effects that may be missing; the whole catalogue by default.
+        Effects that may be missing, by id; the whole catalogue by default.
     report : callable
         Told what share is done, and what is being done.
+    false_alarms : float, optional
+        Chance of naming an effect where nothing is missing, 0.005 to 0.2; that of `settings` by default.
     settings : Settings
-        The numbers that decide.
+        The numbers that decide, see `undertow.identification.diagnosis.settings`.
     trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+        Take logs as they are, also those that cannot be.
 
     Raises
     ------
     UndertowError
         If a channel is missing, a log is too short or cannot be, or nothing moved in it.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import undertow as ut
+    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
+    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
+    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
+    >>> current = {"ocean_current": ut.catalogue()["ocean_current"]}
+    >>> ut.diagnose(vehicle, [run], known=current).effects
+    ['ocean_current']
     """
+    if false_alarms is not None:
+        settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs, settings)
-    train = prepare(train_runs, vehicle)
-    check_excitation(vehicle, train_runs, train.sigma, settings)
-    with aside(lambda: examine(vehicle, [*runs, *holdout]).result) as examined:
-        test = prepare(test_runs, vehicle, sigma=train.sigma)
-        referee = Referee(vehicle, train_runs, test_runs, train.sigma, settings)
+    logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
+    data = prepare(train, vehicle)
+    with aside(lambda: examine(vehicle, [*logs, *judges]).result) as examined:
+        referee = Referee(vehicle, train, test, data.sigma, settings)
         effects = known or catalogue()
         found = search(
             vehicle,
-            train,
-            test,
+            data,
+            prepare(test, vehicle, sigma=data.sigma),
             effects,
             lambda done, words: report(0.9 * done, words),
             referee.quiet,
@@ -388,10 +443,10 @@ def diagnose(
         )
         report(0.9, "judging the result by simulation")
         story = Story(vehicle, found, referee, effects)
-        roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
-        infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
+        roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
+        infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
         diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
-    return Outcome(diagnosis, story.given.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
+    return DiagnosisResult(diagnosis, story.given.vehicle, story.after.vehicle, train, test, story.after)
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:

@@ -19,8 +19,6 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
-from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.predictor import predict
@@ -35,7 +33,7 @@ from undertow.model.vehicle import Vehicle
 from .search import last_fit
 from .settings import DEFAULT
 from .trial import begun, scout, scouts
-from .validation import Referee
+from .validation import Referee, training_and_validation
 
 
 @dataclass(frozen=True)
@@ -126,10 +124,8 @@ def lay_ground(
     UndertowError
         If a channel is missing, a log is too short or cannot be, or nothing moved in it.
     """
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+    train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
-    check_excitation(vehicle, train_runs, train.sigma)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.data import WeakData, Whitening
+from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
 from undertow.identification.estimation.predictor import Predictor, predict
@@ -22,6 +23,7 @@ from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Vehicle
@@ -536,7 +538,36 @@ def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> boo
     return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < settings.same_commands * size
 
 
-def keep_blocks_aside(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
+def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
+    """Runs with the velocities that they have a pose for only."""
+    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
+
+
+def training_and_validation(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    validation: Sequence[Run],
+    settings: Settings = DEFAULT,
+    *,
+    trust_log: bool = False,
+) -> tuple[list[Run], list[Run]]:
+    """Runs to fit to and to judge by: as given, or pieces of `runs` where there are none for validation.
+
+    Velocities that a run lacks are taken from its pose.
+
+    Raises
+    ------
+    UndertowError
+        If a log cannot be, is too short to be cut, or nothing moves in it.
+    """
+    runs, validation = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    refuse_impossible(vehicle, [*runs, *validation], trust_log=trust_log)
+    train, test = (list(runs), list(validation)) if validation else split_into_pieces(runs, settings)
+    check_excitation(vehicle, train, settings)
+    return train, test
+
+
+def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
     """Cut every run into six pieces and keep the second and the fifth aside.
 
     Returns
@@ -572,28 +603,12 @@ def _pieces(run: Run, settings: Settings) -> list[Run]:
     ]
 
 
-def check_excitation(
-    vehicle: Vehicle, runs: Sequence[Run], sigma: Array, settings: Settings = DEFAULT
-) -> None:
-    """Refuse logs in which no velocity of the vehicle stands out of its noise.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose velocities are looked at.
-    runs : sequence of Run
-        Logs that hold them.
-    sigma : (2n,) array
-        Noise of the channels, pose then velocity of the degrees of freedom, in their units.
-
-    Raises
-    ------
-    UndertowError
-        If nothing moves; the velocities are told with their noise.
-    """
-    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
-    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
-    if all(largest[n] < settings.excited * noise[n] or largest[n] == 0.0 for n in largest):
+def check_excitation(vehicle: Vehicle, runs: Sequence[Run], settings: Settings = DEFAULT) -> None:
+    """Refuse logs in which no velocity of the vehicle stands out of its noise."""
+    names = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
+    noise = dict(zip(names, channel_noise(runs, names), strict=True))
+    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in names}
+    if names and all(largest[n] < settings.excited * noise[n] or largest[n] == 0.0 for n in names):
         seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
         raise UndertowError(
             f"nothing moves in these logs: standard deviation of {seen}; "
