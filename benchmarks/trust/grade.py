@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.validation import Referee
+from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
@@ -32,7 +32,7 @@ def grade_of(ratio: float) -> str:
 
 
 def error_of(fit: Fitted, test: WeakData, noise: list[Whitening]) -> float:
-    """Error of a model on kept-aside data: rms over all equations of the residual, in units of the noise.
+    """Error of a model on validation data: rms over all equations of the residual, in units of the noise.
 
     Not the geometric mean that the diagnosis prints: in twelve equations that would hide one bad one.
     """
@@ -48,7 +48,7 @@ class Told:
     ----------
     fit : Fitted
         The model with the true effects, fitted as the diagnosis fits what it names: by output error, started
-        from the weak form, where that simulates the kept-aside run no worse.
+        from the weak form, where that simulates the validation run no worse.
     test : WeakData
         Data kept aside.
     before, error : float
@@ -71,10 +71,10 @@ class Told:
 
     def error_of(self, fit: Fitted) -> float:
         """Error of any model in the same units."""
-        return error_of(fit, self.test, quiet(self.fit, self.test))
+        return error_of(fit, self.test, sensor_noise(self.fit, self.test))
 
 
-def quiet(fit: Fitted, data: WeakData) -> list[Whitening]:
+def sensor_noise(fit: Fitted, data: WeakData) -> list[Whitening]:
     """The noise that the sensors alone make in the equations of a model."""
     return fit.model.whitening(data, np.asarray(fit.p))
 
@@ -93,19 +93,19 @@ def told(
     vehicle : Vehicle
         The incomplete model.
     train, test : sequence of Run
-        Data to fit to and data kept aside.
+        Data to fit to and validation data.
     truth : sequence of str
         Ids of what is hidden; all in the catalogue.
     values : mapping
         True values, as far as they bear the names of the catalogue: the search begins there.
     """
     base, aside = opened(vehicle, train, test)
-    referee = Referee(vehicle, train, test, aside.sigma)
-    fit, _ = referee.refined(settled(_added(base, vehicle, truth, values)))
-    noise = quiet(fit, aside)
+    validator = SimulationValidator(vehicle, train, test, aside.sigma)
+    fit, _ = validator.refined(settled(_added(base, vehicle, truth, values)))
+    noise = sensor_noise(fit, aside)
 
     def least(weak: WeakFit) -> float:
-        return min(error_of(f, aside, noise) for f in (weak, referee.refined(weak)[0]))
+        return min(error_of(f, aside, noise) for f in (weak, validator.refined(weak)[0]))
 
     lacking = {}
     for effect in truth if len(truth) > 1 else ():
@@ -121,8 +121,8 @@ def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> tuple
 
 
 def excess(base: WeakFit, test: WeakData) -> float:
-    """Error of a refitted model on kept-aside data, in units of the noise of the sensors alone."""
-    return error_of(base, test, quiet(base, test))
+    """Error of a refitted model on validation data, in units of the noise of the sensors alone."""
+    return error_of(base, test, sensor_noise(base, test))
 
 
 def addable(vehicle: Vehicle, effect: str) -> bool:

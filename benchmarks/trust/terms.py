@@ -44,7 +44,7 @@ class Terms:
     y : (m,) array
         What the model leaves, without that part, too; every motion in units of its own rms.
     aside_columns, aside_y : arrays
-        The same on kept-aside data, with the coefficients of the fit.
+        The same on validation data, with the coefficients of the fit.
     effect : tuple of str
         Effect that each column belongs to.
     base : int
@@ -68,7 +68,7 @@ class Terms:
         return [i for i, e in enumerate(self.effect) if e in effects]
 
     def aside(self, coefficients: Array) -> float:
-        """Mean square that is left on the kept-aside data."""
+        """Mean square that is left on the validation data."""
         return float(np.mean((self.aside_y - self.aside_columns @ coefficients) ** 2))
 
 
@@ -80,7 +80,7 @@ def make_terms(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> T
     vehicle : Vehicle
         The incomplete model.
     train, test : sequence of Run
-        Data to fit to and data kept aside.
+        Data to fit to and validation data.
     """
     usable = [c for c in candidates(vehicle, catalogue()) if _expressible(c)]
     full, owner = _with_all(vehicle, usable)

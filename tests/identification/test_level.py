@@ -10,7 +10,7 @@ import pytest
 
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.trial import is_noise
-from undertow.identification.diagnosis.validation import Referee, means_over, simulates_to_noise
+from undertow.identification.diagnosis.validation import SimulationValidator, means_over, simulates_to_noise
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak
 
@@ -111,9 +111,9 @@ def test_the_right_model_simulates_to_noise_and_one_without_square_drag_does_not
     right = fit_weak(vehicle, data)
     nil = replace(vehicle.value_of("X_uabsu"), value=0.0, estimate=False)
     lacking = fit_weak(vehicle.with_values({"X_uabsu": nil}), data)
-    referee = Referee(vehicle, [run], [run], data.sigma)
-    assert referee.leaves_only_noise(right)
-    assert not referee.leaves_only_noise(lacking)
+    validator = SimulationValidator(vehicle, [run], [run], data.sigma)
+    assert validator.leaves_only_noise(right)
+    assert not validator.leaves_only_noise(lacking)
 
 
 def test_no_number_is_no_noise() -> None:

@@ -45,9 +45,9 @@ def test_what_may_stand_for_one_effect_of_a_pair_is_tried_beside_the_other(
 ) -> None:
     """Alone it does worse than both of the pair: that says nothing of it beside the other one."""
     found = {n: _effect(n, error=1.0 + i) for i, n in enumerate(("tether", "friction", "trim"))}
-    chain = SimpleNamespace(findings=[found[n] for n in effects], score=_score(1.0))
+    effect_set = SimpleNamespace(findings=[found[n] for n in effects], score=_score(1.0))
     rounds = [SimpleNamespace(findings=list(found.values()))]
-    tried = possible_rivals(chain, 0, rounds, _BENCH)  # type: ignore[arg-type]
+    tried = possible_rivals(effect_set, 0, rounds, _BENCH)  # type: ignore[arg-type]
     assert [f.id for f in tried if f.id not in effects] == expected
 
 

@@ -56,9 +56,9 @@ def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> Non
 
 def test_the_steady_force_is_found_at_its_size() -> None:
     vehicle, bench, truth = _bench()
-    found = search(vehicle, bench.train, bench.test, _FORCES, quiet=only_noise)
+    found = search(vehicle, bench.train, bench.test, _FORCES, residual_is_noise=only_noise)
     assert [f.id for f in found.winners] == ["net_buoyancy"]
-    fit = found.chain.fit
+    fit = found.effect_set.fit
     error = fit.values["B_net"] - truth
     spread = float(np.sqrt(fit.covariance[(k := fit.model.free.index("B_net")), k]))
     assert abs(error) < 3.5 * spread < 0.1 * abs(truth)
@@ -68,7 +68,7 @@ def test_what_does_not_explain_all_is_not_found_by_the_second_look() -> None:
     """Without the truth among the candidates none may take its place."""
     vehicle, bench, _ = _bench()
     others = {n: e for n, e in _FORCES.items() if n in ("cubic_damping", "radiation_memory")}
-    assert search(vehicle, bench.train, bench.test, others, quiet=only_noise).winners == []
+    assert search(vehicle, bench.train, bench.test, others, residual_is_noise=only_noise).winners == []
 
 
 def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:

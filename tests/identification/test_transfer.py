@@ -10,7 +10,11 @@ import pytest
 from tests.identification.long_surge import simulated, steps
 from tests.identification.surge import surge_vehicle
 from undertow.identification.diagnosis.settings import DEFAULT
-from undertow.identification.diagnosis.validation import Referee, simulates_to_noise, within_errors
+from undertow.identification.diagnosis.validation import (
+    SimulationValidator,
+    simulates_to_noise,
+    within_errors,
+)
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
 from undertow.identification.estimation.shooting import Shooting
@@ -70,4 +74,4 @@ def test_faster_runs_kept_aside_speak_against_a_model_only_beyond_its_errors(
 ) -> None:
     train, test = [_run(SLOW, 1)], [_run(FAST, 2, more_drag)]
     weak = fit_weak(surge_vehicle(), prepare(train, surge_vehicle()))
-    assert Referee(surge_vehicle(), train, test, _sigma()).leaves_only_noise(weak) is noise
+    assert SimulationValidator(surge_vehicle(), train, test, _sigma()).leaves_only_noise(weak) is noise

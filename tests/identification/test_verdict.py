@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from undertow.identification.diagnose import Story
+from undertow.identification.diagnose import ResultBuilder
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
 from undertow.identification.diagnosis.settings import DEFAULT
-from undertow.identification.diagnosis.verdict import Left, _doubt, _named
+from undertow.identification.diagnosis.verdict import Remainder, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
 TWICE = ["thruster_gain", "thruster_gain"]
@@ -32,22 +32,30 @@ def test_what_stands_against_naming(
 ) -> None:
     """A second effect can make up for a first one that is wrong, so two have to explain all."""
     winners = [SimpleNamespace(id=i) for i in ids]
-    said = _doubt(winners, share, Left(quiet=quiet, confirmed=confirmed), DEFAULT)
+    said = _doubt(winners, share, Remainder(residual_is_noise=quiet, confirmed=confirmed), DEFAULT)
     assert doubt in said
     assert bool(said) is bool(doubt)
 
 
 def test_a_size_that_changes_stands_against_naming_unless_only_noise_is_left() -> None:
     winners, words = [SimpleNamespace(id="net_buoyancy")], "its size would have to go from 0% to 120%"
-    assert words in _doubt(winners, 0.93, Left(quiet=False, confirmed=True, change=words), DEFAULT)
-    assert _doubt(winners, 0.93, Left(quiet=True, confirmed=True, change=words), DEFAULT) == ""
+    assert words in _doubt(
+        winners, 0.93, Remainder(residual_is_noise=False, confirmed=True, change=words), DEFAULT
+    )
+    assert (
+        _doubt(winners, 0.93, Remainder(residual_is_noise=True, confirmed=True, change=words), DEFAULT) == ""
+    )
 
 
 def test_several_effects_that_leave_next_to_nothing_are_named() -> None:
     """The weak form leaves a little even of the truth where a force changes quickly between two samples."""
     winners = [SimpleNamespace(id=i) for i in TWO]
-    assert _doubt(winners, 0.96, Left(quiet=False, confirmed=True, nearly=True), DEFAULT) == ""
-    assert "too little" in _doubt(winners, 0.7, Left(quiet=False, confirmed=True, nearly=True), DEFAULT)
+    assert (
+        _doubt(winners, 0.96, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT) == ""
+    )
+    assert "too little" in _doubt(
+        winners, 0.7, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT
+    )
 
 
 def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
@@ -74,7 +82,7 @@ def test_what_is_named_in_the_end_leads_the_candidates(named: str | None, order:
         judgement=SimpleNamespace(effects=[SimpleNamespace(id=named)] if named else []),
         found=SimpleNamespace(rounds=[SimpleNamespace(findings=candidates)]),
     )
-    assert Story._in_order(story) == [candidates[i] for i in order]
+    assert ResultBuilder._in_order(story) == [candidates[i] for i in order]
 
 
 @pytest.mark.parametrize(
@@ -89,5 +97,5 @@ def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
 
 def test_no_share_below_zero_is_told() -> None:
     winners = [SimpleNamespace(id="lift")]
-    doubt = _doubt(winners, -0.21, Left(quiet=False, confirmed=True), DEFAULT)
+    doubt = _doubt(winners, -0.21, Remainder(residual_is_noise=False, confirmed=True), DEFAULT)
     assert doubt == "explains none of what exceeds the noise, too little to be named as what is missing"

@@ -39,7 +39,7 @@ from undertow.errors import UndertowError
 if TYPE_CHECKING:
     from undertow.cli._vehicle_and_logs import Loaded
     from undertow.codegen.export import Report
-    from undertow.identification.diagnosis.addition import Addition, Ground
+    from undertow.identification.diagnosis.addition import Addition, AdditionSetup
     from undertow.identification.diagnosis.result import Step
     from undertow.model.effect import Effect
 
@@ -82,14 +82,14 @@ def add(
     loaded = load(
         vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
     )
-    ground, addition = _added(wanted, loaded, all, trust_log)
+    setup, addition = _added(wanted, loaded, all, trust_log)
     show(addition)
     code, taken = None, target if addition.helps or force else None
     with together() as files:
         if picture is not None:
             draw(addition, picture)
         if taken is not None:
-            write(addition, ground, loaded.path, taken)
+            write(addition, setup, loaded.path, taken)
             code = code_of(files.place_of(taken), effects or [], build) if codegen else None
     tell_written(picture, taken, code)
     if not addition.helps and not force:
@@ -100,15 +100,17 @@ def add(
     return 0
 
 
-def _added(effect: type[Effect], loaded: Loaded, keep_all: bool, trust_log: bool) -> tuple[Ground, Addition]:
-    from undertow.identification.diagnosis.addition import add_effect, lay_ground
+def _added(
+    effect: type[Effect], loaded: Loaded, keep_all: bool, trust_log: bool
+) -> tuple[AdditionSetup, Addition]:
+    from undertow.identification.diagnosis.addition import add_effect, set_up_addition
 
     from ._terminal import progress
 
     with progress("fitting the model as it is") as tell:
-        ground = lay_ground(loaded.vehicle, loaded.train, loaded.holdout, trust_log=trust_log)
+        setup = set_up_addition(loaded.vehicle, loaded.train, loaded.holdout, trust_log=trust_log)
         tell(0.3, f"fitting it with {effect.id}")
-        return ground, add_effect(effect, ground, keep_all=keep_all)
+        return setup, add_effect(effect, setup, keep_all=keep_all)
 
 
 def _unwritten(target: Path | None) -> str:
@@ -169,15 +171,15 @@ def draw(addition: Addition, out: Path) -> None:
     save_png(falling_error(addition.steps), out)
 
 
-def write(addition: Addition, ground: Ground, template: Path, out: Path) -> None:
+def write(addition: Addition, setup: AdditionSetup, template: Path, out: Path) -> None:
     """Write the vehicle file with the effect, and how it came about."""
     from undertow.model.saving import save_vehicle
 
-    save_vehicle(addition.fit.vehicle, template, out, history=_history(addition, ground))
+    save_vehicle(addition.fit.vehicle, template, out, history=_history(addition, setup))
 
 
-def _history(addition: Addition, ground: Ground) -> dict[str, object]:
-    roles = [("train", r) for r in ground.train] + [("holdout", r) for r in ground.test]
+def _history(addition: Addition, setup: AdditionSetup) -> dict[str, object]:
+    roles = [("train", r) for r in setup.train] + [("holdout", r) for r in setup.test]
     fit = addition.fit
     return {
         "command": "undertow add",

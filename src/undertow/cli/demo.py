@@ -28,9 +28,9 @@ from undertow.identification.compare.forces import Forces, residual_forces
 from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.addition import (
     Addition,
-    Ground,
+    AdditionSetup,
     add_effect,
-    lay_ground,
+    set_up_addition,
     visible_effects,
 )
 from undertow.identification.diagnosis.settings import Settings
@@ -282,8 +282,8 @@ def _added(scene: Scene, loaded: Loaded, outcome: DiagnosisResult) -> None:
     d = outcome.diagnosis
     write_vehicle(outcome, loaded.path, scene.path("auv/vehicle.toml"), "undertow demo")
     scene.mention("auv/vehicle.toml", f"the vehicle file with {' and '.join(d.effects)} in it")
-    ground = lay_ground(loaded.vehicle, loaded.train, loaded.holdout)
-    addition = add_effect(catalogue()[d.effects[0]], ground)
+    setup = set_up_addition(loaded.vehicle, loaded.train, loaded.holdout)
+    addition = add_effect(catalogue()[d.effects[0]], setup)
     names = ("model as given", "refitted", f"with {addition.effect}")
     rows = [
         (name, f"{step.error:.3g}", f"{step.prediction or 0.0:.1%}")
@@ -321,7 +321,7 @@ class Way:
     ----------
     profile, other : str
         Profile that was fitted to, and profile that judges.
-    ground : Ground
+    setup : AdditionSetup
         Logs and the fitted model of inertia and drag.
     outcome : DiagnosisResult
         The diagnosis.
@@ -331,7 +331,7 @@ class Way:
 
     profile: str
     other: str
-    ground: Ground
+    setup: AdditionSetup
     outcome: DiagnosisResult
     additions: dict[str, Addition]
 
@@ -343,12 +343,12 @@ class Way:
     @cached_property
     def plain(self) -> Vehicle:
         """The fitted model of inertia and drag."""
-        return self.ground.bench.base.vehicle
+        return self.setup.bench.base.vehicle
 
     @cached_property
     def without(self) -> float:
         """Velocity error ahead of the model of inertia and drag."""
-        return self.ground.ahead(self.plain)
+        return self.setup.ahead(self.plain)
 
     def ahead(self, effect: str) -> float:
         """Velocity error ahead with an effect in the model."""
@@ -356,7 +356,7 @@ class Way:
 
     def missing(self, vehicle: Vehicle) -> Forces:
         """Force that a model lacks on the profile that judges."""
-        return residual_forces(vehicle, self.ground.test)
+        return residual_forces(vehicle, self.setup.test)
 
 
 def tell_hull(scene: Scene) -> None:
@@ -383,10 +383,10 @@ def tell_hull(scene: Scene) -> None:
 def _way(profile: str, other: str) -> Way:
     logs = [_HULL_FOLDER / f"surge_{name}_coarse.csv.gz" for name in (profile, other)]
     loaded = load(_VEHICLE, logs[:1], logs[1:], map=_HULL_FOLDER / "log.toml")
-    ground = lay_ground(loaded.vehicle, loaded.train, loaded.holdout)
-    additions = [add_effect(cls, ground) for cls in visible_effects(ground, catalogue())]
+    setup = set_up_addition(loaded.vehicle, loaded.train, loaded.holdout)
+    additions = [add_effect(cls, setup) for cls in visible_effects(setup, catalogue())]
     outcome = diagnose(loaded.vehicle, loaded.train, loaded.holdout)
-    return Way(profile, other, ground, outcome, {a.effect: a for a in additions})
+    return Way(profile, other, setup, outcome, {a.effect: a for a in additions})
 
 
 # --- where the model fails ------------------------------------------------------------------------
@@ -395,7 +395,7 @@ def _where(scene: Scene, ways: tuple[Way, Way]) -> None:
     rows = [
         (phase, *(f"{f[phase]:.2f} N" if phase in f else "–" for f in found)) for phase in found[0] | found[1]
     ]
-    push = max(float(np.max(np.abs(r.channels["tau_X"]))) for way in ways for r in way.ground.test)
+    push = max(float(np.max(np.abs(r.channels["tau_X"]))) for way in ways for r in way.setup.test)
     scene.say(f"Force that the fitted model lacks on the other profile (rms; the push reaches {push:.2g} N):")
     scene.table(("phase", *(way.name for way in ways)), rows)
     for way, forces in zip(ways, found, strict=True):
@@ -460,7 +460,7 @@ def _chart(ways: tuple[Way, Way], ids: list[str]) -> Any:
 
 def _most(scene: Scene, ways: tuple[Way, Way], best: str) -> None:
     """What the effect that lowers the error most does to the parameters, and what remains with it."""
-    prior = ways[0].ground.vehicle.value_of("X_udot")
+    prior = ways[0].setup.vehicle.value_of("X_udot")
     plain = " and ".join(f"{-way.plain.value_of('X_udot').value:.1f}" for way in ways)
     fits = [way.additions[best].fit for way in ways]
     helped = " and ".join(f"{-fit.values['X_udot']:.1f}" for fit in fits)
@@ -501,7 +501,7 @@ def _unnamed(ways: tuple[Way, Way], best: str) -> str:
 def _runs(scene: Scene, ways: tuple[Way, Way], best: str) -> None:
     for way in ways:
         models = (way.plain, way.additions[best].fit.vehicle)
-        before, after = (compare(v, way.ground.test, compiled=False) for v in models)
+        before, after = (compare(v, way.setup.test, compiled=False) for v in models)
         picture = measured_vs_simulated(
             traces(before, after, free=True)[0], ("inertia and drag", f"with {best}")
         )

@@ -16,7 +16,7 @@ from undertow.typing import Progress
 
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import add_effect as added
-from .diagnosis.addition import lay_ground
+from .diagnosis.addition import set_up_addition
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
 from .estimation.data import prepare
@@ -233,7 +233,7 @@ def refit(
     *,
     trust_log: bool = False,
 ) -> Refit:
-    """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
+    """Fit what the vehicle marks as estimated; without validation logs, stretches of the logs are kept aside.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def refit(
     tell(0.0, "fitting")
     # Whole logs have been looked at: what is left of them after some was kept aside need not be.
     fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
-    tell(0.8, "predicting kept-aside data")
+    tell(0.8, "predicting validation data")
     longest = max(float(r.t[-1] - r.t[0]) for r in test)
     windows = cut(test, vehicle, min(horizon, 0.9 * longest))
     before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
@@ -401,7 +401,7 @@ def add_effect(
     True
     """
     wanted = lookup(effect, catalogue())
-    done = added(wanted, lay_ground(vehicle, runs, validation))
+    done = added(wanted, set_up_addition(vehicle, runs, validation))
     if not (done.helps or force):
         raise UndertowError(
             f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "

@@ -214,19 +214,19 @@ class Samples:
 
     Attributes
     ----------
-    fitted, aside : Sample
-        On the data of the fit, and on data kept aside, with what is left counted as noise.
+    fitted, validation : Sample
+        On the data of the fit, and on validation data, with what is left counted as noise.
     shown : Sample
-        On data kept aside, in units of the noise of the sensors alone.
+        On validation data, in units of the noise of the sensors alone.
     """
 
     fitted: Sample
-    aside: Sample
+    validation: Sample
     shown: Sample
 
     def mapped(self, change: Callable[[Sample], Sample]) -> Samples:
         """All three changed alike."""
-        return Samples(change(self.fitted), change(self.aside), change(self.shown))
+        return Samples(change(self.fitted), change(self.validation), change(self.shown))
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ class Found:
     coefficients, errors : (k,) array
         Coefficient of each of its columns, and standard errors.
     gain : float
-        Fall of the sum of squares on kept-aside data.
+        Fall of the sum of squares on validation data.
     chance : float
         Share of sign patterns with which the best of all terms gains as much.
     alike : tuple of str
@@ -261,15 +261,15 @@ class _Tried:
 
     term: Term
     fitted: Array
-    aside: Array
+    validation: Array
     inverse: Array
     gram: Array
 
-    def gain(self, fitted: Array, aside: Array) -> Array:
-        """Fall of the kept-aside sum of squares for signs of the blocks, (patterns, blocks) each."""
+    def gain(self, fitted: Array, validation: Array) -> Array:
+        """Fall of the validation sum of squares for signs of the blocks, (patterns, blocks) each."""
         step = -(fitted @ self.fitted) @ self.inverse
         quadratic = np.einsum("si,ij,sj->s", step, self.gram, step)
-        return np.asarray(-2 * np.einsum("si,si->s", step, aside @ self.aside) - quadratic)
+        return np.asarray(-2 * np.einsum("si,si->s", step, validation @ self.validation) - quadratic)
 
 
 @dataclass(frozen=True)
@@ -294,9 +294,9 @@ class Association:
     taken: frozenset[str] = frozenset()
 
     def strongest(self) -> Found | None:
-        """The term that takes most of the kept-aside residual away; None where none takes any."""
+        """The term that takes most of the validation residual away; None where none takes any."""
         tried = self._tried
-        counts = self.samples.fitted.blocks, self.samples.aside.blocks
+        counts = self.samples.fitted.blocks, self.samples.validation.blocks
         gains = np.array([t.gain(*(np.ones((1, n)) for n in counts))[0] for t in tried])
         if not np.any(gains > 0):
             return None
@@ -340,10 +340,10 @@ class Association:
 
     @cached_property
     def _tried(self) -> list[_Tried]:
-        fitted, aside = self.samples.fitted, self.samples.aside
-        first, second = self._beside(fitted), self._beside(aside)
+        fitted, validation = self.samples.fitted, self.samples.validation
+        first, second = self._beside(fitted), self._beside(validation)
         gram, whole = first.T @ fitted.columns, np.sum(fitted.columns**2, axis=0)
-        a, b = fitted.by_block(first * fitted.r[:, None]), aside.by_block(second * aside.r[:, None])
+        a, b = fitted.by_block(first * fitted.r[:, None]), validation.by_block(second * validation.r[:, None])
         news = np.diag(gram) > _NEWS * whole
         return [
             _Tried(t, a[:, c], b[:, c], inverse_of(gram[c, c]), second[:, c].T @ second[:, c])
@@ -459,9 +459,9 @@ class Peak:
     frequency : float
         Hz.
     gain : float
-        Sum of squares of the kept-aside series in its band, above that of the neighbouring frequencies.
+        Sum of squares of the validation series in its band, above that of the neighbouring frequencies.
     chance : float
-        Chance of so high a power at this frequency on kept-aside data when it does not stand out.
+        Chance of so high a power at this frequency on validation data when it does not stand out.
     """
 
     frequency: float
@@ -469,25 +469,25 @@ class Peak:
     chance: float
 
 
-def highest_peak(fitted: Series, aside: Series, fastest: float) -> Peak | None:
+def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | None:
     """The frequency with most power above that of its neighbours; None where no run is long enough.
 
     Parameters
     ----------
-    fitted, aside : Series
-        Data of a fit, and data kept aside; phases may differ from run to run.
+    fitted, validation : Series
+        Data of a fit, and validation data; phases may differ from run to run.
     fastest : float
         Highest frequency that the series resolve, Hz.
     """
-    slowest = _FEWEST_PERIODS / min(fitted.length, aside.length)
+    slowest = _FEWEST_PERIODS / min(fitted.length, validation.length)
     if slowest >= 0.5 * fastest:
         return None
-    grid = np.arange(slowest, fastest, 1.0 / (_FINE * max(fitted.length, aside.length)))
-    first, second = power(fitted, grid), power(aside, grid)
+    grid = np.arange(slowest, fastest, 1.0 / (_FINE * max(fitted.length, validation.length)))
+    first, second = power(fitted, grid), power(validation, grid)
     place = int(np.argmax(first / _neighbours(first, grid)))
     frequency = _summit(grid, first + second, place)
-    gain = _band_gain(second, frequency, grid, aside.length)
-    return Peak(frequency, gain, _chance(second, grid, place, len(aside.runs)))
+    gain = _band_gain(second, frequency, grid, validation.length)
+    return Peak(frequency, gain, _chance(second, grid, place, len(validation.runs)))
 
 
 def power(series: Series, grid: Array) -> Array:

@@ -157,7 +157,7 @@ def _of_velocity_sensor(effect: type[Effect]) -> bool:
     return issubclass(effect, Measurement) and effect.of_velocity_sensor
 
 
-def beat(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
+def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
     """Least and greatest angular frequency around the sharpest line in a residual, rad/s.
 
     Parameters

@@ -19,7 +19,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .settings import DEFAULT, Settings
-from .trial import Bench, Score, Trial, is_noise, noise_ratio, rows_of, told_apart
+from .trial import Bench, Score, Trial, comparable_mean_squares, is_noise, noise_ratio, rows_of
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class FoundEffect:
     trial : Trial
         The candidate after its fit.
     evidence : Comparison
-        Fall of the kept-aside error, block by block.
+        Fall of the validation error, block by block.
     explained : float
         Share of what exceeds the noise that it takes away.
     p_value : float
@@ -124,7 +124,7 @@ class FoundEffect:
         return self.trial.id
 
 
-Quiet = Callable[[WeakFit, WeakData], bool]
+IsNoise = Callable[[WeakFit, WeakData], bool]
 
 
 def hidden_by_disturbance(bench: Bench) -> bool:
@@ -152,7 +152,7 @@ def a_little_more_than_noise(
     return bool(np.nanmax(ratio) < settings.second_look_limit)
 
 
-def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
+def explains_all(bare: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool:
     """Whether nothing but noise is left with effects that were found without room for a disturbance.
 
     Parameters
@@ -161,13 +161,13 @@ def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
         Data, the noise of the sensors and the model without the effects.
     fit : WeakFit
         The model with them.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
+    residual_is_noise : callable
+        Whether a model leaves only noise of the validation data.
     """
-    scores = told_apart(bare.base_score, bare.judge(fit), bare.test)
+    scores = comparable_mean_squares(bare.base_score, bare.judge(fit), bare.test)
     share = explained(*scores, bare.noise_level, bare.settings)
     # A model that is just above the limit of noise may get below it by chance.
-    return share >= bare.settings.second_look_share and quiet(fit, bare.test)
+    return share >= bare.settings.second_look_share and residual_is_noise(fit, bare.test)
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Linear:
-    """A candidate linearised where it was fitted, on the data for the fit and on those kept aside.
+    """A candidate linearised where it was fitted, on the data for the fit and on those for validation.
 
     Attributes
     ----------
@@ -250,7 +250,7 @@ class Linear:
     stiffness: Array
 
     def falls(self, train_signs: Array, test_signs: Array) -> Array:
-        """Fall of the kept-aside mean square by the candidate when both models are refitted, (draws,)."""
+        """Fall of the validation mean square by the candidate when both models are refitted, (draws,)."""
         without = Linear(
             self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
         )
@@ -285,8 +285,8 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
     return inverse
 
 
-def best_by_chance(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
-    """Largest fall of the kept-aside error over all candidates in draws where nothing is missing, (draws,).
+def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
+    """Largest fall of the validation error over all candidates in draws where nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
     of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
@@ -335,7 +335,7 @@ def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Line
 
 
 @dataclass(frozen=True)
-class Chain:
+class EffectSet:
     """Effects added to a model, fitted together.
 
     Attributes
@@ -345,7 +345,7 @@ class Chain:
     fit : WeakFit
         The model with all of them.
     score : Score
-        How it does on the kept-aside data.
+        How it does on the validation data.
     """
 
     findings: tuple[FoundEffect, ...]
@@ -360,35 +360,35 @@ def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
     return vehicle
 
 
-def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> Chain:
+def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> EffectSet:
     """Fit a model with effects together and judge it."""
     grown = with_effects(vehicle, findings)
     free = free_parameters(grown)
     known = findings[-1].trial.fit.values if findings else bench.base.values
     own = set(free_parameters(vehicle))
     fit = bench.fit(grown, free, {n: v for n, v in known.items() if n in own})
-    return Chain(tuple(findings), fit, bench.judge(fit))
+    return EffectSet(tuple(findings), fit, bench.judge(fit))
 
 
-def thinned(vehicle: Vehicle, chain: Chain, bench: Bench) -> Chain:
-    """The chain without effects that those found later make superfluous."""
-    for finding in chain.findings[:-1]:
-        shorter = fitted(vehicle, [f for f in chain.findings if f is not finding], bench)
-        if as_good(chain.score, shorter.score, bench):
+def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
+    """The effect_set without effects that those found later make superfluous."""
+    for finding in effect_set.findings[:-1]:
+        shorter = fitted(vehicle, [f for f in effect_set.findings if f is not finding], bench)
+        if as_good(effect_set.score, shorter.score, bench):
             return thinned(vehicle, shorter, bench)
-    return chain
+    return effect_set
 
 
 def alternatives(
-    vehicle: Vehicle, chain: Chain, place: int, rivals: Sequence[FoundEffect], bench: Bench
-) -> list[Chain]:
+    vehicle: Vehicle, effect_set: EffectSet, place: int, rivals: Sequence[FoundEffect], bench: Bench
+) -> list[EffectSet]:
     """Chains with another effect in one place that do as well or better, the best first."""
     found = []
     for rival in rivals:
-        others = list(chain.findings)
+        others = list(effect_set.findings)
         if rival.id not in {f.id for f in others}:
             others[place] = rival
             tried = fitted(vehicle, others, bench)
-            if as_good(chain.score, tried.score, bench):
+            if as_good(effect_set.score, tried.score, bench):
                 found.append(tried)
     return sorted(found, key=lambda c: c.score.error)

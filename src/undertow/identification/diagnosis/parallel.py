@@ -61,7 +61,7 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
 
 
 @contextmanager
-def aside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     """Do something on another core while the block runs; what is handed out waits for the result.
 
     Parameters
@@ -111,4 +111,4 @@ def _begin() -> None:
     logging.disable()
 
 
-__all__ = ["aside", "jobs", "mapped"]
+__all__ = ["in_background", "jobs", "mapped"]

@@ -55,14 +55,14 @@ class ForceRow:
     parts : list of Linearised
         For every segment the force that the model has beyond what the motion needs, and its derivative in the
         free parameters, times the weight of the test functions, N s or N m s.
-    quiet : list of Whitening
+    sensor_noise : list of Whitening
         Noise of the channels in it.
     weight : float
         Mean integral of a test function, s.
     """
 
     parts: list[Linearised]
-    quiet: list[Whitening]
+    sensor_noise: list[Whitening]
     weight: float
 
     def whitened(self, disturbance: float, columns: Sequence[Array] | None = None) -> Linearised:
@@ -76,7 +76,10 @@ class ForceRow:
             Further derivatives, one table for each segment.
         """
         counts = [len(p.r) for p in self.parts]
-        noise = [w.with_disturbance(np.full(n, disturbance)) for w, n in zip(self.quiet, counts, strict=True)]
+        noise = [
+            w.with_disturbance(np.full(n, disturbance))
+            for w, n in zip(self.sensor_noise, counts, strict=True)
+        ]
         return whitened(self.parts if columns is None else _beside(self.parts, columns), noise)
 
     @property
@@ -92,7 +95,7 @@ class ForceRow:
     @property
     def noise_rms(self) -> float:
         """Rms that the noise of the channels gives to it, N or N m."""
-        variance = np.concatenate([w.covariance.diagonal() for w in self.quiet])
+        variance = np.concatenate([w.covariance.diagonal() for w in self.sensor_noise])
         return float(np.sqrt(np.mean(variance))) / self.weight
 
     @property
@@ -107,7 +110,7 @@ class ForceRow:
     def _averaged(self, width: int) -> tuple[float, float]:
         """Mean square of the force over `width` test functions, and that of its noise."""
         squares, variances = [], []
-        for part, noise in zip(self.parts, self.quiet, strict=True):
+        for part, noise in zip(self.parts, self.sensor_noise, strict=True):
             whole = len(part.r) // width * width
             groups = csr_array(kron(eye_array(whole // width), np.ones((1, width))))
             covariance = groups @ csr_array(noise.covariance)[:whole, :whole] @ groups.T
@@ -153,16 +156,16 @@ class ForceRows:
     def row(self, dof: int) -> ForceRow:
         """The equation of one degree of freedom, by its place among those of the vehicle."""
         rows = len(self.data.rows)
-        parts, quiet = [], []
+        parts, sensor_noise = [], []
         segments = zip(self.data.segments, self._residual, self._noise, self._mass, strict=True)
         for s, part, noise, mass in segments:
             to_force = self._to_force(mass[:, dof])
             known = None if part.known is None else part.known // rows
             parts.append(Linearised(to_force @ part.r, to_force @ part.J, to_force @ part.start, known))
             covariance = banded(csr_array(to_force @ noise.covariance @ to_force.T))
-            quiet.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
+            sensor_noise.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
         weights = np.concatenate([s.functions.held.sum(axis=1) for s in self.data.segments])
-        return ForceRow(parts, quiet, float(np.mean(weights)))
+        return ForceRow(parts, sensor_noise, float(np.mean(weights)))
 
     def _to_force(self, mass: Array) -> csr_array:
         """From accelerations of all equations to the force in one, shape (K, K rows)."""
@@ -201,8 +204,8 @@ class ForceRows:
     @cached_property
     def _along(self) -> list[tuple[Segment, Along, Array]]:
         functions, p, data = self._fit.model.functions, self._fit.p, self.data
-        chain, motion, late = ActuatorStates(functions, ()), self._motion, Lateness(functions)
-        driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
+        actuators, motion, late = ActuatorStates(functions, ()), self._motion, Lateness(functions)
+        driven = [actuators.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
         found = []
         for s in (late.in_time(s, p) for s in data.segments):
             pose, velocity, mass = mapped(motion, [s.measured], p, s.t)
@@ -259,7 +262,7 @@ _TREND_SECONDS = 100.0
 
 
 @dataclass
-class Character:
+class ResidualDescription:
     """What is known of the residual force of one degree of freedom."""
 
     depends_on: list[Dependence] = field(default_factory=list)
@@ -269,7 +272,7 @@ class Character:
 
 
 @dataclass(frozen=True)
-class Sitting:
+class ResidualForce:
     """One residual force, ready to be looked at.
 
     Attributes
@@ -277,7 +280,7 @@ class Sitting:
     association : Association
         The residual with the terms that it may go with.
     clocks : (Clock, Clock)
-        Clock of the data of the fit, and of those kept aside.
+        Clock of the data of the fit, and of those for validation.
     rows : three of (ForceRows, ForceRow, float)
         Where each of the three samples comes from, with the disturbance that it was whitened with.
     unit : str
@@ -294,21 +297,21 @@ class Sitting:
         return [row.whitened(level, rows.waves(frequency)).J[:, -2:] for rows, row, level in self.rows]
 
 
-class Portrait:
+class Characterisation:
     """The search for what one residual goes with."""
 
-    def __init__(self, sitting: Sitting) -> None:
-        self._sitting, self._left = sitting, sitting.association
+    def __init__(self, force: ResidualForce) -> None:
+        self._force, self._left = force, force.association
         shown = self._left.samples.shown
         self._excess = max(shown.square - len(shown.r), 1e-9)
-        self._character = Character()
+        self._description = ResidualDescription()
 
-    def drawn(self) -> Character:
+    def result(self) -> ResidualDescription:
         """Everything that is found."""
-        while len(self._character.depends_on) < MOST_TERMS and self._next():
+        while len(self._description.depends_on) < MOST_TERMS and self._next():
             pass
-        self._character.between_runs = list(filter(None, map(self._between_runs, _COMPARED)))
-        return self._character
+        self._description.between_runs = list(filter(None, map(self._between_runs, _COMPARED)))
+        return self._description
 
     def _next(self) -> bool:
         term, peak = self._left.strongest(), self._peak()
@@ -331,19 +334,21 @@ class Portrait:
     def _take(self, found: Found) -> bool:
         share = self._accept(self._left.without(found))
         if share:
-            told = _dependence(found, share, self._sitting.unit)
-            self._character.depends_on.append(told)
-            self._character.trend = self._character.trend or _trend(told)
+            told = _dependence(found, share, self._force.unit)
+            self._description.depends_on.append(told)
+            self._description.trend = self._description.trend or _trend(told)
         return share > 0.0
 
     # --- a line -------------------------------------------------------------------------------
     def _peak(self) -> Peak | None:
-        if self._character.spectrum is not None:
+        if self._description.spectrum is not None:
             return None
-        samples, clocks = self._left.samples, self._sitting.clocks
+        samples, clocks = self._left.samples, self._force.clocks
         # A test function is four steps wide: of what is faster than that it leaves nothing.
         fastest = 1.0 / (4.0 * clocks[0].step)
-        peak = highest_peak(clocks[0].series(samples.fitted.r), clocks[1].series(samples.aside.r), fastest)
+        peak = highest_peak(
+            clocks[0].series(samples.fitted.r), clocks[1].series(samples.validation.r), fastest
+        )
         return peak if peak is not None and peak.chance < _CHANCE_OF_A_LINE else None
 
     def _take_line(self, peak: Peak) -> bool:
@@ -351,16 +356,16 @@ class Portrait:
         after, amplitude = self._without_line(frequency)
         share = self._accept(after)
         if share:
-            self._character.spectrum = Spectrum(
+            self._description.spectrum = Spectrum(
                 period=1.0 / frequency, amplitude=amplitude, share=share, chance=peak.chance, in_step=in_step
             )
         return share > 0.0
 
     def _without_line(self, frequency: float) -> tuple[Association, float]:
-        samples, clocks = self._left.samples, self._sitting.clocks
+        samples, clocks = self._left.samples, self._force.clocks
         logs = (clocks[0].log, clocks[1].log, clocks[1].log)
         kept, sizes = [], []
-        for s, waves, log in zip(_three(samples), self._sitting.waves(frequency), logs, strict=True):
+        for s, waves, log in zip(_three(samples), self._force.waves(frequency), logs, strict=True):
             left, coefficients = without_waves(s.r, waves, log)
             kept.append(replace(s, r=left))
             sizes.append(np.linalg.norm(coefficients, axis=1))
@@ -369,25 +374,25 @@ class Portrait:
 
     def _phase(self, frequency: float) -> tuple[float, bool]:
         """Whether all runs have the same phase since their start; then the frequency that suits them best."""
-        width = 1.0 / max(c.series(c.t).length for c in self._sitting.clocks)
+        width = 1.0 / max(c.series(c.t).length for c in self._force.clocks)
         near = frequency + width * np.arange(-_FINE, _FINE + 1) / _FINE
         fits = [self._common(f) for f in near]
         best = int(np.argmax([fall for fall, _ in fits]))
-        aside = self._left.samples.aside
-        own = aside.square - _square(
-            without_waves(aside.r, self._sitting.waves(frequency)[1], self._sitting.clocks[1].log)[0]
+        validation = self._left.samples.validation
+        own = validation.square - _square(
+            without_waves(validation.r, self._force.waves(frequency)[1], self._force.clocks[1].log)[0]
         )
         in_step = fits[best][1] > _IN_STEP * own
         return (float(near[best]) if in_step else frequency), in_step
 
     def _common(self, frequency: float) -> tuple[float, float]:
-        """Fall of the sum of squares by one wave for all runs: on the data of the fit, and kept aside."""
-        waves = self._sitting.waves(frequency)
+        """Fall of the sum of squares by one wave for all runs: on the data of the fit, on validation data."""
+        waves = self._force.waves(frequency)
         samples = self._left.samples
         coefficients = -np.linalg.lstsq(waves[0], samples.fitted.r, rcond=None)[0]
         falls = [
             s.square - _square(s.r + w @ coefficients)
-            for s, w in zip((samples.fitted, samples.aside), waves, strict=False)
+            for s, w in zip((samples.fitted, samples.validation), waves, strict=False)
         ]
         return falls[0], falls[1]
 
@@ -397,7 +402,7 @@ class Portrait:
         places = self._left.places
         if label not in places:
             return None
-        pair, clocks = (self._left.samples.fitted, self._left.samples.aside), self._sitting.clocks
+        pair, clocks = (self._left.samples.fitted, self._left.samples.validation), self._force.clocks
         names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
         logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
         found = difference(
@@ -409,14 +414,14 @@ class Portrait:
         if found is None or found.chance > _CHANCE_OF_RUNS:
             return None
         values = {n: v.tolist() for n, v in zip(names, found.values, strict=True)}
-        return BetweenRuns(of=of, values=values, unit=self._sitting.unit, chance=found.chance)
+        return BetweenRuns(of=of, values=values, unit=self._force.unit, chance=found.chance)
 
 
 _COMPARED = (("a constant", "mean force"), ("sin and cos of psi", "force that turns with the heading"))
 
 
 def _three(samples: Samples) -> tuple[Sample, Sample, Sample]:
-    return samples.fitted, samples.aside, samples.shown
+    return samples.fitted, samples.validation, samples.shown
 
 
 def _square(r: Array) -> float:
@@ -523,27 +528,27 @@ _MEMORIES = 3.0
 
 
 class Characteriser:
-    """Residual forces of a fitted model, on the data of the fit and on data kept aside.
+    """Residual forces of a fitted model, on the data of the fit and on validation data.
 
     Parameters
     ----------
     fit : Fitted
         The model.
-    known, aside : WeakData
+    known, validation : WeakData
         Logs that it was fitted to, and logs that it was not.
     """
 
-    def __init__(self, fit: Fitted, known: WeakData, aside: WeakData) -> None:
+    def __init__(self, fit: Fitted, known: WeakData, validation: WeakData) -> None:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
-        self._fitted, self._aside = ForceRows(fit, known), ForceRows(fit, aside)
-        self._terms = tuple(terms_of(vehicle, measured_pose(aside)))
+        self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
+        self._terms = tuple(terms_of(vehicle, measured_pose(validation)))
         self._prior = prior_of(fit.model)[1]
 
     @cached_property
     def rows(self) -> list[ForceRow]:
-        """Force equations on the kept-aside data."""
-        return [self._aside.row(i) for i in range(len(self._units))]
+        """Force equations on the validation data."""
+        return [self._validation.row(i) for i in range(len(self._units))]
 
     def is_loud(self, dof: int) -> bool:
         """Whether more is left in a degree of freedom than the noise explains."""
@@ -551,14 +556,17 @@ class Characteriser:
         count = sum(len(p.r) for p in row.parts)
         return row.ratio > max(_LOUD, 1.0 + _SPREADS * float(np.sqrt(2.0 / count)))
 
-    def of(self, dof: int) -> Character:
+    def of(self, dof: int) -> ResidualDescription:
         """Describe what is left in a degree of freedom, by its place among those of the vehicle."""
-        fitted, aside = self._fitted_rows[dof], self.rows[dof]
-        rows = (self._fitted, fitted, fitted.disturbance), (self._aside, aside, fitted.disturbance)
-        sitting = Sitting(
-            self._association(dof), self._clocks, (*rows, (self._aside, aside, 0.0)), self._units[dof]
+        fitted, validation = self._fitted_rows[dof], self.rows[dof]
+        rows = (self._fitted, fitted, fitted.disturbance), (self._validation, validation, fitted.disturbance)
+        force = ResidualForce(
+            self._association(dof),
+            self._clocks,
+            (*rows, (self._validation, validation, 0.0)),
+            self._units[dof],
         )
-        return Portrait(sitting).drawn()
+        return Characterisation(force).result()
 
     def _association(self, dof: int) -> Association:
         level, own = self._fitted_rows[dof].disturbance, len(self._prior)
@@ -574,10 +582,10 @@ class Characteriser:
         return Association(self._terms, Samples(*samples), self._stiffness(dof))
 
     def _block_seconds(self, r: Array) -> float:
-        """Blocks that forget each other, but enough of them on the kept-aside data."""
+        """Blocks that forget each other, but enough of them on the validation data."""
         covariance = np.correlate(r, r, "full")[len(r) - 1 :]
         memory = self._clocks[0].step * int(np.argmax(covariance < _FORGOTTEN * covariance[0]))
-        data = self._aside.data
+        data = self._validation.data
         total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
         return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
 
@@ -592,7 +600,7 @@ class Characteriser:
 
     @cached_property
     def _clocks(self) -> tuple[Clock, Clock]:
-        return Clock.of(self._fitted.data), Clock.of(self._aside.data)
+        return Clock.of(self._fitted.data), Clock.of(self._validation.data)
 
     @cached_property
     def _information(self) -> list[Array]:
@@ -601,20 +609,20 @@ class Characteriser:
 
     @cached_property
     def _columns(self) -> tuple[list[Array], list[Array]]:
-        """What each term adds to a row, on the data of the fit and on those kept aside."""
+        """What each term adds to a row, on the data of the fit and on those for validation."""
         columns = [c for t in self._terms for c in t.columns]
-        return self._fitted.columns(columns), self._aside.columns(columns)
+        return self._fitted.columns(columns), self._validation.columns(columns)
 
 
-def remaining(fit: Fitted, known: WeakData, aside: WeakData) -> list[Remaining]:
-    """Residual force of every degree of freedom on kept-aside data.
+def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remaining]:
+    """Residual force of every degree of freedom on validation data.
 
     Parameters
     ----------
     fit : Fitted
         The model.
-    known, aside : WeakData
-        Data that it was fitted to, and data kept aside.
+    known, validation : WeakData
+        Data that it was fitted to, and validation data.
 
     Returns
     -------
@@ -623,7 +631,7 @@ def remaining(fit: Fitted, known: WeakData, aside: WeakData) -> list[Remaining]:
         test functions, in N or N m; the normalised error weighs slow parts, where there is little noise, as
         heavily as they deserve.
     """
-    characteriser = Characteriser(fit, known, aside)
+    characteriser = Characteriser(fit, known, validation)
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
 
 

@@ -25,31 +25,31 @@ from undertow.typing import Array, Progress
 from .candidates import Candidate, possible
 from .evidence import (
     FoundEffect,
+    IsNoise,
     Linear,
-    Quiet,
     as_good,
-    best_by_chance,
     compare_scores,
     explained,
     inclusion,
     linear,
+    null_distribution,
     p_value,
 )
 from .parallel import mapped
 from .settings import DEFAULT, Settings
 from .trial import (
     Bench,
+    PackedTrial,
     Score,
-    Scouted,
-    Sent,
+    Screened,
     Trial,
-    begun,
-    received,
+    best_start,
+    comparable_mean_squares,
+    packed,
     rejected,
-    scouts,
-    sent,
-    told_apart,
+    screen,
     try_candidate,
+    unpacked,
 )
 
 _log = logging.getLogger("undertow.diagnosis")
@@ -93,17 +93,17 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
         Told the share done and what is going on.
     """
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    scouted = _scouted(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
-    _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(scouted))
-    by_chance = best_by_chance([s.linear for s in scouted], settings)
-    worth = [s for s in scouted if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
+    screened = _screened(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
+    _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
+    by_chance = null_distribution([s.linear for s in screened], settings)
+    worth = [s for s in screened if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
     trials = _tried(worth, bench, report)
     chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
     able = ((c, t) for c, t in trials if t.kept or not c.removable)
     leading = sorted(able, key=lambda entry: entry[1].score.error)[: settings.finalists]
-    bench, finalists = _final(bench, [received(t, c, bench) for c, t in leading], report)
+    bench, finalists = _final(bench, [unpacked(t, c, bench) for c, t in leading], report)
     tried = {t.id for t in finalists}
-    others = [rejected(s.candidate, bench) for s in scouted if s.candidate.id not in tried]
+    others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
     return _judged(bench, finalists, others, chances)
 
 
@@ -118,7 +118,7 @@ class _Look(NamedTuple):
     linear: Linear
 
 
-def _scouted(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
+def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
     """What every candidate promises that adds anything, the most promising first."""
     bench.work_out()
     # What has to be searched takes longest: begun first, it leaves no core idle at the end.
@@ -131,15 +131,15 @@ def _scouted(listed: Sequence[Candidate], bench: Bench, report: Progress) -> lis
     return sorted(found, key=lambda entry: entry.cost)
 
 
-def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, Sent]]:
+def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, PackedTrial]]:
     """Fits of the candidates that promise something."""
 
     enough = bench.settings.first_step
 
-    def one(i: int) -> Sent:
+    def one(i: int) -> PackedTrial:
         candidate = worth[i].candidate
-        start = begun(candidate, bench, worth[i].starts, enough)
-        return sent(try_candidate(candidate, bench, start, enough), bench)
+        start = best_start(candidate, bench, worth[i].starts, enough)
+        return packed(try_candidate(candidate, bench, start, enough), bench)
 
     found = []
     for i, trial in enumerate(mapped(one, len(worth))):
@@ -151,7 +151,7 @@ def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple
 def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, float]], Linear] | None:
     if candidate.adds_nothing:
         return None
-    looks = scouts(candidate, bench)
+    looks = screen(candidate, bench)
     return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench, looks[0].on_test)
 
 
@@ -196,7 +196,7 @@ def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
     left, least = (float(np.mean(sharp.judge(t.full).r ** 2)) for t in (trial, best))
 
     def after_a_step() -> float:
-        return Scouted(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
+        return Screened(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
 
     return far_behind(left, least, after_a_step, sharp.settings)
 
@@ -234,7 +234,7 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
     settings = bench.settings
     strong = chance < settings.false_alarm_rate and evidence.mean > settings.smallest_fall
-    scores = told_apart(bench.base_score, trial.score, bench.test)
+    scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
     return FoundEffect(trial, evidence, share, chance, strong and better, inclusion)
@@ -251,7 +251,7 @@ class OtherValues:
     fit : WeakFit
         The fit with them free.
     score : Score
-        How it does on the kept-aside data.
+        How it does on the validation data.
     """
 
     alike: dict[str, tuple[str, ...]]
@@ -264,15 +264,15 @@ def freed(vehicle: Vehicle, names: Sequence[str]) -> Vehicle:
     return vehicle.with_values({n: replace(vehicle.value_of(n), estimate=True) for n in names})
 
 
-def values_to_free(current: Round, quiet: Quiet) -> dict[str, tuple[str, ...]]:
+def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tuple[str, ...]]:
     """Fixed values whose change explains more than the best effect, or as much with less strain on the rest.
 
     Parameters
     ----------
     current : Round
         What every effect does for the model as given.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
+    residual_is_noise : callable
+        Whether a model leaves only noise of the validation data.
 
     Returns
     -------
@@ -281,13 +281,15 @@ def values_to_free(current: Round, quiet: Quiet) -> dict[str, tuple[str, ...]]:
         effect, or the model as it is, is to be preferred.
     """
     bench = current.bench
-    if not _fixed(bench) or quiet(bench.base, bench.test):
+    if not _fixed(bench) or residual_is_noise(bench.base, bench.test):
         return {}
     found = other_values(bench)
     if found is None or as_good(found.score, bench.base_score, bench):
         return {}
     winner = current.winner
-    if winner is not None and not _preferred(found, winner.trial.fit, winner.trial.score, bench, quiet):
+    if winner is not None and not _preferred(
+        found, winner.trial.fit, winner.trial.score, bench, residual_is_noise
+    ):
         return {}
     return found.alike
 
@@ -311,9 +313,11 @@ def _unlikely(fit: WeakFit, score: Score) -> float:
     return float(np.sum(score.r**2)) + strain
 
 
-def _preferred(found: OtherValues, fit: WeakFit, score: Score, bench: Bench, quiet: Quiet) -> bool:
+def _preferred(
+    found: OtherValues, fit: WeakFit, score: Score, bench: Bench, residual_is_noise: IsNoise
+) -> bool:
     """Whether other values are the better explanation than an effect."""
-    sound, effect_sound = quiet(found.fit, bench.test), quiet(fit, bench.test)
+    sound, effect_sound = residual_is_noise(found.fit, bench.test), residual_is_noise(fit, bench.test)
     if sound and effect_sound:
         return _unlikely(found.fit, found.score) + bench.settings.more_than_chance < _unlikely(fit, score)
     return sound or (not effect_sound and not as_good(found.score, score, bench))

@@ -32,7 +32,7 @@ from undertow.identification.estimation.weak_form import (
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .candidates import Candidate, beat
+from .candidates import Candidate, dominant_frequency
 from .settings import DEFAULT, Settings
 
 
@@ -62,7 +62,7 @@ class Score:
         return error_of(self.mean_square)
 
 
-def told_apart(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
+def comparable_mean_squares(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
     """Mean squares of two models for each equation, without what the later one leaves open."""
     return mean_square(before.r - after.open, data), mean_square(after.r - after.open, data)
 
@@ -95,7 +95,7 @@ class Trial:
     kept : tuple of str
         Those that matter.
     score : Score
-        How `fit` does on the kept-aside data.
+        How `fit` does on the validation data.
     """
 
     candidate: Candidate
@@ -135,12 +135,12 @@ class Bench:
 
     @cached_property
     def base_score(self) -> Score:
-        """How the model without any candidate does on the kept-aside data."""
+        """How the model without any candidate does on the validation data."""
         return scored(self.base, self.test, self.test_whitening)
 
     @cached_property
     def base_on_test(self) -> Linearised:
-        """The model without any candidate on the kept-aside data."""
+        """The model without any candidate on the validation data."""
         return self.on_test(self.base)
 
     def work_out(self) -> None:
@@ -149,11 +149,11 @@ class Bench:
             getattr(self, name)
 
     def judge(self, fit: WeakFit) -> Score:
-        """Score of a fitted model on the kept-aside data."""
+        """Score of a fitted model on the validation data."""
         return scored(fit, self.test, self.test_whitening, self.base_score.r)
 
     def on_test(self, fit: WeakFit) -> Linearised:
-        """A fitted model on the kept-aside data, where unknown first states win nothing over the base."""
+        """A fitted model on the validation data, where unknown first states win nothing over the base."""
         parts = fit.model.linearise(self.test, fit.p)
         return whitened(parts, self.test_whitening, self.base_score.r)
 
@@ -178,7 +178,7 @@ class Bench:
 
     @cached_property
     def noise_level(self) -> Array:
-        """Mean square that the noise of the channels alone would have on the kept-aside data, for each
+        """Mean square that the noise of the channels alone would have on the validation data, for each
         equation.
         """
         rng = np.random.default_rng(0)
@@ -194,10 +194,10 @@ class Bench:
     def without_disturbance(self) -> Bench:
         """The bench under the noise of the sensors alone."""
         base = self.base
-        quiet = base.model.whitening(self.train, base.p)
-        refitted = self._base_under(quiet, np.zeros_like(base.disturbance))
+        sensor_noise = base.model.whitening(self.train, base.p)
+        refitted = self._base_under(sensor_noise, np.zeros_like(base.disturbance))
         on_test = refitted.model.whitening(self.test, refitted.p)
-        return replace(self, train_whitening=quiet, test_whitening=on_test, base=refitted)
+        return replace(self, train_whitening=sensor_noise, test_whitening=on_test, base=refitted)
 
     def _base_under(self, noise: list[Whitening], disturbance: Array, enough: float = 0.0) -> WeakFit:
         """The model without any candidate, fitted under another noise model."""
@@ -218,20 +218,20 @@ class Bench:
 
     @cached_property
     def seen(self) -> dict[str, tuple[float, float]]:
-        """Least and greatest value of each pose coordinate, and of the frequency that is left (`beat`)."""
+        """Least and greatest value of each pose coordinate, and of the dominant frequency of what is left."""
         names = self.base.model.functions.vehicle.pose_names
         poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
         low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
         found = dict(zip(names, zip(low, high, strict=True), strict=True))
-        line = beat(self.base.at.r, self.train, self.settings)
-        return found if line is None else found | {"beat": line}
+        line = dominant_frequency(self.base.at.r, self.train, self.settings)
+        return found if line is None else found | {"dominant_frequency": line}
 
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
     base = fit_weak(vehicle, train)
-    quiet = base.model.whitening(test, base.p)
-    noise = base.whitening, disturbed(quiet, base.disturbance, test)
+    sensor_noise = base.model.whitening(test, base.p)
+    noise = base.whitening, disturbed(sensor_noise, base.disturbance, test)
     return Bench(train, test, *noise, base, settings)
 
 
@@ -330,7 +330,7 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
 def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: float) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
-    This thins an effect out; whether it is needed at all is for the kept-aside data to say, so one stays.
+    This thins an effect out; whether it is needed at all is for the validation data to say, so one stays.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: floa
 _SAME = 1e-9
 
 
-class Scouted:
+class Screened:
     """A candidate at one start, and what one Gauss-Newton step from there promises.
 
     Where the candidate changes nothing yet, the columns of the model without it are what they were, and only
@@ -404,13 +404,13 @@ class Scouted:
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
-    def closer(self) -> Scouted:
+    def closer(self) -> Screened:
         """The same from where the step leads, after some more."""
-        return Scouted(self._candidate, self._bench, self.values, self._bench.settings.closer_steps)
+        return Screened(self._candidate, self._bench, self.values, self._bench.settings.closer_steps)
 
     @property
     def on_test(self) -> Linearised:
-        """The start on the kept-aside data."""
+        """The start on the validation data."""
         bench = self._bench
         known = (bench.base_on_test, bench.test, bench.test_whitening)
         at = self._beside(*known) if self._changes_nothing else None
@@ -427,12 +427,7 @@ class Scouted:
         return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
 
 
-def scout(candidate: Candidate, bench: Bench) -> Scouted:
-    """What a candidate promises from its best start, after some steps where there are several."""
-    return scouts(candidate, bench)[0]
-
-
-def scouts(candidate: Candidate, bench: Bench) -> list[Scouted]:
+def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     """What a candidate promises from its best start, and from the next best one where there are several.
 
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
@@ -440,14 +435,14 @@ def scouts(candidate: Candidate, bench: Bench) -> list[Scouted]:
     starts = candidate.starts(bench.command_scale, bench.seen)
     if len(starts) > bench.settings.many_starts:
         starts = _promising(candidate, bench, starts)
-    found = sorted((Scouted(candidate, bench, start) for start in starts), key=lambda s: s.cost)
+    found = sorted((Screened(candidate, bench, start) for start in starts), key=lambda s: s.cost)
     if len(found) == 1:
         return found
     # What a step promises may not come true; what some steps have reached has.
     return sorted((s.closer() for s in found[: bench.settings.best_starts]), key=lambda s: s.start.cost)
 
 
-def begun(
+def best_start(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], enough: float = 0.0
 ) -> dict[str, float]:
     """Where the better one of several fits ends: which start leads there, a few steps cannot show.
@@ -501,7 +496,7 @@ def _promising(
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _PackedFit:
     """A fit without its model; no whitening where it is the bench's."""
 
     free: tuple[str, ...]
@@ -513,36 +508,36 @@ class _Fit:
 
 
 @dataclass(frozen=True)
-class Sent:
+class PackedTrial:
     """A trial without its models; no fits where it was rejected, one where nothing was thinned out."""
 
-    full: _Fit | None
-    fit: _Fit | None
+    full: _PackedFit | None
+    fit: _PackedFit | None
     kept: tuple[str, ...]
     score: Score
 
 
-def sent(trial: Trial, bench: Bench) -> Sent:
+def packed(trial: Trial, bench: Bench) -> PackedTrial:
     """The trial as plain data."""
     if trial.full is bench.base:
-        return Sent(None, None, trial.kept, trial.score)
-    thin = None if trial.fit is trial.full else _bare(trial.fit, bench)
-    return Sent(_bare(trial.full, bench), thin, trial.kept, trial.score)
+        return PackedTrial(None, None, trial.kept, trial.score)
+    thin = None if trial.fit is trial.full else _packed_fit(trial.fit, bench)
+    return PackedTrial(_packed_fit(trial.full, bench), thin, trial.kept, trial.score)
 
 
-def _bare(fit: WeakFit, bench: Bench) -> _Fit:
+def _packed_fit(fit: WeakFit, bench: Bench) -> _PackedFit:
     whitening = None if fit.whitening is bench.train_whitening else fit.whitening
-    return _Fit(fit.model.free, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
+    return _PackedFit(fit.model.free, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
 
 
-def received(found: Sent, candidate: Candidate, bench: Bench) -> Trial:
+def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
     """The trial of a candidate from plain data."""
-    full = bench.base if found.full is None else _whole(found.full, candidate, bench)
-    fit = full if found.fit is None else _whole(found.fit, candidate, bench)
+    full = bench.base if found.full is None else _unpacked_fit(found.full, candidate, bench)
+    fit = full if found.fit is None else _unpacked_fit(found.fit, candidate, bench)
     return Trial(candidate, full, fit, found.kept, found.score)
 
 
-def _whole(bare: _Fit, candidate: Candidate, bench: Bench) -> WeakFit:
+def _unpacked_fit(bare: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
     whitening = bench.train_whitening if bare.whitening is None else bare.whitening
     model = candidate.model(bare.free)
     return WeakFit(model, bare.p, bench.train, whitening, bare.at, bare.disturbance, bare.iterations)

@@ -29,7 +29,7 @@ from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .evidence import Chain
+from .evidence import EffectSet
 from .settings import DEFAULT, Settings
 from .trial import only_noise
 
@@ -147,15 +147,15 @@ class Contender:
 
     Attributes
     ----------
-    chain : Chain
+    effect_set : EffectSet
         Its effects.
     fit : Fitted
         Its fit by output error, or by the weak form where a simulation diverged.
     squares : (b,) array
-        Mean square of the simulation error in every kept-aside window, in units of the noise.
+        Mean square of the simulation error in every validation window, in units of the noise.
     """
 
-    chain: Chain
+    effect_set: EffectSet
     fit: Fitted
     squares: Array
 
@@ -165,8 +165,8 @@ class Contender:
         return float(np.sqrt(np.mean(self.squares)))
 
 
-class Referee:
-    """Judges models by simulating the kept-aside runs in windows whose starts are estimated.
+class SimulationValidator:
+    """Judges models by simulating the validation runs in windows whose starts are estimated.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class Referee:
 
     @cached_property
     def shortest(self) -> float:
-        """A little less than the shortest kept-aside run, s."""
+        """A little less than the shortest validation run, s."""
         return 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
 
     @cached_property
@@ -256,9 +256,9 @@ class Referee:
         whole = cut(self.test, self._vehicle, None, sigma=self._sigma)
         return found | {"free run": prediction_error(predict(predictor, whole))}
 
-    def contender(self, chain: Chain) -> Contender:
-        """A chain fitted by output error from where the weak form left it, and judged."""
-        return Contender(chain, *self.refined(chain.fit))
+    def contender(self, effect_set: EffectSet) -> Contender:
+        """A effect_set fitted by output error from where the weak form left it, and judged."""
+        return Contender(effect_set, *self.refined(effect_set.fit))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
         """A model fitted by output error, and how it simulates; by the weak form where that does better.
@@ -271,16 +271,16 @@ class Referee:
             return weak, before
         fit = self._refined(weak)
         after = before if fit is weak else self.squares(fit)
-        return (weak, before) if self.clearly_worse(after, before) else (fit, after)
+        return (weak, before) if self.worse_by_rank_test(after, before) else (fit, after)
 
-    def quiet(self, weak: WeakFit, test: WeakData) -> bool:
+    def residual_is_noise(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak residual or by simulation."""
         if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
             return True
         return self.leaves_only_noise(weak)
 
     def leaves_only_noise(self, weak: WeakFit) -> bool:
-        """Whether a model, fitted by output error, simulates the kept-aside runs to within the noise.
+        """Whether a model, fitted by output error, simulates the validation runs to within the noise.
 
         This is free of what the weak form adds of its own: the error of its quadrature where the noise is
         next to nothing, and the bias of |v|v of a noisy v where the noise is large. Windows are long, in
@@ -311,7 +311,7 @@ class Referee:
         moved = within_errors(fit, self._shooting(fit, long, fit.model.free), starts, settings)
         return moved is not None and simulates_to_noise(shooting, *moved, settings)
 
-    def outdone(self, weak: WeakFit, by: WeakFit) -> bool:
+    def significantly_worse(self, weak: WeakFit, by: WeakFit) -> bool:
         """Whether a model simulates worse than another by more than chance, in short windows or long ones.
 
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
@@ -321,7 +321,7 @@ class Referee:
         model outdoes the other.
         """
         costs = self._costs(weak), self._costs(by), self._levels(by)
-        return outdone_in_windows(*costs, self.settings)
+        return significantly_worse_in_windows(*costs, self.settings)
 
     @property
     def _lengths(self) -> tuple[float, float]:
@@ -352,7 +352,7 @@ class Referee:
         shooting, starts = self._shot(fit, horizon)
         return shooting.squares(np.asarray(fit.p), starts)
 
-    def standing(self, contenders: Sequence[Contender]) -> list[Chain]:
+    def surviving(self, contenders: Sequence[Contender]) -> list[EffectSet]:
         """The short list without what the simulation shows to be worse than the best of it.
 
         Where they leave little but noise,
@@ -363,22 +363,22 @@ class Referee:
         ordered = sorted(contenders, key=lambda c: c.error)
         near = ordered[0].error ** 2 < self.settings.near_noise
         if near:
-            ordered.sort(key=lambda c: float(sum(map(np.sum, self._costs(c.chain.fit)))))
+            ordered.sort(key=lambda c: float(sum(map(np.sum, self._costs(c.effect_set.fit)))))
         best = ordered[0]
 
         def worse(c: Contender) -> bool:
-            if near and self.outdone(c.chain.fit, best.chain.fit):
+            if near and self.significantly_worse(c.effect_set.fit, best.effect_set.fit):
                 return True
             # Smaller gaps may be ever so regular: they say how the two bend to what neither explains.
             notable = near or c.error > self.settings.notably_worse * best.error
-            return notable and self.clearly_worse(c.squares, best.squares)
+            return notable and self.worse_by_rank_test(c.squares, best.squares)
 
-        equals = [best.chain, *(c.chain for c in ordered[1:] if not worse(c))]
+        equals = [best.effect_set, *(c.effect_set for c in ordered[1:] if not worse(c))]
         return sorted(equals, key=_freedom)
 
-    def clearly_worse(self, squares: Array, than: Array) -> bool:
+    def worse_by_rank_test(self, squares: Array, than: Array) -> bool:
         """Whether one model simulates the windows worse than another by more than chance."""
-        return clearly_worse(squares, than, self.settings)
+        return worse_by_rank_test(squares, than, self.settings)
 
     def _refined(self, weak: WeakFit, horizon: float | None = None) -> Fitted:
         horizon = horizon or self.settings.short_windows
@@ -400,12 +400,12 @@ class Referee:
         return refined
 
 
-def _freedom(chain: Chain) -> int:
+def _freedom(effect_set: EffectSet) -> int:
     """Number of parameters that its effects declare for this vehicle, whether they were needed or not."""
-    return sum(len(f.trial.candidate.parameters) for f in chain.findings)
+    return sum(len(f.trial.candidate.parameters) for f in effect_set.findings)
 
 
-def outdone_in_windows(
+def significantly_worse_in_windows(
     costs: Sequence[Array], of_other: Sequence[Array], levels: Sequence[float], settings: Settings = DEFAULT
 ) -> bool:
     """Whether sums of squares by window, short ones and long, are larger than those of another model.
@@ -425,7 +425,7 @@ def _without_largest(gaps: Array) -> float:
     return float(np.sum(gaps) - np.max(gaps))
 
 
-def clearly_worse(squares: Array, than: Array, settings: Settings = DEFAULT) -> bool:
+def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT) -> bool:
     """Whether one model simulates the windows worse than another by more than chance."""
     gap = squares - than
     if not np.all(np.isfinite(squares)):
@@ -439,7 +439,7 @@ def clearly_worse(squares: Array, than: Array, settings: Settings = DEFAULT) -> 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Size of an effect by stretch of the kept-aside data, in units of the fitted one.
+    """Size of an effect by stretch of the validation data, in units of the fitted one.
 
     Attributes
     ----------
@@ -470,7 +470,7 @@ def sizes(
     noise: list[Whitening],
     settings: Settings = DEFAULT,
 ) -> Sizes:
-    """Size of an effect in stretches of the kept-aside data, all else being as fitted.
+    """Size of an effect in stretches of the validation data, all else being as fitted.
 
     Parameters
     ----------
@@ -506,7 +506,7 @@ def _stretches(data: WeakData, count: int) -> NDArray[np.intp]:
 def repeats(
     vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], settings: Settings = DEFAULT
 ) -> list[tuple[str, str]]:
-    """Runs kept aside that repeat the commands of a run that was fitted, with that run.
+    """validation runs that repeat the commands of a run that was fitted, with that run.
 
     A model that has learned the manoeuvre by heart does as well on them as the right one.
 

@@ -25,12 +25,12 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .candidates import Candidate
-from .evidence import Chain, FoundEffect, Quiet, explained, fitted
+from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
 from .result import Equivalent, Estimate, Indistinguishable, Verdict
 from .rounds import other_values
 from .search import Search
 from .settings import DEFAULT, Settings
-from .trial import Bench, Score, scout, told_apart
+from .trial import Bench, Score, comparable_mean_squares, screen
 
 
 @dataclass(frozen=True)
@@ -59,28 +59,28 @@ class Judgement:
 
 
 @dataclass(frozen=True)
-class Left:
+class Remainder:
     """What the final model leaves, and what speaks against it.
 
     Attributes
     ----------
-    quiet : bool
+    residual_is_noise : bool
         Whether the noise explains what is left.
     confirmed : bool
-        Whether the model does not simulate the kept-aside runs worse than the incomplete one.
+        Whether the model does not simulate the validation runs worse than the incomplete one.
     nearly : bool
         Whether less than twice the noise is left in every equation.
     change : str
-        How the size of the effect would have to change in the course of the kept-aside data, if it would.
+        How the size of the effect would have to change in the course of the validation data, if it would.
     """
 
-    quiet: bool
+    residual_is_noise: bool
     confirmed: bool
     nearly: bool = False
     change: str = ""
 
 
-def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Left) -> Judgement:
+def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remainder) -> Judgement:
     """Decide.
 
     Parameters
@@ -91,42 +91,42 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Left) 
         The incomplete and the final model under the final noise model.
     noise : (2n,) array
         Mean square that the noise of the sensors has under that noise model.
-    left : Left
+    left : Remainder
         What the final model leaves.
     """
     winners, settings = found.winners, found.bench.settings
-    share = explained(*told_apart(*scores, found.bench.test), noise, settings)
+    share = explained(*comparable_mean_squares(*scores, found.bench.test), noise, settings)
     sets = _sets(found)
     if not winners:
-        return _without_effect(left.quiet, share)
+        return _without_effect(left.residual_is_noise, share)
     if doubt := _doubt(winners, share, left, settings):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > settings.many_alike for s in sets):
         verdict = "not_identifiable"
-    return Judgement(verdict, _named(winners, sets, share, left.quiet), winners, sets, share)
+    return Judgement(verdict, _named(winners, sets, share, left.residual_is_noise), winners, sets, share)
 
 
-def _without_effect(quiet: bool, share: float) -> Judgement:
-    if quiet:
+def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
+    if residual_is_noise:
         text = "Nothing is missing: what the refitted model leaves is the noise of the sensors."
         return Judgement("adequate", text, [], [], share)
     text = (
         "Unexplained: the refitted model leaves more than the noise of the sensors, and for no effect "
-        "of the catalogue is there enough evidence on kept-aside data."
+        "of the catalogue is there enough evidence on validation data."
     )
     return Judgement("unexplained", text, [], [], share)
 
 
-def _doubt(winners: list[FoundEffect], share: float, left: Left, settings: Settings) -> str:
+def _doubt(winners: list[FoundEffect], share: float, left: Remainder, settings: Settings) -> str:
     """Why nothing can be named, or nothing where it can.
 
     Where more than noise is left, a later effect may only make up for an earlier one that is wrong or poorly
     fitted: several are named together only where they explain all but very little.
     """
     if not left.confirmed:
-        return "makes the simulation of the kept-aside runs worse, so it is not what is missing"
-    if left.quiet:
+        return "makes the simulation of the validation runs worse, so it is not what is missing"
+    if left.residual_is_noise:
         return ""
     if share < settings.named_share:
         much = f"only {share:.0%}" if share > 0.0 else "none"
@@ -134,20 +134,22 @@ def _doubt(winners: list[FoundEffect], share: float, left: Left, settings: Setti
     if len(unique_ids(winners)) > 1 and not left.nearly:
         return "leaves more than noise, and several effects are named only where next to nothing else is left"
     if left.change:
-        return f"leaves more than noise, and {left.change} in the course of the kept-aside data"
+        return f"leaves more than noise, and {left.change} in the course of the validation data"
     return ""
 
 
 def _unexplained(winners: list[FoundEffect], share: float, reason: str) -> Judgement:
     names = " and ".join(unique_ids(winners))
-    text = f"Unexplained: adding {names} fits the kept-aside data better by more than chance, but {reason}."
+    text = f"Unexplained: adding {names} fits the validation data better by more than chance, but {reason}."
     return Judgement("unexplained", text, [], [], share)
 
 
-def _named(winners: list[FoundEffect], sets: list[Indistinguishable], share: float, quiet: bool) -> str:
+def _named(
+    winners: list[FoundEffect], sets: list[Indistinguishable], share: float, residual_is_noise: bool
+) -> str:
     open_ = {e for s in sets for e in s.effects}
     how = "it explains" if len(unique_ids(winners)) == 1 else "together they explain"
-    rest = "what remains is noise" if quiet else f"{how} {share:.0%} of what exceeds the noise"
+    rest = "what remains is noise" if residual_is_noise else f"{how} {share:.0%} of what exceeds the noise"
     names = " and ".join(n for n in unique_ids(winners) if n not in open_)
     if not sets:
         return f"Missing: {names}; {rest}."
@@ -171,7 +173,7 @@ def _sets(found: Search) -> list[Indistinguishable]:
 
 def _reason(best: FoundEffect) -> str:
     return (
-        "their predictions of the kept-aside data differ by less than the noise lets one see "
+        "their predictions of the validation data differ by less than the noise lets one see "
         f"(the best of them improves the mean square by {best.evidence.mean:.3g})"
     )
 
@@ -235,7 +237,7 @@ def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str
     return f"{name} = {found.value:.4g}{error}{unit}{before}{same}"
 
 
-def with_values(judgement: Judgement, values: str, quiet: bool) -> str:
+def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> str:
     """The headline of a verdict with what is to be said of the values.
 
     Parameters
@@ -244,7 +246,7 @@ def with_values(judgement: Judgement, values: str, quiet: bool) -> str:
         The verdict on effects.
     values : str
         The values, as `changed_values` tells them.
-    quiet : bool
+    residual_is_noise : bool
         Whether nothing but noise is left with them.
     """
     said = judgement.headline
@@ -255,7 +257,7 @@ def with_values(judgement: Judgement, values: str, quiet: bool) -> str:
             "No effect is missing, but values that the vehicle file holds fixed do not fit. With others what "
             f"is left is the noise of the sensors: {values}."
         )
-    if quiet and judgement.effects:
+    if residual_is_noise and judgement.effects:
         return f"{said} Beside it, values that the vehicle file holds fixed do not fit: {values}."
     return f"{said} Values that the vehicle file holds fixed were fitted with the rest: {values}."
 
@@ -287,31 +289,33 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
     return [Equivalent(parameters=list(moved), effects=found, **told)]
 
 
-def instead_of_effects(chain: Chain, vehicle: Vehicle, bench: Bench, quiet: Quiet) -> list[Equivalent]:
+def instead_of_effects(
+    effect_set: EffectSet, vehicle: Vehicle, bench: Bench, residual_is_noise: IsNoise
+) -> list[Equivalent]:
     """Other values of what the vehicle file holds fixed that leave as little as one of the effects named.
 
     Parameters
     ----------
-    chain : Chain
+    effect_set : EffectSet
         Effects with which nothing but noise is left.
     vehicle : Vehicle
         The model without them.
     bench : Bench
         Data and noise model.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
+    residual_is_noise : callable
+        Whether a model leaves only noise of the validation data.
     """
     found = []
-    for finding in chain.findings:
-        others = [f for f in chain.findings if f is not finding]
+    for finding in effect_set.findings:
+        others = [f for f in effect_set.findings if f is not finding]
         without = replace(bench, base=fitted(vehicle, others, bench).fit) if others else bench
-        found += _instead_of(finding.id, without, quiet)
+        found += _instead_of(finding.id, without, residual_is_noise)
     return found
 
 
-def _instead_of(effect: str, bench: Bench, quiet: Quiet) -> list[Equivalent]:
+def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[Equivalent]:
     found = other_values(bench)
-    if found is None or not quiet(found.fit, bench.test):
+    if found is None or not residual_is_noise(found.fit, bench.test):
         return []
     names = ", ".join(found.alike)
     told = {
@@ -339,7 +343,7 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     Values are only stated to within their standard deviations, and the effect need not act like exactly what
     the parameters moved by: stated values have full weight here, and the sum of squares may not rise.
     """
-    start = scout(candidate, bench).start
+    start = screen(candidate, bench)[0].start
     model, now = start.model, start.p[list(start.model.places)]
     centre, weight = prior_of(model)
     stiffness = PRIOR_WIDTH * weight
@@ -375,7 +379,7 @@ _ON_BOUND = 1e-6
 
 @dataclass(frozen=True)
 class Relief:
-    """The model with effects added that lower the kept-aside error by more than chance.
+    """The model with effects added that lower the validation error by more than chance.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.diagnosis.trial import Bench, open_bench, screen
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, settled
@@ -344,9 +344,9 @@ def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> 
     """The best of the fits from the effect's most promising start, or from values found before."""
     own = {p.name for p in candidate.parameters}
     found = {n: v for n, v in values.items() if n in own}
-    scouted = scout(candidate, bench).values
+    screened = screen(candidate, bench)[0].values
     # Values that make up for what is missing may lead astray, and so may those of the file.
-    starts = [scouted, {n: v for n, v in scouted.items() if n in own}]
+    starts = [screened, {n: v for n, v in screened.items() if n in own}]
     starts += [found, bench.base.values | found] if found else []
     fits = [bench.fit(candidate.vehicle, candidate.free(), start) for start in starts]
     return settled(min(fits, key=lambda fit: fit.cost))
