@@ -22,7 +22,7 @@ from benchmarks.trust.ablation import ablation_page, ablations, sample, switchab
 from benchmarks.trust.cases import COMPLETE, FAINT, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
-from benchmarks.trust.grade import HIDDEN, grade_of, told
+from benchmarks.trust.grade import HIDDEN, grade_of, oracle_refit
 from benchmarks.trust.material import simulated, varied, written_and_read, written_to_memory
 from benchmarks.trust.peers import stepwise
 from benchmarks.trust.report import page
@@ -103,7 +103,7 @@ def test_a_faint_case_is_as_faint_as_it_aims_to_be() -> None:
     found = sized(case)
     assert found.strength < 1.0
     vehicle, train, test = written_to_memory(simulated(found))
-    assert told(vehicle, train, test, ["constant_force"], {}).ratio == pytest.approx(1.5, rel=0.12)
+    assert oracle_refit(vehicle, train, test, ["constant_force"], {}).ratio == pytest.approx(1.5, rel=0.12)
     assert sized(Planned.read("box:constant_force:x2.5:n1:open:60s:17")).strength == 2.5
 
 
@@ -172,7 +172,7 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_the_refit_that_is_told_the_truth_reaches_the_noise(pushed: Any) -> None:
     vehicle, train, test, values = pushed
-    truth = told(vehicle, train, test, ["constant_force"], values)
+    truth = oracle_refit(vehicle, train, test, ["constant_force"], values)
     assert truth.error == pytest.approx(1.0, abs=0.15)
     assert truth.fit.values["X_0"] == pytest.approx(values["X_0"], rel=0.05)
     assert truth.ratio == pytest.approx(truth.before / truth.error)
@@ -295,8 +295,8 @@ def test_goals_of_records_made_by_hand() -> None:
     assert found["complete models: false alarms"].measured == "1 of 2: 50 % (9.45 to 90.5)"
     assert found["– 2 x noise"].met is False
     assert found["– as drawn"].met is True
-    assert found["outsiders: unexplained"].met is True
-    assert found["error after adding over that of the told refit, median"].measured == "1.150 of 2 cases"
+    assert found["outside the catalogue: unexplained"].met is True
+    assert found["error after adding over that of the oracle refit, median"].measured == "1.150 of 2 cases"
 
 
 def test_an_effect_that_no_catalogue_has_yet_is_an_outsider() -> None:
@@ -323,7 +323,7 @@ def test_the_page_tells_all(tmp_path: Path) -> None:
 def test_a_goal_is_met_from_as_many_cases_on_as_show_it(cases: int, said: str) -> None:
     one = record(LIFT, "unexplained", truth=("lift",), known=False, grade="strong")
     found = {g.name: g for g in goals(scored([one] * cases))}
-    assert found["outsiders: unexplained"].row[-1] == said
+    assert found["outside the catalogue: unexplained"].row[-1] == said
 
 
 # --- ablation ----------------------------------------------------------------------------------------------

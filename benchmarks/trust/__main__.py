@@ -75,10 +75,10 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("case", help="id of the case")
     one.add_argument("--keep", type=Path, metavar="DIR", help="folder for its files")
     one.add_argument("--no-peers", action="store_true", help="leave the other methods out")
-    telling = commands.add_parser("report", help="the tables of a run")
-    telling.add_argument("source", type=Path, nargs="+", metavar="FILE.jsonl")
-    telling.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
-    telling.add_argument(
+    reporting = commands.add_parser("report", help="the tables of a run")
+    reporting.add_argument("source", type=Path, nargs="+", metavar="FILE.jsonl")
+    reporting.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    reporting.add_argument(
         "--summary", type=Path, metavar="RESULTS.md", help="page of results that gets the table of goals"
     )
     ablating = commands.add_parser("ablate", help="the fixed sample with each number switched off in turn")
@@ -123,7 +123,7 @@ def _run(options: argparse.Namespace) -> int:
             jobs=options.jobs,
             minutes=options.minutes,
             limit=options.limit,
-            tell=_tell,
+            report=_report_record,
             engine=doing,
         )
     return int(failed > 0)
@@ -136,7 +136,7 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine | None
     return engine(address, max(options.jobs, 1), options.limit)
 
 
-def _tell(record: Record, left: int) -> None:
+def _report_record(record: Record, left: int) -> None:
     if "failure" in record:
         words = f"FAILED: {record['failure']}"
     else:
@@ -168,7 +168,7 @@ def _ablate(options: argparse.Namespace) -> int:
     cases = [c for c in sample() if not options.vehicle or c.vehicle in options.vehicle]
     doing = ablations(cases[: options.cases], options.number)
     limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
-    failed = run(doing, options.source, answered, tell=_tell, **limits)
+    failed = run(doing, options.source, answered, report=_report_record, **limits)
     text = ablation_page(records(options.source))
     if options.out is None:
         print(text)

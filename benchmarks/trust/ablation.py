@@ -62,13 +62,7 @@ def switchable() -> list[str]:
 
 
 def ablations(cases: Sequence[Planned], numbers: Sequence[str] = ()) -> list[Ablated]:
-    """Every case as it is, and with each of these numbers switched off, by default all that can be.
-
-    Raises
-    ------
-    ValueError
-        If there is no such number, or none that can be switched off.
-    """
+    """Every case as it is, and with each of these numbers switched off, by default all that can be."""
     for name in numbers:
         if name not in switchable():
             raise ValueError(f"--number {name!r} cannot be switched off: choose of {', '.join(switchable())}")

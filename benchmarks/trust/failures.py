@@ -13,9 +13,9 @@ from .tally import VISIBLE, Scored
 
 #: Explanations by hand, case id -> text.
 NOTES = Path(__file__).with_name("notes.toml")
-#: A model that is worse than the told one by less predicts as well as the truth.
+#: A model that is worse than the oracle refit by less predicts as well as the truth.
 _AS_GOOD = 1.02
-HEAD = ("case", "hidden", "verdict", "named", "ratio", "after / told", "what the numbers say")
+HEAD = ("case", "hidden", "verdict", "named", "ratio", "after / oracle", "what the numbers say")
 
 
 def failures(cases: Sequence[Scored]) -> list[Scored]:

@@ -1,4 +1,4 @@
-"""How much the truth helps: the incomplete model against a refit that was told what is hidden."""
+"""How much the truth helps: the incomplete model against a refit that knows what is hidden (oracle)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 
-from .telling import true_values
+from .oracle_values import true_values
 
 #: Name and smallest ratio of each grade, the strongest first.
 GRADES = (("strong", 3.0), ("medium", 1.5), ("weak", 1.1))
@@ -41,21 +41,15 @@ def error_of(fit: Fitted, test: WeakData, noise: list[Whitening]) -> float:
 
 
 @dataclass(frozen=True)
-class Told:
-    """A refit that was told the truth, and what others are held against.
+class OracleRefit:
+    """A refit that knows the truth, and what others are held against.
 
-    Attributes
-    ----------
-    fit : Fitted
-        The model with the true effects, fitted as the diagnosis fits what it names: by output error, started
+    fit: the model with the true effects, fitted as the diagnosis fits what it names: by output error, started
         from the weak form, where that simulates the validation run no worse.
-    test : WeakData
-        Data kept aside.
-    before, error : float
-        Error of the refitted incomplete model, by weak form or by output error, whichever is less, and of the
-        told one, in units of the same noise: that which the sensors make, as the told model sees it.
-    lacking : dict
-        Error of the model that lacks only this one of two true effects.
+    test: data kept aside.
+    before, error: error of the refitted incomplete model, by weak form or by output error, whichever is less,
+        and of the oracle refit, in units of the same noise: that of the sensors, as the oracle refit has it.
+    lacking: error of the model that lacks only this one of two true effects.
     """
 
     fit: Fitted
@@ -79,26 +73,14 @@ def sensor_noise(fit: Fitted, data: WeakData) -> list[Whitening]:
     return fit.model.whitening(data, np.asarray(fit.p))
 
 
-def told(
+def oracle_refit(
     vehicle: Vehicle,
     train: Sequence[Run],
     test: Sequence[Run],
     truth: Sequence[str],
     values: Mapping[str, float],
-) -> Told:
-    """Add the true effects, all their parameters free, and refit.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The incomplete model.
-    train, test : sequence of Run
-        Data to fit to and validation data.
-    truth : sequence of str
-        Ids of what is hidden; all in the catalogue.
-    values : mapping
-        True values, as far as they bear the names of the catalogue: the search begins there.
-    """
+) -> OracleRefit:
+    """Add the true effects, all their parameters free, and refit."""
     base, aside = opened(vehicle, train, test)
     validator = SimulationValidator(vehicle, train, test, aside.sigma)
     fit, _ = validator.refined(settled(_added(base, vehicle, truth, values)))
@@ -111,7 +93,7 @@ def told(
     for effect in truth if len(truth) > 1 else ():
         others = [other for other in truth if other != effect]
         lacking[effect] = least(settled(_added(base, vehicle, others, values)))
-    return Told(fit, aside, least(base), error_of(fit, aside, noise), lacking)
+    return OracleRefit(fit, aside, least(base), error_of(fit, aside, noise), lacking)
 
 
 def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> tuple[WeakFit, WeakData]:

@@ -14,7 +14,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from .cases import Planned
-from .grade import Told, addable, excess, grade_of, opened, told
+from .grade import OracleRefit, addable, excess, grade_of, opened, oracle_refit
 from .material import simulated, without, written_and_read, written_to_memory
 from .peers import asked
 from .sizing import sized
@@ -29,19 +29,7 @@ def measured(
 ) -> tuple[Record, DiagnosisResult]:
     """Simulate, diagnose and grade one case.
 
-    Parameters
-    ----------
-    case : Planned
-        The case.
-    peers : bool
-        Whether the other methods get the same data.
-    keep : Path, optional
-        Folder for the files of the case; a temporary one by default.
-
-    Returns
-    -------
-    (dict, DiagnosisResult)
-        What is written as one line of JSON, and the whole diagnosis.
+    What is written as one line of JSON, and the whole diagnosis.
     """
     made = simulated(sized(case))
     data = _data(made, keep)
@@ -97,21 +85,21 @@ def answer_of(found: Diagnosis) -> Answer:
 def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: DiagnosisResult) -> Record:
     """Ratio and grade, and the errors they come from, in units of one noise model.
 
-    What no catalogue knows has no told refit: it is held against the same vehicle with nothing hidden.
+    What no catalogue knows has no oracle refit: it is held against the same vehicle with nothing hidden.
     """
     began = time.perf_counter()
     if case.kind == "complete":
         return {}
     if record["known"]:
-        truth = told(*data, record["truth"], record["values"])
-        found = _against_told(truth, outcome)
+        truth = oracle_refit(*data, record["truth"], record["values"])
+        found = _against_oracle(truth, outcome)
     else:
         found = _against_nothing_hidden(case, data)
     ratio = found["ratio"]
     return found | {"grade": grade_of(ratio), "grading_seconds": time.perf_counter() - began}
 
 
-def _against_told(truth: Told, outcome: DiagnosisResult) -> Record:
+def _against_oracle(truth: OracleRefit, outcome: DiagnosisResult) -> Record:
     return {
         "ratio": truth.ratio,
         "before": truth.before,

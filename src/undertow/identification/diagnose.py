@@ -56,19 +56,7 @@ from .report.data import ReportData
 
 
 class ResultBuilder:
-    """The outcome of a search, judged under one noise model for all steps and by simulation.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model as given.
-    found : Search
-        What the search found.
-    validator : SimulationValidator
-        Who simulates.
-    known : Catalogue
-        Effects that may be missing.
-    """
+    """The outcome of a search, judged under one noise model for all steps and by simulation."""
 
     def __init__(
         self, vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue
@@ -358,13 +346,7 @@ class DiagnosisResult:
         return self.diagnosis.effects
 
     def report(self, out: str | Path) -> None:
-        """Write the report: one HTML page with all pictures.
-
-        Raises
-        ------
-        UndertowError
-            If the file cannot be written.
-        """
+        """Write the report: one HTML page with all pictures."""
         from .report.page import render_report  # brings matplotlib, which only a report needs
 
         write_whole(Path(out), render_report(self.diagnosis, self.comparison()))

@@ -40,18 +40,11 @@ from .validation import SimulationValidator, training_and_validation
 class AdditionSetup:
     """Logs to fit to and to judge by, and the model as it is, fitted to them.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model as it was given.
-    train, test : list of Run
-        The logs.
-    bench : Bench
-        Data, noise and the fitted model without the effect.
-    windows : Windows
-        Stretches of the validation logs over which motion is predicted.
-    validator : SimulationValidator
-        Who simulates them.
+    vehicle: the model as it was given.
+    train, test: the logs.
+    bench: data, noise and the fitted model without the effect.
+    windows: stretches of the validation logs over which motion is predicted.
+    validator: who simulates them.
     """
 
     vehicle: Vehicle
@@ -70,19 +63,12 @@ class AdditionSetup:
 class Addition:
     """An effect that was put into a model.
 
-    Attributes
-    ----------
-    effect : str
-        Its id.
-    fit : Fitted
-        The fit of the model with it.
-    kept, dropped : tuple of str
-        Parameters of the effect that are in the model now, and those that proved to be zero.
-    given, before, after : Step
-        Error on validation data (1 = noise of the sensors) and prediction ahead: of the model as it was
-        given, refitted without the effect, and refitted with it.
-    evidence : Comparison
-        How strongly the validation data speak for the effect.
+    effect: its id.
+    fit: the fit of the model with it.
+    kept, dropped: parameters of the effect that are in the model now, and those that proved to be zero.
+    given, before, after: error on validation data (1 = noise of the sensors) and prediction ahead: of the
+        model as it was given, refitted without the effect, and refitted with it.
+    evidence: how strongly the validation data speak for the effect.
     """
 
     effect: str
@@ -108,22 +94,7 @@ class Addition:
 def set_up_addition(
     vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
 ) -> AdditionSetup:
-    """Fit a model as it is, and get ready to judge what is added to it.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` are refitted.
-    runs, holdout : sequence of Run
-        Logs to fit to and to judge by; without `holdout`, pieces of `runs` are kept for it.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
-    """
+    """Fit a model as it is, and get ready to judge what is added to it."""
     train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
@@ -135,22 +106,7 @@ def set_up_addition(
 
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
-    """Put an effect into the model, refit all, and judge it on validation data.
-
-    Parameters
-    ----------
-    effect : type of Effect
-        The effect.
-    setup : AdditionSetup
-        Logs and the model without it.
-    keep_all : bool
-        Keep parameters that prove to be zero within their error, too.
-
-    Raises
-    ------
-    UndertowError
-        If the model has all of the effect already, or lacks one that it needs.
-    """
+    """Put an effect into the model, refit all, and judge it on validation data."""
     candidate = _candidate(effect, setup.bench.base.model.functions.vehicle)
     screened = screen(candidate, setup.bench)
     if not _visible(candidate, screened[0].start):

@@ -26,12 +26,8 @@ from .settings import DEFAULT, Settings
 class Candidate:
     """One effect that the model may lack, or lacks some parameters of.
 
-    Attributes
-    ----------
-    effect : type of Effect
-        The effect.
-    base : Vehicle
-        The model without it.
+    effect: the effect.
+    base: the model without it.
     """
 
     effect: type[Effect]
@@ -137,17 +133,7 @@ def candidates(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> 
 
 
 def possible(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
-    """All effects of the catalogue that could be added to a vehicle, those that add nothing to it among them.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    known : Catalogue
-        Effects that may be missing.
-    derived : bool
-        Whether velocities were taken from the pose, so that no velocity sensor can be wrong.
-    """
+    """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it."""
     fitting = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
     return [Candidate(c, vehicle) for c in fitting if not (derived and _of_velocity_sensor(c))]
@@ -160,17 +146,8 @@ def _of_velocity_sensor(effect: type[Effect]) -> bool:
 def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
     """Least and greatest angular frequency around the sharpest line in a residual, rad/s.
 
-    Parameters
-    ----------
-    r : (m,) array
-        Whitened residual.
-    data : WeakData
-        Data that it belongs to.
-
-    Returns
-    -------
-    (float, float) or None
-        None where the runs are too short for three periods of anything.
+    r: (m,), whitened residual.
+    None where the runs are too short for three periods of anything.
     """
     cell = 2 * np.pi / max(float(s.t[-1] - s.t[0]) for s in data.segments)
     # A stretch between two gaps may hold a single test function.

@@ -26,14 +26,9 @@ from .trial import Bench, Score, Trial, comparable_mean_squares, is_noise, noise
 class Comparison:
     """Fall of the mean square from one model to another, block by block.
 
-    Attributes
-    ----------
-    mean : float
-        Mean fall of the whitened mean square.
-    interval : (float, float)
-        95 % interval of the mean over blocks.
-    p_value : float
-        Chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test,
+    mean: mean fall of the whitened mean square.
+    interval: 95 % interval of the mean over blocks.
+    p_value: chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test,
         one-sided).
     """
 
@@ -89,20 +84,12 @@ def as_good(best: Score, other: Score, bench: Bench) -> bool:
 class FoundEffect:
     """A candidate with the evidence for it.
 
-    Attributes
-    ----------
-    trial : Trial
-        The candidate after its fit.
-    evidence : Comparison
-        Fall of the validation error, block by block.
-    explained : float
-        Share of what exceeds the noise that it takes away.
-    p_value : float
-        Chance that the best of all candidates lowers the error as much when nothing is missing.
-    significant : bool
-        Whether it is held to be there.
-    inclusion : float
-        How often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
+    trial: the candidate after its fit.
+    evidence: fall of the validation error, block by block.
+    explained: share of what exceeds the noise that it takes away.
+    p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
+    significant: whether it is held to be there.
+    inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
     """
 
     trial: Trial
@@ -132,11 +119,6 @@ def hidden_by_disturbance(bench: Bench) -> bool:
 
     By the weak form, also where the simulation of windows finds nothing but noise: their estimated starts
     take up part of a small steady force. Whether what is found is needed is for the simulation to say again.
-
-    Parameters
-    ----------
-    bench : Bench
-        Data, noise model and the model.
     """
     ratio = noise_ratio(bench.base, bench.test)
     return a_little_more_than_noise(bench.base.disturbance, ratio, rows_of(bench.test), bench.settings)
@@ -153,17 +135,7 @@ def a_little_more_than_noise(
 
 
 def explains_all(bare: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool:
-    """Whether nothing but noise is left with effects that were found without room for a disturbance.
-
-    Parameters
-    ----------
-    bare : Bench
-        Data, the noise of the sensors and the model without the effects.
-    fit : WeakFit
-        The model with them.
-    residual_is_noise : callable
-        Whether a model leaves only noise of the validation data.
-    """
+    """Whether nothing but noise is left with effects that were found without room for a disturbance."""
     scores = comparable_mean_squares(bare.base_score, bare.judge(fit), bare.test)
     share = explained(*scores, bare.noise_level, bare.settings)
     # A model that is just above the limit of noise may get below it by chance.
@@ -177,12 +149,8 @@ class Blocks:
     The whitened residual of the model is r + shift + J delta: r is that of the model without the candidate,
     shift what the candidate changes at the point of linearisation, J its derivative there.
 
-    Attributes
-    ----------
-    table : (B, k + 2, k + 2) array
-        Gram matrices of the columns of J (k of them), shift and r, one for each block.
-    rows : int
-        Entries of the residual in all blocks.
+    table: (B, k + 2, k + 2), gram matrices of the columns of J (k of them), shift and r, one for each block.
+    rows: entries of the residual in all blocks.
     """
 
     table: Array
@@ -234,14 +202,9 @@ class Blocks:
 class Linear:
     """A candidate linearised where it was fitted, on the data for the fit and on those for validation.
 
-    Attributes
-    ----------
-    train, test : Blocks
-        The model's own parameters first, the candidate's last.
-    own : int
-        How many of the columns belong to the candidate.
-    stiffness : (k,) array
-        Weight of the stated priors.
+    train, test: the model's own parameters first, the candidate's last.
+    own: how many of the columns belong to the candidate.
+    stiffness: (k,), weight of the stated priors.
     """
 
     train: Blocks
@@ -338,14 +301,9 @@ def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Line
 class EffectSet:
     """Effects added to a model, fitted together.
 
-    Attributes
-    ----------
-    findings : tuple of Finding
-        The effects, in the order in which they were found.
-    fit : WeakFit
-        The model with all of them.
-    score : Score
-        How it does on the validation data.
+    findings: the effects, in the order in which they were found.
+    fit: the model with all of them.
+    score: how it does on the validation data.
     """
 
     findings: tuple[FoundEffect, ...]

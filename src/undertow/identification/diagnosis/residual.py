@@ -50,15 +50,10 @@ _STANDS_OUT = 1.5
 class ForceRow:
     """One force equation of a fitted model along logs.
 
-    Attributes
-    ----------
-    parts : list of Linearised
-        For every segment the force that the model has beyond what the motion needs, and its derivative in the
-        free parameters, times the weight of the test functions, N s or N m s.
-    sensor_noise : list of Whitening
-        Noise of the channels in it.
-    weight : float
-        Mean integral of a test function, s.
+    parts: for every segment the force that the model has beyond what the motion needs, and its derivative in
+        the free parameters, times the weight of the test functions, N s or N m s.
+    sensor_noise: noise of the channels in it.
+    weight: mean integral of a test function, s.
     """
 
     parts: list[Linearised]
@@ -68,12 +63,7 @@ class ForceRow:
     def whitened(self, disturbance: float, columns: Sequence[Array] | None = None) -> Linearised:
         """Residual and derivatives in units of the noise, with further columns behind those of the model.
 
-        Parameters
-        ----------
-        disturbance : float
-            Intensity of what the model leaves beyond the noise, N^2 s or (N m)^2 s.
-        columns : sequence of (K, q) arrays, optional
-            Further derivatives, one table for each segment.
+        columns: (K, q), further derivatives, one table for each segment.
         """
         counts = [len(p.r) for p in self.parts]
         noise = [
@@ -139,15 +129,7 @@ def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linea
 
 
 class ForceRows:
-    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model.
-    data : WeakData
-        Logs, those that it was fitted to or others.
-    """
+    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other."""
 
     def __init__(self, fit: Fitted, data: WeakData) -> None:
         self._fit, self.data = fit, data
@@ -275,16 +257,10 @@ class ResidualDescription:
 class ResidualForce:
     """One residual force, ready to be looked at.
 
-    Attributes
-    ----------
-    association : Association
-        The residual with the terms that it may go with.
-    clocks : (Clock, Clock)
-        Clock of the data of the fit, and of those for validation.
-    rows : three of (ForceRows, ForceRow, float)
-        Where each of the three samples comes from, with the disturbance that it was whitened with.
-    unit : str
-        Unit of the force.
+    association: the residual with the terms that it may go with.
+    clocks: clock of the data of the fit, and of those for validation.
+    rows: where each of the three samples comes from, with the disturbance that it was whitened with.
+    unit: unit of the force.
     """
 
     association: Association
@@ -528,15 +504,7 @@ _MEMORIES = 3.0
 
 
 class Characteriser:
-    """Residual forces of a fitted model, on the data of the fit and on validation data.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model.
-    known, validation : WeakData
-        Logs that it was fitted to, and logs that it was not.
-    """
+    """Residual forces of a fitted model, on the data of the fit and on validation data."""
 
     def __init__(self, fit: Fitted, known: WeakData, validation: WeakData) -> None:
         vehicle = fit.model.functions.vehicle
@@ -615,22 +583,7 @@ class Characteriser:
 
 
 def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remaining]:
-    """Residual force of every degree of freedom on validation data.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model.
-    known, validation : WeakData
-        Data that it was fitted to, and validation data.
-
-    Returns
-    -------
-    list of Remaining
-        In the order of the vehicle's degrees of freedom. The rms is that of the force averaged under the
-        test functions, in N or N m; the normalised error weighs slow parts, where there is little noise, as
-        heavily as they deserve.
-    """
+    """Residual force of every degree of freedom on validation data."""
     characteriser = Characteriser(fit, known, validation)
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
 

@@ -59,14 +59,9 @@ _log = logging.getLogger("undertow.diagnosis")
 class Round:
     """One step of the search: the model so far and what every candidate would do for it.
 
-    Attributes
-    ----------
-    bench : Bench
-        Data, noise model and the model so far.
-    findings : list of Finding
-        All candidates, best first.
-    rivals : list of Finding
-        Effects that the data cannot tell from the best one.
+    bench: data, noise model and the model so far.
+    findings: all candidates, best first.
+    rivals: effects that the data cannot tell from the best one.
     """
 
     bench: Bench
@@ -81,17 +76,7 @@ class Round:
 
 
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
-    """Try every candidate on top of a model.
-
-    Parameters
-    ----------
-    bench : Bench
-        Data, noise model and the model so far.
-    known : Catalogue
-        Effects that may be missing.
-    report : callable
-        Told the share done and what is going on.
-    """
+    """Try every candidate on top of a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
     screened = _screened(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
@@ -244,14 +229,9 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
 class OtherValues:
     """The model with other values in place of some that the vehicle file holds fixed.
 
-    Attributes
-    ----------
-    alike : dict
-        Names of those values, each with fixed values that would do the same in its place.
-    fit : WeakFit
-        The fit with them free.
-    score : Score
-        How it does on the validation data.
+    alike: names of those values, each with fixed values that would do the same in its place.
+    fit: the fit with them free.
+    score: how it does on the validation data.
     """
 
     alike: dict[str, tuple[str, ...]]
@@ -267,18 +247,8 @@ def freed(vehicle: Vehicle, names: Sequence[str]) -> Vehicle:
 def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tuple[str, ...]]:
     """Fixed values whose change explains more than the best effect, or as much with less strain on the rest.
 
-    Parameters
-    ----------
-    current : Round
-        What every effect does for the model as given.
-    residual_is_noise : callable
-        Whether a model leaves only noise of the validation data.
-
-    Returns
-    -------
-    dict
-        Names of the values, each with fixed values that would do the same in its place; empty where an
-        effect, or the model as it is, is to be preferred.
+    Names of the values, each with fixed values that would do the same in its place; empty where an effect, or
+        the model as it is, is to be preferred.
     """
     bench = current.bench
     if not _fixed(bench) or residual_is_noise(bench.base, bench.test):

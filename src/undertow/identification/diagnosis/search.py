@@ -41,13 +41,6 @@ def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
 
     A pair with the best single effect is found by the next round.
-
-    Parameters
-    ----------
-    current : Round
-        Every effect by itself.
-    residual_is_noise : callable
-        Whether a model leaves only noise of the validation data.
     """
     good = [
         c
@@ -62,13 +55,6 @@ def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
 
     All pairs of effects were in the race, so that by chance the best of them looks good more easily than the
     best single one; and of several that do as well, none is in evidence.
-
-    Parameters
-    ----------
-    current : Round
-        Every effect by itself.
-    residual_is_noise : callable
-        Whether a model leaves only noise of the validation data.
     """
     bench = current.bench
     if residual_is_noise(bench.base, bench.test):
@@ -107,15 +93,6 @@ def promising_pairs(
     """Pairs of candidates by what they promise together, the most promising first.
 
     What each changes where it was fitted is added up, and all parameters are refitted linearly.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        Candidates of one round, best first.
-    bench : Bench
-        Data and noise model of the round.
-    most : int
-        Number of pairs.
     """
     leading = [f for f in findings if f.trial.kept][: bench.settings.pair_candidates]
     columns = [_columns(f, bench) for f in leading]
@@ -149,20 +126,12 @@ ToFree = Callable[[Round, IsNoise], Freed]
 class Search:
     """What the search found.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model as given, or with some of its fixed values to be estimated.
-    rounds : list of Round
-        Its steps; the last is without a winner unless the noise floor was reached or effects ran out.
-    bench : Bench
-        Data, the noise model of the best model that was found, and the model without any effect.
-    effect_set : EffectSet
-        The effects that were found, none or several, fitted together.
-    rivals : list of list of EffectSet
-        For each of the effects, what does as well in its place.
-    freed : mapping
-        Those values, each with fixed values that would do the same in its place.
+    vehicle: the model as given, or with some of its fixed values to be estimated.
+    rounds: its steps; the last is without a winner unless the noise floor was reached or effects ran out.
+    bench: data, the noise model of the best model that was found, and the model without any effect.
+    effect_set: the effects that were found, none or several, fitted together.
+    rivals: for each of the effects, what does as well in its place.
+    freed: those values, each with fixed values that would do the same in its place.
     """
 
     vehicle: Vehicle
@@ -193,23 +162,7 @@ def search(
     residual_is_noise: IsNoise = only_noise,
     settings: Settings = DEFAULT,
 ) -> Search:
-    """Look for missing effects until the noise floor or until nothing helps.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    train, test : WeakData
-        Data to fit to, and validation data to judge by.
-    known : Catalogue
-        Effects that may be missing.
-    report : callable, optional
-        Told the share done and what is going on.
-    residual_is_noise : callable, optional
-        Whether a model leaves only noise of the validation data; the search ends with one that does.
-    settings : Settings
-        The numbers that decide.
-    """
+    """Look for missing effects until the noise floor or until nothing helps."""
     report(0.0, "fitting the model as it is")
     opened = open_bench(vehicle, train, test, settings)
     steps = _stepwise(vehicle, opened, known, report, residual_is_noise, values_to_free)
@@ -429,13 +382,6 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
     While effects compete, a parameter has to be far from zero to stay, for there are many that could be there
     by chance. Of an effect that is named, a parameter stays that is more likely there than not: two standard
     errors from zero.
-
-    Parameters
-    ----------
-    fit : WeakFit
-        The model with the effects.
-    candidates : sequence of Candidate
-        The effects that it got.
     """
     fit = settled(fit)
     names = fit.model.functions.parameter_names

@@ -40,17 +40,11 @@ from .settings import DEFAULT, Settings
 class Score:
     """A model on data that it was not fitted to.
 
-    Attributes
-    ----------
-    r : (m,) array
-        Whitened residual.
-    mean_square : (2n,) array
-        Mean square for each equation.
-    open : (m,) array, optional
-        Part of the residual that belongs to unknown first states of effects, which no model could have
-        foretold; it is that of the model beside which this one is judged.
-    error : float
-        Normalised error: geometric mean over the equations of the whitened rms.
+    r: (m,), whitened residual.
+    mean_square: (2n,), mean square for each equation.
+    open: (m,), part of the residual that belongs to unknown first states of effects, which no model could
+        have foretold; it is that of the model beside which this one is judged.
+    error: normalised error: geometric mean over the equations of the whitened rms.
     """
 
     r: Array
@@ -84,18 +78,11 @@ def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | 
 class Trial:
     """A candidate after its fit.
 
-    Attributes
-    ----------
-    candidate : Candidate
-        What was tried.
-    full : WeakFit
-        The fit with all its parameters.
-    fit : WeakFit
-        The fit with those that matter.
-    kept : tuple of str
-        Those that matter.
-    score : Score
-        How `fit` does on the validation data.
+    candidate: what was tried.
+    full: the fit with all its parameters.
+    fit: the fit with those that matter.
+    kept: those that matter.
+    score: how `fit` does on the validation data.
     """
 
     candidate: Candidate
@@ -114,16 +101,10 @@ class Trial:
 class Bench:
     """Data and noise model that all candidates face alike.
 
-    Attributes
-    ----------
-    train, test : WeakData
-        What models are fitted to, and what they are judged by.
-    train_whitening, test_whitening : list of Whitening
-        Noise of both, the same for all candidates.
-    base : WeakFit
-        The model without any candidate, fitted to the training data.
-    settings : Settings
-        The numbers that decide.
+    train, test: what models are fitted to, and what they are judged by.
+    train_whitening, test_whitening: noise of both, the same for all candidates.
+    base: the model without any candidate, fitted to the training data.
+    settings: the numbers that decide.
     """
 
     train: WeakData
@@ -264,20 +245,7 @@ def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT)
 def try_candidate(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float | None = None
 ) -> Trial:
-    """Fit a candidate, drop the parameters that do not matter, and judge it.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        What is tried.
-    bench : Bench
-        Data, noise model and the model without it.
-    start : mapping
-        Values to start from.
-    enough : float
-        Share of the sum of squares that a step has to promise for another to follow; that of the settings
-        by default.
-    """
+    """Fit a candidate, drop the parameters that do not matter, and judge it."""
     settings = bench.settings
     enough = settings.rough_step if enough is None else enough
     fit = bench.fit(candidate.model(), start=start, enough=enough)
@@ -331,15 +299,6 @@ def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: floa
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
     This thins an effect out; whether it is needed at all is for the validation data to say, so one stays.
-
-    Parameters
-    ----------
-    fit : WeakFit
-        The fit with all of them.
-    removable : tuple of str
-        What may go.
-    least : float
-        |estimate| over standard error with which a parameter stays.
     """
     names = list(fit.model.free)
     information = fit.information
@@ -369,26 +328,10 @@ class Screened:
     Where the candidate changes nothing yet, the columns of the model without it are what they were, and only
     its own are worked out.
 
-    Parameters
-    ----------
-    candidate : Candidate
-        What is tried.
-    bench : Bench
-        Data, noise model and the model without it.
-    start : mapping
-        Values that differ from those of the model without it.
-    steps : int
-        Gauss-Newton steps taken beforehand.
-
-    Attributes
-    ----------
-    start : WeakFit
-        The model at the start, not fitted.
-    cost : float
-        Sum of squares after the step.
-    values : dict
-        Free parameters where a fit is to begin: after the step from a start as given, without it where steps
-        were taken beforehand, since what one promises may not come true.
+    start: the model at the start, not fitted.
+    cost: sum of squares after the step.
+    values: free parameters where a fit is to begin: after the step from a start as given, without it where
+        steps were taken beforehand, since what one promises may not come true.
     """
 
     def __init__(
@@ -445,19 +388,7 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
 def best_start(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], enough: float = 0.0
 ) -> dict[str, float]:
-    """Where the better one of several fits ends: which start leads there, a few steps cannot show.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        What is tried.
-    bench : Bench
-        Data, noise model and the model without it.
-    starts : sequence of dict
-        Values from which to fit; a single one is handed back as it is.
-    enough : float
-        Share of the sum of squares that a step has to promise for another to follow.
-    """
+    """Where the better one of several fits ends: which start leads there, a few steps cannot show."""
     if len(starts) == 1:
         return starts[0]
     fits = [bench.fit(candidate.model(), start=start, enough=enough) for start in starts]

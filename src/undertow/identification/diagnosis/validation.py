@@ -37,14 +37,8 @@ from .trial import only_noise
 def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Settings = DEFAULT) -> bool:
     """Whether the error of a simulation is noise, quick or slow.
 
-    Parameters
-    ----------
-    shooting : Shooting
-        Windows of logs and the model that simulates them.
-    p : (n_parameters,) array
-        Parameters.
-    starts : (b, 2n) array
-        The best start of every window.
+    p: (n_parameters,), parameters.
+    starts: (b, 2n), the best start of every window.
     """
     errors = shooting.errors(p, starts)
     used = shooting.used
@@ -58,17 +52,9 @@ def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Se
 def means_over(errors: Array, part: NDArray[np.intp]) -> Array:
     """Means over parts of windows, times the square root of the number of samples that are there.
 
-    Parameters
-    ----------
-    errors : (b, k, c) array
-        Errors by window, sample and channel, in units of the noise; NaN where there is none.
-    part : (b, k) array of int
-        Part of its window that a sample belongs to.
-
-    Returns
-    -------
-    (b, parts, c) array
-        Of unit variance where the errors are white noise; NaN where no sample is there.
+    errors: (b, k, c), errors by window, sample and channel, in units of the noise; NaN where there is none.
+    part: (b, k), part of its window that a sample belongs to.
+    Returns (b, parts, c): of unit variance where the errors are white noise; NaN where no sample is there.
     """
     windows, _, channels = errors.shape
     shape = windows, int(part.max(initial=0)) + 1, channels
@@ -103,19 +89,8 @@ def within_errors(
     The sum of squares over these windows and the squared distance from the fit, in units of its errors, are
     least together, as if both data had been fitted at once.
 
-    Parameters
-    ----------
-    fit : OutputErrorFit
-        The fit; its errors are those that the noise of the sensors gives, whatever else it leaves.
-    shooting : Shooting
-        The other windows, with derivatives in the free parameters of the fit.
-    starts : (b, 2n) array
-        Start of every window to begin with.
-
-    Returns
-    -------
-    (array, array) or None
-        All parameters and the starts; None if the fit rules such parameters out, or a simulation diverges.
+    starts: (b, 2n), start of every window to begin with.
+    All parameters and the starts; None if the fit rules such parameters out, or a simulation diverges.
     """
     places, fitted = list(fit.model.places), np.asarray(fit.p)
     information = fit.noise_gram + np.diag(prior_of(fit.model)[1] ** 2)
@@ -145,14 +120,9 @@ _BEYOND = 1e12
 class Contender:
     """A model of the short list.
 
-    Attributes
-    ----------
-    effect_set : EffectSet
-        Its effects.
-    fit : Fitted
-        Its fit by output error, or by the weak form where a simulation diverged.
-    squares : (b,) array
-        Mean square of the simulation error in every validation window, in units of the noise.
+    effect_set: its effects.
+    fit: its fit by output error, or by the weak form where a simulation diverged.
+    squares: (b,), mean square of the simulation error in every validation window, in units of the noise.
     """
 
     effect_set: EffectSet
@@ -168,16 +138,7 @@ class Contender:
 class SimulationValidator:
     """Judges models by simulating the validation runs in windows whose starts are estimated.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose channels and commands are simulated.
-    train, test : sequence of Run
-        What models are fitted to, and what they are judged by.
-    sigma : (2n,) array
-        Noise of the channels.
-    settings : Settings
-        The numbers that decide.
+    sigma: (2n,), noise of the channels.
     """
 
     def __init__(
@@ -441,12 +402,8 @@ def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT
 class Sizes:
     """Size of an effect by stretch of the validation data, in units of the fitted one.
 
-    Attributes
-    ----------
-    value, error : (k,) array
-        Size in every stretch, and its standard error by the noise of the sensors.
-    share : float
-        Share of what exceeds the noise that goes away when the size is free in every stretch.
+    value, error: (k,), size in every stretch, and its standard error by the noise of the sensors.
+    share: share of what exceeds the noise that goes away when the size is free in every stretch.
     """
 
     value: Array
@@ -470,19 +427,7 @@ def sizes(
     noise: list[Whitening],
     settings: Settings = DEFAULT,
 ) -> Sizes:
-    """Size of an effect in stretches of the validation data, all else being as fitted.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model with the effect.
-    own : sequence of Parameter
-        What the effect brings in; those that it is linear in make its size. One without such has none.
-    data : WeakData
-        Data kept aside.
-    noise : list of Whitening
-        Noise of the sensors alone in them.
-    """
+    """Size of an effect in stretches of the validation data, all else being as fitted."""
     p = np.asarray(fit.p)
     at = whitened(fit.model.linearise(data, p), noise)
     names = {q.name for q in own if q.linear}
@@ -509,13 +454,6 @@ def repeats(
     """validation runs that repeat the commands of a run that was fitted, with that run.
 
     A model that has learned the manoeuvre by heart does as well on them as the right one.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose commands are compared.
-    train, test : sequence of Run
-        What models are fitted to, and what they are judged by.
     """
     names = vehicle.command_names
     pairs = ((kept, fitted) for kept in test for fitted in train)
@@ -554,11 +492,6 @@ def training_and_validation(
     """Runs to fit to and to judge by: as given, or pieces of `runs` where there are none for validation.
 
     Velocities that a run lacks are taken from its pose.
-
-    Raises
-    ------
-    UndertowError
-        If a log cannot be, is too short to be cut, or nothing moves in it.
     """
     runs, validation = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     refuse_impossible(vehicle, [*runs, *validation], trust_log=trust_log)
@@ -568,18 +501,7 @@ def training_and_validation(
 
 
 def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
-    """Cut every run into six pieces and keep the second and the fifth aside.
-
-    Returns
-    -------
-    (list of Run, list of Run)
-        What models are fitted to, and what they are judged by.
-
-    Raises
-    ------
-    UndertowError
-        If a run is too short to be cut.
-    """
+    """Cut every run into six pieces and keep the second and the fifth aside."""
     for run in runs:
         if len(run.t) < settings.fewest_samples:
             raise UndertowError(

@@ -37,18 +37,11 @@ from .trial import Bench, Score, comparable_mean_squares, screen
 class Judgement:
     """The verdict with its reasons.
 
-    Attributes
-    ----------
-    verdict : str
-        One of `Verdict`.
-    headline : str
-        One sentence.
-    effects : list of Finding
-        The effects that are named.
-    sets : list of Indistinguishable
-        Effects that the data cannot tell apart.
-    share : float
-        Share of the excess over the noise that the added effects explain.
+    verdict: one of `Verdict`.
+    headline: one sentence.
+    effects: the effects that are named.
+    sets: effects that the data cannot tell apart.
+    share: share of the excess over the noise that the added effects explain.
     """
 
     verdict: Verdict
@@ -62,16 +55,10 @@ class Judgement:
 class Remainder:
     """What the final model leaves, and what speaks against it.
 
-    Attributes
-    ----------
-    residual_is_noise : bool
-        Whether the noise explains what is left.
-    confirmed : bool
-        Whether the model does not simulate the validation runs worse than the incomplete one.
-    nearly : bool
-        Whether less than twice the noise is left in every equation.
-    change : str
-        How the size of the effect would have to change in the course of the validation data, if it would.
+    residual_is_noise: whether the noise explains what is left.
+    confirmed: whether the model does not simulate the validation runs worse than the incomplete one.
+    nearly: whether less than twice the noise is left in every equation.
+    change: how the size of the effect would have to change in the course of the validation data, if it would.
     """
 
     residual_is_noise: bool
@@ -83,16 +70,7 @@ class Remainder:
 def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remainder) -> Judgement:
     """Decide.
 
-    Parameters
-    ----------
-    found : Search
-        What the search did.
-    scores : (Score, Score)
-        The incomplete and the final model under the final noise model.
-    noise : (2n,) array
-        Mean square that the noise of the sensors has under that noise model.
-    left : Remainder
-        What the final model leaves.
+    noise: (2n,), mean square that the noise of the sensors has under that noise model.
     """
     winners, settings = found.winners, found.bench.settings
     share = explained(*comparable_mean_squares(*scores, found.bench.test), noise, settings)
@@ -214,17 +192,7 @@ def _known(standard_error: float) -> float | None:
 
 
 def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[str]]) -> str:
-    """The values as fitted beside those of the file, in its signs; empty where there are none.
-
-    Parameters
-    ----------
-    stated : Vehicle
-        The vehicle as the user gave it.
-    fit : Fitted
-        The fit with these values free.
-    freed : mapping
-        Their names, each with fixed values that would do the same in its place.
-    """
+    """The values as fitted beside those of the file, in its signs; empty where there are none."""
     return ", ".join(_value(stated, fit, name, alike) for name, alike in freed.items())
 
 
@@ -238,17 +206,7 @@ def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str
 
 
 def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> str:
-    """The headline of a verdict with what is to be said of the values.
-
-    Parameters
-    ----------
-    judgement : Judgement
-        The verdict on effects.
-    values : str
-        The values, as `changed_values` tells them.
-    residual_is_noise : bool
-        Whether nothing but noise is left with them.
-    """
+    """The headline of a verdict with what is to be said of the values."""
     said = judgement.headline
     if not values:
         return said
@@ -263,22 +221,7 @@ def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> s
 
 
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
-    """What could stand behind parameters that the refit of the model moved far from their stated values.
-
-    Parameters
-    ----------
-    stated : Vehicle
-        The model with its stated values and their standard deviations.
-    bench : Bench
-        Data, noise model and the refitted model.
-    possible : sequence of Candidate
-        Effects that it lacks.
-
-    Returns
-    -------
-    list of Equivalent
-        One entry with all effects that do what the moved parameters do, or none.
-    """
+    """What could stand behind parameters that the refit of the model moved far from their stated values."""
     moved = moved_parameters(stated, bench.base, bench.settings)
     if not moved:
         return []
@@ -292,19 +235,7 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
 def instead_of_effects(
     effect_set: EffectSet, vehicle: Vehicle, bench: Bench, residual_is_noise: IsNoise
 ) -> list[Equivalent]:
-    """Other values of what the vehicle file holds fixed that leave as little as one of the effects named.
-
-    Parameters
-    ----------
-    effect_set : EffectSet
-        Effects with which nothing but noise is left.
-    vehicle : Vehicle
-        The model without them.
-    bench : Bench
-        Data and noise model.
-    residual_is_noise : callable
-        Whether a model leaves only noise of the validation data.
-    """
+    """Other values of what the vehicle file holds fixed that leave as little as one of the effects named."""
     found = []
     for finding in effect_set.findings:
         others = [f for f in effect_set.findings if f is not finding]
@@ -381,14 +312,9 @@ _ON_BOUND = 1e-6
 class Relief:
     """The model with effects added that lower the validation error by more than chance.
 
-    Attributes
-    ----------
-    effects : tuple of str
-        Ids of the effects.
-    values : mapping
-        Fitted values of the parameters, SNAME signs.
-    error : float
-        Kept-aside error.
+    effects: ids of the effects.
+    values: fitted values of the parameters, SNAME signs.
+    error: kept-aside error.
     """
 
     effects: tuple[str, ...]
@@ -429,25 +355,7 @@ def absorbing(
     alike: Mapping[str, Sequence[str]] | None = None,
     settings: Settings = DEFAULT,
 ) -> list[str]:
-    """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model as the user gave it; `sigma` of its values are the stated priors.
-    fit : Fitted
-        The refitted model without further effects.
-    helpers : sequence of Relief
-        Models with effects added.
-    alike : mapping, optional
-        For parameters, ids of effects that the data cannot tell from what these were changed by.
-
-    Returns
-    -------
-    list of str
-        One line for each parameter. An effect is only named where it, or one that does as well, leads the
-        ranking and the parameter comes back with it.
-    """
+    """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be."""
     least = min((h.error for h in helpers), default=0.0)
     leading = [h for h in helpers if h.error <= settings.as_good_error * least]
     lines = [
