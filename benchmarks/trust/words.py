@@ -38,8 +38,8 @@ DEFINITIONS = """\
 - *Ratio*: error of the refitted incomplete model (by weak form or output error, whichever is less) over that
   of the oracle refit. Strong: 3 and more; medium: 1.5 to 3; weak: 1.1 to 1.5; below that the effect is
   hidden in the noise, and the cases are counted apart. For two effects: what the less visible of them is
-  worth when the other is there. For what no catalogue lists: error of the refitted model over that of the same vehicle,
-  commands and noise with nothing hidden.
+  worth when the other is there. For what no catalogue lists: error of the refitted model over that of the
+  same vehicle, commands and noise with nothing hidden.
 - *Faint*: sizes as drawn make strong effects nearly always. So each effect comes a second time, with its size
   chosen for a ratio drawn between 1.1 and 3 (`r` in a case's name; `x` is a factor on the drawn size). The
   choice looks at the oracle refit, never at the diagnosis. No size is more than ten times the drawn one: a
@@ -112,8 +112,8 @@ one that these data cannot tell from it. Base seeds 20261122, 50261123 and 60261
 5facd27: 276 cases, none wrong; strong 71 of 74 first and 72 named alone, medium 63 of 66 both, weak 18 of
 20 first and as many in the set, pairs 15 of 15, no false alarm in 69 complete models, 18 of 18 effects
 outside the catalogue unexplained. Before that: base seed 918273, commit b435ccf, 104 cases, one wrong name
-(thruster_lag for a dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none wrong; base seed
-52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
+(thruster_lag for a dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none wrong;
+base seed 52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
 
 Seconds are those of the diagnosis alone, without the simulation, with whatever else the machine did at the
 time.
