@@ -112,8 +112,8 @@ one that these data cannot tell from it. Base seeds 20261122, 50261123 and 60261
 5facd27: 276 cases, none wrong; strong 71 of 74 first and 72 named alone, medium 63 of 66 both, weak 18 of
 20 first and as many in the set, pairs 15 of 15, no false alarm in 69 complete models, 18 of 18 effects
 outside the catalogue unexplained. Before that: base seed 918273, commit b435ccf, 104 cases, one wrong name
-(thruster_lag for a dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none wrong;
-base seed 52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
+(thruster_lag for a dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none
+wrong; base seed 52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
 
 Seconds are those of the diagnosis alone, without the simulation, with whatever else the machine did at the
 time.
