@@ -143,7 +143,7 @@ class Refit:
     estimator : Estimator
         How it was made.
     train, test : list of Run
-        Logs that were fitted, and logs kept aside.
+        Logs that were fitted, and validation logs.
     before, after : Prediction
         Kept-aside logs predicted by the model as given and as refitted.
     """
@@ -229,11 +229,11 @@ def refit(
     holdout: Sequence[Run],
     estimator: Estimator,
     horizon: float,
-    tell: Progress = lambda done, words: None,
+    report: Progress = lambda done, words: None,
     *,
     trust_log: bool = False,
 ) -> Refit:
-    """Fit what the vehicle marks as estimated; without validation logs, stretches of the logs are kept aside.
+    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it.
 
     Raises
     ------
@@ -246,10 +246,12 @@ def refit(
             "X_u = { value = ..., estimate = true }"
         )
     train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
-    tell(0.0, "fitting")
-    # Whole logs have been looked at: what is left of them after some was kept aside need not be.
-    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
-    tell(0.8, "predicting validation data")
+    report(0.0, "fitting")
+    # Whole logs have been looked at: what is left of them without the validation data need not be.
+    fit = estimator.fit(
+        vehicle, train, progress=lambda done, words: report(0.8 * done, words), trust_log=True
+    )
+    report(0.8, "predicting validation data")
     longest = max(float(r.t[-1] - r.t[0]) for r in test)
     windows = cut(test, vehicle, min(horizon, 0.9 * longest))
     before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))

@@ -444,13 +444,13 @@ def diagnose(
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
     """The diagnosis with what the doctor found; mistakes come first among the warnings."""
-    told = [f"{f.severity}: {f.text}" for f in examined.mistakes]
+    mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
-    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if told else []
+    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if mistakes else []
     return diagnosis.model_copy(
         update={
             "doctor": examined.findings,
-            "warnings": [*told, *diagnosis.warnings],
+            "warnings": [*mistakes, *diagnosis.warnings],
             "headline": " ".join([*first, diagnosis.headline]),
         }
     )

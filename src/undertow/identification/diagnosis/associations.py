@@ -152,7 +152,7 @@ def _is_motion(text: str) -> bool:
 _PATTERNS = 1999
 # Share of a column's sum of squares that has to be left beside the model's own columns for it to be news.
 _NEWS = 1e-4
-# Terms that gain this share of what the best one does are told with it.
+# Terms that gain this share of what the best one does are named with it.
 _ALIKE = 0.9
 
 
@@ -271,7 +271,7 @@ class Association:
         best = float(gains[order[0]])
         alike = tuple(tried[i].term.label for i in order[1:] if gains[i] > _ALIKE * best)
         chance = (1 + int(np.sum(by_chance >= best))) / (1 + _PATTERNS)
-        return self._told(tried[order[0]], best, chance, alike)
+        return self._found(tried[order[0]], best, chance, alike)
 
     def without(self, found: Found) -> Association:
         """What is left when a term is taken out; its coefficients stay free to adjust."""
@@ -316,7 +316,7 @@ class Association:
             if t.label not in self.taken and np.all(news[c])
         ]
 
-    def _told(self, t: _Tried, gain: float, chance: float, alike: tuple[str, ...]) -> Found:
+    def _found(self, t: _Tried, gain: float, chance: float, alike: tuple[str, ...]) -> Found:
         fitted = self.samples.fitted
         coefficients = -t.inverse @ t.fitted.sum(axis=0)
         column = self._beside(fitted)[:, self.places[t.term.label]]
@@ -369,7 +369,7 @@ def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:
     return value, inverse * np.outer(inflation, inflation)
 
 
-# Points of the grid for each frequency that a run of that length can tell from the next.
+# Points of the grid for each frequency that a run of that length can resolve from the next.
 _FINE = 8
 _FEWEST_PERIODS = 3.0
 # Median over mean of a power that is scattered like that of noise.

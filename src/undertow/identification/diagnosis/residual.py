@@ -231,7 +231,7 @@ def measured_pose(data: WeakData) -> tuple[str, ...]:
 
 
 MOST_TERMS = 4
-# Chance, over all terms of a degree of freedom, above which an association is not told.
+# Chance, over all terms of a degree of freedom, above which an association is not reported.
 _CHANCE = 0.002
 _CHANCE_OF_A_LINE = 1e-4
 _CHANCE_OF_RUNS = 1e-4
@@ -298,7 +298,7 @@ class Characterisation:
         return term is not None and self._take(term)
 
     def _accept(self, after: Association) -> float:
-        """Go on with what is left; the share that went away, or zero where it is too small to be told."""
+        """Go on with what is left; the share that went away, or zero where it is too small to be reported."""
         fall = self._left.samples.shown.square - after.samples.shown.square
         share = float(np.clip(fall / self._excess, 0.0, 1.0))
         if share < _SMALLEST_SHARE:
@@ -310,9 +310,9 @@ class Characterisation:
     def _take(self, found: Found) -> bool:
         share = self._accept(self._left.without(found))
         if share:
-            told = _dependence(found, share, self._force.unit)
-            self._description.depends_on.append(told)
-            self._description.trend = self._description.trend or _trend(told)
+            dependence = _dependence(found, share, self._force.unit)
+            self._description.depends_on.append(dependence)
+            self._description.trend = self._description.trend or _trend(dependence)
         return share > 0.0
 
     # --- a line -------------------------------------------------------------------------------
@@ -417,14 +417,19 @@ def _dependence(found: Found, share: float, unit: str) -> Dependence:
     )
 
 
-def _trend(told: Dependence) -> Trend | None:
+def _trend(dependence: Dependence) -> Trend | None:
     """What a term that grows with time says about 100 s."""
-    column = tuple(told.columns[0])
+    column = tuple(dependence.columns[0])
     if "t" not in column:
         return None
     rest = tuple(f for f in column if f != "t")
-    unit = coefficient_unit(told.units[0].partition("/")[0], rest)
-    return Trend(of=label_of(rest), change=_TREND_SECONDS * told.coefficients[0], unit=unit, share=told.share)
+    unit = coefficient_unit(dependence.units[0].partition("/")[0], rest)
+    return Trend(
+        of=label_of(rest),
+        change=_TREND_SECONDS * dependence.coefficients[0],
+        unit=unit,
+        share=dependence.share,
+    )
 
 
 _SHOWN_ALIKE = 2
@@ -449,19 +454,19 @@ def sentence(left: Remaining, loud: bool) -> str:
 
 
 def _parts(left: Remaining) -> Iterator[str]:
-    for told in left.depends_on:
-        does = how(told, left.degree_of_freedom, left.unit)
-        yield f"{_percent(told.share)} of it goes with {_named(told)} ({does})"
+    for dependence in left.depends_on:
+        does = how(dependence, left.degree_of_freedom, left.unit)
+        yield f"{_percent(dependence.share)} of it goes with {_named(dependence)} ({does})"
     if left.spectrum is not None:
         yield _period(left.spectrum, left.unit)
     yield from map(_by_run, left.between_runs)
 
 
-def how(told: Dependence, degree_of_freedom: str, unit: str) -> str:
+def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
     """What a term does to the motion, as far as its sign says."""
-    coefficients, column = told.coefficients, told.columns[0]
+    coefficients, column = dependence.coefficients, dependence.columns[0]
     if len(coefficients) > 1:
-        return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {told.units[0]}"
+        return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
     own = VELOCITY[DOFS.index(degree_of_freedom)]
@@ -471,12 +476,12 @@ def how(told: Dependence, degree_of_freedom: str, unit: str) -> str:
         faster = [_FASTER[plain_of(f)] for f in others if plain_of(f) in _FASTER]
         does = f"slows {degree_of_freedom}" if coefficients[0] < 0 else f"drives {degree_of_freedom} on"
         return ", ".join([does, f"the more {' and '.join(faster)}"] if faster else [does])
-    return f"{'falls' if coefficients[0] < 0 else 'rises'} as {told.term} grows"
+    return f"{'falls' if coefficients[0] < 0 else 'rises'} as {dependence.term} grows"
 
 
-def _named(told: Dependence) -> str:
-    others = "".join(f" or {a}" for a in told.alike[:_SHOWN_ALIKE])
-    return f"{told.term}{others}"
+def _named(dependence: Dependence) -> str:
+    others = "".join(f" or {a}" for a in dependence.alike[:_SHOWN_ALIKE])
+    return f"{dependence.term}{others}"
 
 
 def _period(spectrum: Spectrum, unit: str) -> str:
@@ -485,9 +490,10 @@ def _period(spectrum: Spectrum, unit: str) -> str:
     return f"period {spectrum.period:.3g} s stands out ({size})"
 
 
-def _by_run(told: BetweenRuns) -> str:
-    values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in told.values.values()]
-    return f"the {told.of} differs from run to run ({min(values):.2g} to {max(values):.2g} {told.unit})"
+def _by_run(difference: BetweenRuns) -> str:
+    values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in difference.values.values()]
+    size = f"{min(values):.2g} to {max(values):.2g} {difference.unit}"
+    return f"the {difference.of} differs from run to run ({size})"
 
 
 def _percent(share: float) -> str:

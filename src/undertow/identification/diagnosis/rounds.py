@@ -106,7 +106,7 @@ class _Look(NamedTuple):
 def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
     """What every candidate promises that adds anything, the most promising first."""
     bench.work_out()
-    # What has to be searched takes longest: begun first, it leaves no core idle at the end.
+    # What has to be searched takes longest: started first, it leaves no core idle at the end.
     listed = sorted(listed, key=lambda c: not any(p.starts for p in c.effect(()).parameters))
     found = []
     for i, look in enumerate(mapped(lambda i: _look(listed[i], bench), len(listed))):
@@ -323,15 +323,15 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     chosen: list[int] = []
     own = list(range(count))
     while rest := [k for k in open_to_change if k not in chosen]:
-        falls = [_fixed_values_fall(gram, slope, [*own, *chosen, k]) for k in rest]
-        if max(falls) < _fixed_values_fall(gram, slope, [*own, *chosen]) + bench.settings.other_values_fall:
+        falls = [_fall_of_squares(gram, slope, [*own, *chosen, k]) for k in rest]
+        if max(falls) < _fall_of_squares(gram, slope, [*own, *chosen]) + bench.settings.other_values_fall:
             break
         chosen.append(rest[int(np.argmax(falls))])
-    least = _fixed_values_fall(gram, slope, [*own, *chosen]) - bench.settings.more_than_chance
+    least = _fall_of_squares(gram, slope, [*own, *chosen]) - bench.settings.more_than_chance
 
     def does_as_well(k: int, other: int) -> bool:
         columns = [*own, *(c for c in chosen if c != k), other]
-        return other not in chosen and _fixed_values_fall(gram, slope, columns) > least
+        return other not in chosen and _fall_of_squares(gram, slope, columns) > least
 
     others = range(count, count + len(names))
     return {names[k - count]: tuple(names[i - count] for i in others if does_as_well(k, i)) for k in chosen}
@@ -347,7 +347,7 @@ def _normal(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
     return normal_equations(both, base.p[[*base.model.places, *held.places]], prior)
 
 
-def _fixed_values_fall(gram: Array, slope: Array, columns: list[int]) -> float:
+def _fall_of_squares(gram: Array, slope: Array, columns: list[int]) -> float:
     """Fall of the sum of squares when these columns are fitted."""
     if not columns:
         return 0.0

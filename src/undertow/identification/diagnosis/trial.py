@@ -313,9 +313,9 @@ def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: floa
         if weakest is None or len(open_to_drop) == 1 or t[weakest] >= least:
             return tuple(names[k] for k in active if names[k] in removable)
         gone = active.pop(weakest)
-        # Fixing one parameter at zero moves the others along the valley of the cost.
-        valley = inverse_of(information[np.ix_(active, active)]) @ information[np.ix_(active, [gone])].ravel()
-        estimate[active] += valley * estimate[gone]
+        # Fixing one parameter at zero moves the others along the bottom of the cost.
+        others = inverse_of(information[np.ix_(active, active)]) @ information[np.ix_(active, [gone])].ravel()
+        estimate[active] += others * estimate[gone]
 
 
 # Relative difference of two residuals up to which they are the same.

@@ -225,7 +225,7 @@ class SimulationValidator:
         """A model fitted by output error, and how it simulates; by the weak form where that does better.
 
         The weak form is biased where noise is as large as what it multiplies; the simulation is not. What
-        the simulation of a poor model comes to is left alone: it is dear, and no fit mends it.
+        the simulation of a poor model comes to is left alone: it is expensive, and no fit mends it.
         """
         before = self.squares(weak)
         if not np.mean(before) < self.settings.far_off:
@@ -251,8 +251,8 @@ class SimulationValidator:
         return self._once("noise", weak, self._leaves_only_noise)
 
     def _within_reach(self, weak: WeakFit) -> bool:
-        """Whether a fit by output error may bring a model down to the noise: it is dear, and no help to one
-        that is far off in short windows, or in long ones, whose starts take less of it up.
+        """Whether a fit by output error may bring a model down to the noise: it is expensive, and no help
+        to one that is far off in short windows, or in long ones, whose starts take less of it up.
         """
         limit = self.settings.within_reach
         if not np.mean(self.squares(weak)) < limit:
@@ -317,7 +317,7 @@ class SimulationValidator:
         """The short list without what the simulation shows to be worse than the best of it.
 
         Where they leave little but noise,
-        windows short and long together tell them apart. Of those that do equally well the one leads whose
+        windows short and long together separate them. Of those that do equally well the one leads whose
         declaration is the plainest: what has more freedom would fit more that did not happen, and that it
         fits says less.
         """
@@ -346,7 +346,7 @@ class SimulationValidator:
         return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
 
     def _by_output_error(self, weak: WeakFit, horizon: float) -> Fitted:
-        # Over long windows a fit may end in a dale of its own unless it begins close by.
+        # Over long windows a fit may end in a local minimum of its own unless it begins close by.
         begin = weak if horizon == self.settings.short_windows else self._refined(weak)
         try:
             refined: OutputErrorFit = fit_output_error(

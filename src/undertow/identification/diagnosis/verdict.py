@@ -228,8 +228,8 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
     found = [c.id for c in possible if c.parameters and _brings_back(c, bench, moved)]
     if not found:
         return []
-    told = {"reason": _equivalents_reason(moved), "separated_by": _separating(list(moved))}
-    return [Equivalent(parameters=list(moved), effects=found, **told)]
+    words = {"reason": _equivalents_reason(moved), "separated_by": _separating(list(moved))}
+    return [Equivalent(parameters=list(moved), effects=found, **words)]
 
 
 def instead_of_effects(
@@ -249,11 +249,11 @@ def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[E
     if found is None or not residual_is_noise(found.fit, bench.test):
         return []
     names = ", ".join(found.alike)
-    told = {
+    words = {
         "reason": f"other values of {names}, which the vehicle file holds fixed, would leave only noise, too",
         "separated_by": f"What tells them apart is to know {names} from elsewhere (a tank test, CFD)",
     }
-    return [Equivalent(parameters=list(found.alike), effects=[effect], **told)]
+    return [Equivalent(parameters=list(found.alike), effects=[effect], **words)]
 
 
 def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT) -> dict[str, float]:
@@ -314,7 +314,7 @@ class Relief:
 
     effects: ids of the effects.
     values: fitted values of the parameters, SNAME signs.
-    error: kept-aside error.
+    error: error on validation data.
     """
 
     effects: tuple[str, ...]
