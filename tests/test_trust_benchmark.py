@@ -35,6 +35,8 @@ from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.logs.run import Run
 
+pytestmark = pytest.mark.docs
+
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
 
 

@@ -13,7 +13,12 @@ from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
-from undertow.identification.estimation.weak_form import WeakFit, fit_weak, mean_square, settled
+from undertow.identification.estimation.weak_form import (
+    WeakFit,
+    fit_weak,
+    mean_square,
+    with_reestimated_noise,
+)
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
@@ -83,7 +88,7 @@ def oracle_refit(
     """Add the true effects, all their parameters free, and refit."""
     base, aside = opened(vehicle, train, test)
     validator = SimulationValidator(vehicle, train, test, aside.sigma)
-    fit, _ = validator.refined(settled(_added(base, vehicle, truth, values)))
+    fit, _ = validator.refined(with_reestimated_noise(_added(base, vehicle, truth, values)))
     noise = sensor_noise(fit, aside)
 
     def least(weak: WeakFit) -> float:
@@ -92,7 +97,7 @@ def oracle_refit(
     lacking = {}
     for effect in truth if len(truth) > 1 else ():
         others = [other for other in truth if other != effect]
-        lacking[effect] = least(settled(_added(base, vehicle, others, values)))
+        lacking[effect] = least(with_reestimated_noise(_added(base, vehicle, others, values)))
     return OracleRefit(fit, aside, least(base), error_of(fit, aside, noise), lacking)
 
 

@@ -179,6 +179,7 @@ def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
     assert validator.surviving([validator.contender(c) for c in (free, worse, plain)]) == [plain, free]
 
 
+@pytest.mark.slow
 def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:
     """One of the runs goes 28 m to the east, and drag rises by 0.2 % over two metres at its beginning."""
     case = make_case(

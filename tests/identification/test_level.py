@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.identification.surge import surge_run, surge_vehicle
+from tests.quick import first_quick
 from undertow.identification.diagnosis.trial import is_noise
 from undertow.identification.diagnosis.validation import SimulationValidator, means_over, simulates_to_noise
 from undertow.identification.estimation.data import prepare
@@ -62,12 +63,12 @@ def test_windows_of_different_rates_are_cut_into_seconds() -> None:
     assert not simulates_to_noise(shooting, np.zeros(0), _STARTS)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", first_quick(range(20), 3))
 def test_white_noise_passes(seed: int) -> None:
     assert simulates_to_noise(_shooting(_white(seed)), np.zeros(0), _STARTS)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_quick(range(5)))
 def test_a_slow_error_of_a_third_of_the_noise_does_not_pass(seed: int) -> None:
     """It adds a tenth to the mean square of single samples of one channel, and doubles that of means."""
     errors = _white(seed)

@@ -40,6 +40,7 @@ def test_the_model_without_the_force_calls_it_a_disturbance() -> None:
     assert np.any(bench.base.disturbance)
     assert bench.base_score.error < 1.1  # by its own noise model nothing is amiss
     assert hidden_by_disturbance(bench)
+    assert not hidden_by_disturbance(bench.without_disturbance())
 
 
 def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> None:
@@ -64,6 +65,7 @@ def test_the_steady_force_is_found_at_its_size() -> None:
     assert abs(error) < 3.5 * spread < 0.1 * abs(truth)
 
 
+@pytest.mark.slow
 def test_what_does_not_explain_all_is_not_found_by_the_second_look() -> None:
     """Without the truth among the candidates none may take its place."""
     vehicle, bench, _ = _bench()

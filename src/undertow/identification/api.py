@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -12,6 +11,7 @@ from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import training_and_validation
 from undertow.model.catalogue import catalogue, lookup
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Progress
 
 from .diagnose import diagnose as diagnose
@@ -87,7 +87,7 @@ class Estimator:
         free : sequence of str, optional
             Names of the parameters to fit.
         progress : callable
-            Told what share is done, and what is being done.
+            Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
         trust_log : bool
             Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
@@ -216,7 +216,8 @@ class Refit:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(self._headline)}</p>{self.parameters._repr_html_()}"
+        table = self.parameters
+        return html(self._headline, table.columns, table.iter_rows())
 
 
 def _spread(row: Mapping[str, Any]) -> str:
@@ -286,7 +287,7 @@ def read_log(
     Raises
     ------
     UndertowError
-        If a file cannot be read or holds what no log may hold.
+        If a file cannot be read or is not a valid log or mapping.
 
     Examples
     --------
@@ -321,7 +322,7 @@ def fit(
     vehicle : Vehicle
         The model.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
         "weak", "integral", "instrumental", "output_error" or "prediction_error".
     horizon : float
@@ -333,14 +334,19 @@ def fit(
     dissipative : bool
         Let linear damping take energy from every motion.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Refit
+        `summary()`, `parameters` (a data frame), `plot()`, `errors` on validation data, and `vehicle`.
 
     Raises
     ------
     UndertowError
-        If there is no such method, nothing is to be estimated, or a log does not serve.
+        If there is no such method, nothing is to be estimated, or a log cannot be used.
 
     Examples
     --------
@@ -373,7 +379,7 @@ def add_effect(
     *,
     force: bool = False,
 ) -> Vehicle:
-    """Put an effect into a model and refit it.
+    """Add an effect to a model and refit the model.
 
     Parameters
     ----------
@@ -382,9 +388,14 @@ def add_effect(
     effect : str
         Id of an effect of the catalogue.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     force : bool
-        Put it in although it does not lower the error on validation data.
+        Add it even if it does not lower the error on validation data.
+
+    Returns
+    -------
+    Vehicle
+        The refitted model with the effect.
 
     Raises
     ------

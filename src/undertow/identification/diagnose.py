@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +24,7 @@ from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Array, Progress
 from undertow.version import __version__
 
@@ -365,7 +365,10 @@ class DiagnosisResult:
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
-        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
+        head = ("model", "error on validation data (1: noise of the sensors)")
+        steps = enumerate(self.diagnosis.steps)
+        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        return html(repr(self), head, rows)
 
 
 def diagnose(
@@ -386,22 +389,27 @@ def diagnose(
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     false_alarms : float, optional
         Chance of naming an effect where nothing is missing, 0.005 to 0.2; that of `settings` by default.
     settings : Settings
         The numbers that decide, see `undertow.identification.diagnosis.settings`.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    DiagnosisResult
+        `verdict`, `effects`, the models `before` and `after` adding them, and `report(path)`.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
+        If a channel is missing, a log is too short or contradicts itself, or nothing moved in it.
 
     Examples
     --------

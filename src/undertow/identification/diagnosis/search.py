@@ -13,7 +13,12 @@ import numpy as np
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import inverse_of
-from undertow.identification.estimation.weak_form import WeakFit, fit_weak, free_parameters, settled
+from undertow.identification.estimation.weak_form import (
+    WeakFit,
+    fit_weak,
+    free_parameters,
+    with_reestimated_noise,
+)
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -339,8 +344,8 @@ def _plain_ones(
     plain = [fitted(vehicle, [f], bench) for f in near]
     if not plain:
         return []
-    best = bench.judge(settled(effect_set.fit))
-    return [c for c in plain if as_good(best, bench.judge(settled(c.fit)), bench)]
+    best = bench.judge(with_reestimated_noise(effect_set.fit))
+    return [c for c in plain if as_good(best, bench.judge(with_reestimated_noise(c.fit)), bench)]
 
 
 def much_plainer(
@@ -383,7 +388,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
     by chance. Of an effect that is named, a parameter stays that is more likely there than not: two standard
     errors from zero.
     """
-    fit = settled(fit)
+    fit = with_reestimated_noise(fit)
     names = fit.model.functions.parameter_names
     removable = {n for c in candidates for n in c.removable if n in names}
     left_out = removable - set(fit.model.free)
@@ -392,7 +397,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
     kept = parameters_that_matter(whole, tuple(sorted(removable)), settings.t_in_last_fit)
     free = (*fit.model.free, *(n for n in kept if n in left_out))
-    return fit if free == fit.model.free else settled(_refitted(whole, free))
+    return fit if free == fit.model.free else with_reestimated_noise(_refitted(whole, free))
 
 
 def _refitted(fit: WeakFit, free: Collection[str]) -> WeakFit:
