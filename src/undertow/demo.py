@@ -16,18 +16,18 @@ from jinja2 import Environment, StrictUndefined
 
 from undertow.figures import save_png, unit_text
 from undertow.files import make_folder, write_whole
-from undertow.identification.api import Diagnosed, diagnose, report_data_of
+from undertow.identification.api import save_diagnosis
 from undertow.identification.compare.comparison import compare
 from undertow.identification.compare.forces import Forces, residual_forces
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.addition import (
     Addition,
-    Ground,
+    AdditionSetup,
     add_effect,
-    lay_ground,
+    set_up_addition,
     visible_effects,
 )
-from undertow.identification.diagnosis.trial import T_KEEP
-from undertow.identification.diagnosis.verdict import NAMED_SHARE
+from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.report.data import ErrorMap
@@ -106,8 +106,8 @@ class _Output:
         write_whole(self._place(name), content)
         return "file", (name, what)
 
-    def vehicle(self, name: str, outcome: Diagnosed, template: str | Path, what: str) -> Piece:
-        outcome.save(template, self._place(name), _COMMAND)
+    def vehicle(self, name: str, outcome: DiagnosisResult, template: str | Path, what: str) -> Piece:
+        save_diagnosis(outcome, template, self._place(name), _COMMAND)
         return "file", (name, f"{what} {' and '.join(outcome.effects)}")
 
     def _place(self, name: str) -> Path:
@@ -136,7 +136,7 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
     yield from _pictures(output, outcome)
     if outcome.effects:
         yield output.vehicle("auv/vehicle.toml", outcome, _AUV / "vehicle.toml", "the vehicle file, now with")
-        ground = lay_ground(vehicle, train, [test])
+        ground = set_up_addition(vehicle, train, [test])
         yield from _falling(output, add_effect(catalogue()[outcome.effects[0]], ground))
     # What was hidden, read only now that all has been said.
     values = json.loads((_AUV / "truth.json").read_text(encoding="utf-8"))["values"]
@@ -147,7 +147,7 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
     yield "text", f"To check: the log was simulated, apart from undertow's own models, with {hidden} (m/s)."
 
 
-def _verdict(output: _Output, outcome: Diagnosed) -> Iterator[Piece]:
+def _verdict(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     d = outcome.diagnosis
     yield (
         "text",
@@ -163,9 +163,9 @@ def _verdict(output: _Output, outcome: Diagnosed) -> Iterator[Piece]:
     yield output.text("auv/diagnosis.json", d.model_dump_json(indent=1) + "\n", "the diagnosis, for programs")
 
 
-def _pictures(output: _Output, outcome: Diagnosed) -> Iterator[Piece]:
+def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     # For a minute of data compiling takes longer than it saves.
-    data = report_data_of(outcome, compiled=False)
+    data = outcome.comparison(compiled=False)
     names = (data.before, data.after)
     run = data.runs[0]
     velocities = replace(run, traces=tuple(t for t in run.traces if t.channel in VELOCITY))
@@ -215,8 +215,8 @@ class Way:
 
     profile: str
     other: str
-    ground: Ground
-    outcome: Diagnosed
+    ground: AdditionSetup
+    outcome: DiagnosisResult
     additions: dict[str, Addition]
 
     @classmethod
@@ -225,7 +225,7 @@ class Way:
         vehicle = load_vehicle(_VEHICLE)
         logs = [_HULL / f"surge_{name}_coarse.csv.gz" for name in (profile, other)]
         run, held_out = read_logs(logs, vehicle, read_mapping(_HULL / "log.toml"))
-        ground = lay_ground(vehicle, [run], [held_out])
+        ground = set_up_addition(vehicle, [run], [held_out])
         additions = [add_effect(effect, ground) for effect in visible_effects(ground, catalogue())]
         outcome = diagnose(vehicle, [run], [held_out])
         return cls(profile, other, ground, outcome, {a.effect: a for a in additions})
@@ -383,15 +383,15 @@ def _unnamed(ways: Ways, best: str) -> str:
     listed = [r for way in ways for r in way.outcome.diagnosis.ranking if r.effect == best]
     text = f"All the same {best} is not what the diagnosis names as missing both ways round"
     if any(not r.parameters for r in listed):
-        reason = f"it does not help, or none of its parameters is {T_KEEP:g} standard errors from zero"
+        reason = f"it does not help, or none of its parameters is {DEFAULT.t_in_search:g} standard errors from zero"
         return f"{text}: by the force on one of the other profiles {reason}."
-    return f"{text}: it wants the effect to explain {NAMED_SHARE:.0%} of what exceeds the noise."
+    return f"{text}: it wants the effect to explain {DEFAULT.named_share:.0%} of what exceeds the noise."
 
 
 def _files(output: _Output, ways: Ways) -> Iterator[Piece]:
     for way in ways:
         d, name = way.outcome.diagnosis, f"hull/{way.profile}-to-{way.other}"
-        text = render_report(d, report_data_of(way.outcome, compiled=False))
+        text = render_report(d, way.outcome.comparison(compiled=False))
         yield output.text(
             f"{name}.html", text, f"full report: fitted to {way.profile}, judged on {way.other}"
         )

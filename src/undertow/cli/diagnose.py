@@ -37,7 +37,7 @@ from .doctor import show_finding
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from undertow.identification.api import Diagnosed
+    from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
 _FALSE_ALARMS = typer.Option(
@@ -62,10 +62,11 @@ def diagnose(
     apply: Annotated[Path | None, _APPLY] = None,
 ) -> None:
     from undertow.files import check_writable, together, write_whole
-    from undertow.identification.api import diagnose as run
-    from undertow.identification.diagnose import check_false_alarms
+    from undertow.identification.api import save_diagnosis
+    from undertow.identification.diagnose import diagnose as run
+    from undertow.identification.diagnosis.settings import Settings
 
-    check_false_alarms(false_alarms)
+    settings = Settings(false_alarm_rate=false_alarms)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
     model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
     with progress("looking for what is missing") as bar:
@@ -75,7 +76,7 @@ def diagnose(
             test,
             known=options.known,
             report=bar,
-            false_alarms=false_alarms,
+            settings=settings,
             trust_log=options.trust_log,
         )
     show(outcome)
@@ -85,7 +86,7 @@ def diagnose(
         if report is not None:
             outcome.report(report)
         if apply is not None:
-            outcome.save(vehicle, apply)
+            save_diagnosis(outcome, vehicle, apply)
     for path in filter(None, (json, report, apply)):
         about = f": {_content(outcome.diagnosis)}" if path == apply else ""
         console().print(text(f"wrote {path}{about}"))
@@ -94,7 +95,7 @@ def diagnose(
 _SHOWN = 6
 
 
-def show(outcome: Diagnosed) -> None:
+def show(outcome: DiagnosisResult) -> None:
     """Print verdict, ranking, the falling error and warnings."""
     from rich.console import Console
     from rich.markup import escape
