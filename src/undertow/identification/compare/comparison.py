@@ -505,8 +505,8 @@ def headline(worst: Cell | None) -> str:
         return "too few samples to say where the model fails"
     unit = "N" if worst.degree_of_freedom in ("surge", "sway", "heave") else "N m"
     percent = 100 * worst.explained_by_noise
-    told = "under 1" if percent < 1 else f"{percent:.0f}"
-    share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {told} %"
+    explained = "under 1" if percent < 1 else f"{percent:.0f}"
+    share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
     if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
         return f"nothing stands out from the noise; the most is {place}: {share}"

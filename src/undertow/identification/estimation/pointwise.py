@@ -309,7 +309,7 @@ class Cut:
 class Limits:
     """Which parameters a model can have together: matrices that have to be positive.
 
-    Dissipative linear damping, D + D' >= 0, is only asked for by the user: at speed, the coefficients of a
+    Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
     hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
@@ -323,7 +323,7 @@ class Limits:
         ]
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
-        self._all, self._matrices = found, [matrix for matrix in found if matrix.felt]
+        self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]
 
     def cuts(self, p: Array) -> list[Cut]:
         """What a step from p has to do for every matrix to be positive; nothing where all are."""
@@ -359,7 +359,7 @@ class _Matrix:
         self._size = expression.shape[0]
         symmetric = ca.densify((expression + expression.T) / 2)
         slope = ca.jacobian(ca.vec(symmetric), free)
-        self.felt = slope.nnz() > 0
+        self.varies = slope.nnz() > 0
         self._function = ca.Function("limit", [functions.p], [symmetric, ca.densify(slope)])
         diagonal = np.diag(self._values(stated)[0])
         self._scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

@@ -37,7 +37,7 @@ class ResidualSettings:
     neighbours: int = 2
     # Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
     spike: float = 5.0
-    # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
+    # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is not a spike.
     bend: float = 0.25
     spike_rounds: int = 30
 
@@ -72,7 +72,7 @@ class SensorDelay:
         return _moved(s, seconds) if _known(s, seconds) else s
 
     def residual(self, s: Segment, p: Array, of: Callable[[Segment], Linearised]) -> Linearised:
-        """Residual `of` a segment put in time, and its derivative in the delays as well.
+        """Residual `of` a segment at its true time, and its derivative in the delays as well.
 
         Test functions that reach beyond the last true value are marked as unknown.
         """
@@ -111,7 +111,7 @@ class SensorDelay:
 def _known(s: Segment, seconds: Array) -> int:
     """How many test functions lie before the last instant at which all channels are known, or none.
 
-    A stretch hardly longer than the delay tells nothing about it and counts as it was measured. If it dropped
+    A stretch hardly longer than the delay does not show it and is used as it was measured. If it dropped
     out, long delays would look good because little is left to be wrong about.
     """
     beyond = s.t + np.max(seconds) > s.t[-1]
@@ -181,13 +181,13 @@ class Linearised:
     r: Array  # (m,) residual
     J: Array  # (m, n_free) derivative in the free parameters
     start: Array  # (m, n_states) derivative in the effects' own states at the start of the segment
-    # Rows from here on need what was not measured yet when the segment ended, and count for nothing
+    # Rows from here on need what was not measured yet when the segment ended, and have no weight
     known: int | None = None
     unknown: int = 0  # How many of the last columns of `start` stand for a row each of which nothing is known
 
 
 class _At(NamedTuple):
-    """A model where it was last asked for on some data: a fit, its judges and its noise ask at one place."""
+    """The last linearisation on some data: a fit, its score and its noise need it at the same parameters."""
 
     data: WeakData
     p: Array
@@ -329,9 +329,9 @@ def _cut(driven: Actuation, s: Segment) -> Actuation:
 
 
 def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
-    """A residual whose equations of force count for nothing where commands from before the log are at work.
+    """A residual whose equations of force have no weight where commands from before the log are at work.
 
-    What these were no log tells: each row that feels them has a direction of its own among the first states.
+    They are in no log: each row that depends on them has a direction of its own among the first states.
     A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
     because little is left to be wrong about.
     """
@@ -349,7 +349,7 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
     """All segments together, in units of their noise, without what unknown first states contribute.
 
-    `beside` (m,) is the whitened residual of a model that this one is judged against. What the unknown first
+    `beside` (m,) is the whitened residual of a model that this one is compared with. What the unknown first
     states take from this one is taken over from there, so that having them wins nothing.
     """
     lengths = np.cumsum([len(part.r) for part in parts])[:-1]
@@ -363,20 +363,20 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
     """Project out the directions of the first states: the rest of the residual does not depend on them."""
     table = whitening(np.column_stack([part.r, part.J, part.start]))
     if part.known is not None:
-        # Whitened rows depend on none that come later. Those that are known stand for the lost ones as well.
+        # Whitened rows depend on none that come later. The known ones represent the lost ones as well.
         table[part.known :] = 0.0
         table *= np.sqrt(len(table) / part.known)
     last = 1 + part.J.shape[1]
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
     # A start long ago is forgotten: what is left of it would underflow in the product below.
-    felt = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
-    if not felt.any():
+    present = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
+    if not present.any():
         return kept
     if beside is None:
-        # What is known stands for the rest: else, the more is unknown, the better a model would look.
+        # The known rows represent the rest: else, the more is unknown, the better a model would look.
         kept = kept * np.sqrt(len(kept) / (len(kept) - part.unknown))
-    start = start[:, felt] / size[felt]
+    start = start[:, present] / size[present]
     moved = kept.copy()
     if beside is not None:
         moved[:, 0] -= beside

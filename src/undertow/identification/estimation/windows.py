@@ -74,7 +74,7 @@ class Windows:
 
     @property
     def inside(self) -> Flags:
-        """Which samples are no padding, shape (b, k)."""
+        """Which samples are not padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
     def __len__(self) -> int:
@@ -148,7 +148,7 @@ def cut(
         If a channel is missing, or no stretch without gaps is as long as the horizon.
     """
     if horizon is not None and not horizon > 0:
-        raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
+        raise UndertowError(f"horizon = {horizon:g} s is not the length of a window: give a positive time")
     stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, skip)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)
@@ -352,7 +352,7 @@ class Drive:
         return Drive(self.u[rows], self.t[rows], self.held[rows], samples)
 
     def at_samples(self, values: Array) -> Array:
-        """What was worked out for every instant, (b, m, ...), at the samples alone, (b, k, ...)."""
+        """Values computed for every instant, (b, m, ...), at the samples alone, (b, k, ...)."""
         if self.samples is None:
             return values
         rest = (1,) * (values.ndim - 2)
