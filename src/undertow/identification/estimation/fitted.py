@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .residual import WeakModel
-from .step import at_bounds, estimated, follower_errors, followers, inverse_of
+from .step import at_bounds, estimated, follower_errors, followers, inverse_of, prior_of
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,11 @@ class Fitted(ABC):
     @abstractmethod
     def covariance(self) -> Array:
         """Covariance of the free parameters."""
+
+    @cached_property
+    def information(self) -> Array:
+        """What data and stated priors say together: J'J plus the weight of the priors."""
+        return self.gram + np.diag(prior_of(self.model)[1] ** 2)
 
     @property
     def vehicle(self) -> Vehicle:

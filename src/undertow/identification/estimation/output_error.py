@@ -18,7 +18,7 @@ from .data import NOISE, prepare
 from .fitted import Fitted
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
-from .step import Constraints, SearchSpace, clustered, prior_of
+from .step import Constraints, SearchSpace, clustered
 from .weak_form import fit_weak, free_parameters
 from .windows import Windows, cut
 
@@ -85,9 +85,8 @@ class OutputErrorFit(Fitted):
         Windows (or stretches of five seconds in longer ones) are taken as independent: a sandwich estimator
         with clusters inflates the covariance where the errors of one window are correlated.
         """
-        information = self.gram + np.diag(prior_of(self.model)[1] ** 2)
         groups = len(self.at.scores)
-        return clustered(information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
+        return clustered(self.information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
 
     @property
     def cost(self) -> float:

@@ -23,7 +23,6 @@ from .step import (
     SearchSpace,
     clustered,
     inverse_of,
-    prior_of,
     require_rows,
     squared,
     summed_scores,
@@ -320,7 +319,7 @@ class PredictionErrorFit(Fitted):
         pairs = np.column_stack([self.windows.run[self.passed.window], within])
         block = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
         scores = summed_scores(table[:, 0], table[:, 1:], block)
-        return clustered(self.gram + np.diag(prior_of(self.model)[1] ** 2), scores)
+        return clustered(self.information, scores)
 
     @property
     def disturbance(self) -> dict[str, float]:

@@ -21,7 +21,6 @@ from .step import (
     Constraints,
     SearchSpace,
     clustered,
-    prior_of,
     require_equations,
     squared,
     summed_scores,
@@ -125,11 +124,6 @@ class WeakFit(Fitted):
         sensor_noise = self.model.whitening(self.data, self.p)
         J = whitened(self.model.linearise(self.data, self.p), sensor_noise).J
         return np.asarray(J.T @ J)
-
-    @cached_property
-    def information(self) -> Array:
-        """What data and stated priors say together: J' J plus the prior's weight."""
-        return self.gram + np.diag(prior_of(self.model)[1] ** 2)
 
     @cached_property
     def covariance(self) -> Array:
