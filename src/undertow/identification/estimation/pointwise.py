@@ -245,6 +245,13 @@ class Pointwise:
         return true
 
     @cached_property
+    def true_motion_at(self) -> ca.Function:
+        """`true_motion` as a function of measured motion, actuation, memory, commands, p and t."""
+        f = self.functions
+        inputs = [self.measured, f.actuation, f.memory, f.u, f.p, f.t]
+        return ca.Function("true_motion", inputs, [ca.densify(self.true_motion)])
+
+    @cached_property
     def _inputs(self) -> list[ca.SX]:
         f = self.functions
         constant = ca.vertcat(*self.inverse.nonzeros()) if self.mass_is_constant else ca.SX(0, 1)

@@ -292,7 +292,7 @@ class Predictor:
         nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
         late = self.sensor_delay.present
         start = windows.start_after(self.sensor_delay.seconds(p)) if late else windows.start
-        (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
+        (motion,) = mapped(self._points.true_motion_at, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
     def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
@@ -323,12 +323,6 @@ class Predictor:
         """Whether the sensors report pose and velocity as they are."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.is_equal(self.functions.reported, motion, 2))
-
-    @cached_property
-    def _true_motion(self) -> ca.Function:
-        f, points = self.functions, self._points
-        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
-        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
 
 
 # --- what sensors report late ---------------------------------------------------------------------

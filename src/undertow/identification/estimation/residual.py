@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -235,18 +235,16 @@ class WeakModel:
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
         driven = self._driven(data, p)
-        parts = [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
-        known = [data.runs[s.run].t[0] + self._chain.seconds_late(p) for s in data.segments]
-        return [
-            _from(begin, part, s, data.rows, self._points.size)
-            for begin, part, s in zip(known, parts, data.segments, strict=True)
-        ]
+        found = []
+        for s in data.segments:
+            evaluate = partial(self._segment, actuation=_cut(driven[s.run], s), rows=data.rows, p=p)
+            part = self._sensor_delay.residual(s, p, evaluate)
+            known = data.runs[s.run].t[0] + self._chain.seconds_late(p)
+            found.append(_from(known, part, s, data.rows, self._points.size))
+        return found
 
     def _driven(self, data: WeakData, p: Array) -> list[Actuation]:
         return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
-
-    def _in_time(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
-        return self._sensor_delay.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
     def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)

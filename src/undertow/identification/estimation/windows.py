@@ -165,18 +165,6 @@ def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Win
     return _windows_of(runs, vehicle, max(lengths), None, [s for own in found for s in own])
 
 
-def _windows_of(
-    runs: Sequence[Run],
-    vehicle: Vehicle,
-    horizon: float | None,
-    sigma: Array | None,
-    stretches: list[Stretch],
-) -> Windows:
-    names = (*vehicle.pose_names, *vehicle.velocity_names)
-    noise = channel_noise(runs, names) if sigma is None else sigma
-    return _side_by_side(tuple(runs), horizon, names, vehicle.command_names, noise, stretches)
-
-
 def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
     wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
@@ -233,24 +221,26 @@ def _columns(pairs: list[tuple[int, int]]) -> tuple[Index, Index]:
     return table[:, 0], table[:, 1]
 
 
-def _side_by_side(
-    runs: tuple[Run, ...],
+def _windows_of(
+    runs: Sequence[Run],
+    vehicle: Vehicle,
     horizon: float | None,
-    names: tuple[str, ...],
-    commands: tuple[str, ...],
-    sigma: Array,
+    sigma: Array | None,
     stretches: list[Stretch],
 ) -> Windows:
+    """The windows of all stretches side by side, padded to the longest."""
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    sigma = channel_noise(runs, names) if sigma is None else sigma
     count = np.concatenate([s.stops - s.starts for s in stretches])
     most = int(count.max())
     pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in stretches]
     measured = np.concatenate([s.measured[i] for s, i in zip(stretches, pick, strict=True)])
     measured[np.arange(most) >= count[:, None]] = np.nan
     return Windows(
-        runs=runs,
+        runs=tuple(runs),
         horizon=horizon,
         names=names,
-        commands=commands,
+        commands=vehicle.command_names,
         sigma=sigma,
         run=np.concatenate([np.full(len(s.starts), s.run) for s in stretches]),
         first=np.concatenate([s.first + s.starts for s in stretches]),
