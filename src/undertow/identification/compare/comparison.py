@@ -9,11 +9,11 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 from scipy.special import chdtrc
 
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.doctor.findings import ResultTable
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.predictor import Predictor, predict
 from undertow.identification.estimation.windows import Prediction, cut, prediction_error
@@ -28,13 +28,7 @@ from .forces import Forces, residual_forces
 SCHEMA = "undertow/comparison/1"
 
 
-class Table(BaseModel):
-    """A table of the result; numbers that do not exist (a simulation that diverged) are null."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class ComparedRun(Table):
+class ComparedRun(ResultTable):
     """A log and what was done with it."""
 
     name: str
@@ -45,7 +39,7 @@ class ComparedRun(Table):
     notes: list[str]
 
 
-class ChannelResult(Table):
+class ChannelResult(ResultTable):
     """One measured channel: error of the prediction over the horizon and of the free run.
 
     `normalised` is the error over the noise, `relative` (velocities only) over the rms of the measurement,
@@ -63,7 +57,7 @@ class ChannelResult(Table):
     free_run_fit: float | None
 
 
-class DofResult(Table):
+class DofResult(ResultTable):
     """One degree of freedom: the force that the model lacks, N or N m.
 
     `explained_by_noise` is the share of its mean square that the noise of the channels accounts for,
@@ -82,7 +76,7 @@ class DofResult(Table):
     inputs: dict[str, float]
 
 
-class Cell(Table):
+class Cell(ResultTable):
     """One field of the error map; without numbers where there are too few samples."""
 
     degree_of_freedom: str
@@ -96,7 +90,7 @@ class Cell(Table):
     normalised: float | None = None
 
 
-class BudgetShare(Table):
+class BudgetShare(ResultTable):
     """Part of one effect in the forces of one degree of freedom: rms along the logs, and share of all."""
 
     degree_of_freedom: str
@@ -105,7 +99,7 @@ class BudgetShare(Table):
     share: float
 
 
-class ComparisonResult(Table):
+class ComparisonResult(ResultTable):
     """Outcome of `undertow compare`."""
 
     schema_id: str = SCHEMA

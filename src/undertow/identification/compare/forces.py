@@ -11,10 +11,11 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import bsr_array, csr_array
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
-from undertow.identification.estimation.pointwise import Pointwise, mapped
+from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import SensorDelay, WeakModel, whitened
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle

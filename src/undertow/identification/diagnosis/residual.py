@@ -10,10 +10,11 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
+from undertow.codegen.engine import mapped
 from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
-from undertow.identification.estimation.pointwise import Pointwise, mapped
+from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
 from undertow.identification.estimation.step import prior_of
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, VELOCITY

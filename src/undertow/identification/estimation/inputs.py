@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
+from undertow.codegen.engine import call, mapped
 from undertow.codegen.functions import Functions
+from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
 from undertow.typing import Array, Index
-
-from .pointwise import call, mapped
 
 
 def change(values: Array) -> Array:
@@ -159,18 +159,14 @@ def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX
     h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
     mean = output(z, 0.0)
     for step in range(_SUBSTEPS):
-        z = _runge_kutta(rate, z, h, step * share, share)
+
+        def rates(at: Sequence[ca.SX], reach: float, begin: float = step * share) -> list[ca.SX]:
+            return [rate(at[0], begin + reach * share)]
+
+        (z,) = runge_kutta(rates, [z], [h])
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
-
-
-def _runge_kutta(rate: At, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:
-    k1 = rate(z, share)
-    k2 = rate(z + h / 2 * k1, share + width / 2)
-    k3 = rate(z + h / 2 * k2, share + width / 2)
-    k4 = rate(z + h * k3, share + width)
-    return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 @lru_cache(maxsize=64)

@@ -10,6 +10,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.logs.run import Run
@@ -17,7 +18,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
 from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
-from .pointwise import Pointwise, mapped
+from .pointwise import Pointwise
 from .residual import SensorDelay
 from .windows import Drive, Prediction, Windows, arriving, cut
 

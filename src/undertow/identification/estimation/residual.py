@@ -10,13 +10,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
 from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
-from .pointwise import Limits, Pointwise, nonzeros
+from .pointwise import Limits, Pointwise
 from .test_functions import Entries, kink_delay, meeting, tested
 
 
@@ -269,7 +270,7 @@ class WeakModel:
     def _entries(self, inputs: list[Array], actuation: Actuation, memory: DrivenSignal) -> list[Entries]:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
         function = self._points.value_and_derivatives
-        value, free, *by_driven = nonzeros(function, inputs, len(inputs[0]))
+        value, free, *by_driven = at_samples(function, inputs, len(inputs[0]))
         first, last = 1, 1 + len(self.free)
         pattern, direct, *patterns = (function.sparsity_out(i) for i in range(function.n_out()))
         entries = [Entries.of(value, pattern, 0), Entries.of(free, direct, first)]
@@ -310,7 +311,7 @@ class WeakModel:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
         function = self._points.noise
-        (slope,) = nonzeros(function, inputs, len(s.t))
+        (slope,) = at_samples(function, inputs, len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
         sigma = data.sigma if s.doubted is None else np.where(s.doubted, NOISE.doubt, 1.0) * data.sigma
         noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)

@@ -9,11 +9,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
-from undertow.codegen.gauss_newton import Products, products_of
+from undertow.codegen.trajectories import Products, products_of
 from undertow.typing import Array, Flags, Integers
 
-from .pointwise import mapped
 from .predictor import Predictor, reported_late
 from .windows import Drive, Windows
 
