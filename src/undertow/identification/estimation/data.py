@@ -428,8 +428,12 @@ class WeakData:
         seconds = self.block_seconds
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
         within = ((self.time - start) // seconds).astype(np.intp)
-        pairs = np.column_stack([self.run_of, within])
-        return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+        return numbered(self.run_of, within)
+
+
+def numbered(*columns: Index) -> Index:
+    """Number of the group of each row, rows that are the same in all columns being one group."""
+    return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
 
 
 def prepare(

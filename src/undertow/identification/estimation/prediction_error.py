@@ -14,6 +14,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
+from .data import numbered
 from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
@@ -316,8 +317,7 @@ class PredictionErrorFit(Fitted):
         table = self.passed.table
         t = self.windows.t[self.passed.window, 0]
         within = np.floor((t - t.min(initial=0.0)) / SETTINGS.block).astype(np.intp)
-        pairs = np.column_stack([self.windows.run[self.passed.window], within])
-        block = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+        block = numbered(self.windows.run[self.passed.window], within)
         scores = summed_scores(table[:, 0], table[:, 1:], block)
         return clustered(self.information, scores)
 

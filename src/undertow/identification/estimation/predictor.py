@@ -17,6 +17,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
+from .data import numbered
 from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
 from .pointwise import Pointwise
 from .residual import SensorDelay
@@ -168,8 +169,7 @@ def _first_windows(windows: Windows, first: Index) -> Windows:
 
 def _stretches(windows: Windows) -> list[Index]:
     """Windows of every stretch without gaps, in order of time."""
-    pairs = np.column_stack([windows.run, windows.segment])
-    number = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    number = numbered(windows.run, windows.segment)
     return [np.flatnonzero(number == i) for i in range(number.max() + 1)]
 
 
