@@ -7,8 +7,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks.results.hidden import CASES, CaseResult, run_case
-from benchmarks.results.summary import EMPTY, summary_of, with_summary
+from benchmarks.results.summary import EMPTY, speed_of, summary_of, with_summary
 from benchmarks.results.text import number, percent, table
+from benchmarks.speed.goals import GOALS
+from benchmarks.speed.history import by_processor, runs
+from undertow.cli.main import commands
+
+pytestmark = pytest.mark.docs
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "hidden-effects"
@@ -108,3 +113,24 @@ def test_the_measured_goals_stand_in_the_page_and_stay_when_the_rest_is_made_ane
     assert summary_of("# Results\n") == EMPTY
     with pytest.raises(ValueError, match="has no part"):
         with_summary("# Results\n", "")
+
+
+# --- speed ------------------------------------------------------------------------------------
+
+
+def test_every_goal_of_speed_is_what_a_command_does() -> None:
+    for goal in GOALS:
+        assert set(goal.commands.split(", ")) <= set(commands()), goal.what
+
+
+def test_the_page_names_processors_and_keeps_what_was_measured_on_each(page: str) -> None:
+    part = speed_of(page)
+    found = by_processor(runs(part, [], "Abacus"))
+    assert next(iter(found)) == "Abacus"
+    assert set(found["Abacus"]) == {"–"}
+    assert {"AMD EPYC", "Intel(R) Xeon(R) Processor"} <= set(found)
+    evaluation = next(k for k, goal in enumerate(GOALS) if goal.what.startswith("one evaluation"))
+    for processor in ("AMD EPYC", "Intel(R) Xeon(R) Processor"):
+        assert f"### {processor}, " in part
+        assert f" {found[processor][evaluation]} |" in part.partition("### ")[0]
+        assert float(found[processor][evaluation].removesuffix(" ×")) >= 1

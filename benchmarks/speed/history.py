@@ -1,4 +1,4 @@
-"""One line for each run of the measurements, kept in the page from run to run."""
+"""What the page keeps from run to run: one line for each run, and the tables of other processors."""
 
 from __future__ import annotations
 
@@ -8,33 +8,56 @@ import subprocess
 from pathlib import Path
 
 from .goals import GOALS
-from .report import Timing, measured
+from .report import NOT_MEASURED, Timing, measured
 
-HEADING = "**History**\n"
+HEADING = "### History\n"
 _KEPT = 30
 _RUN = re.compile(r"\| \d{4}-\d\d-\d\d \|")
+_MACHINE = 2
+Row = list[str]
 
 
-def with_history(known: str, timings: list[Timing], cpu: str) -> str:
-    """The table of all runs: those that the page has, and this one.
+def runs(known: str, timings: list[Timing], cpu: str) -> list[Row]:
+    """Day, commit, processor and what was measured for each goal: the runs that the page has, and this one.
 
     Parameters
     ----------
     known : str
-        The page as it is.
+        The part of the page as it is.
     timings : list of Timing
         What was measured.
     cpu : str
-        The machine.
+        The processor.
     """
-    old = [line for line in known.partition(HEADING)[2].splitlines() if _RUN.match(line)]
-    row = [datetime.date.today().isoformat(), _commit(), cpu, *(measured(goal, timings) for goal in GOALS)]
-    head = ["day", "commit", "machine", *(str(k) for k in range(1, len(GOALS) + 1))]
-    lines = [_row(head), _row(["---"] * 3 + ["---:"] * len(GOALS)), *[*old, _row(row)][-_KEPT:]]
+    lines = known.partition(HEADING)[2].splitlines()
+    old = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if _RUN.match(line)]
+    return [*old, [datetime.date.today().isoformat(), _commit(), cpu, *(measured(g, timings) for g in GOALS)]]
+
+
+def by_processor(rows: list[Row]) -> dict[str, Row]:
+    """What was measured last on each processor, goal by goal; the processor of the last run first."""
+    found: dict[str, Row] = {}
+    for row in reversed(rows):
+        older = row[_MACHINE + 1 :]
+        newer = found.get(row[_MACHINE], older)
+        found[row[_MACHINE]] = [b if a == NOT_MEASURED else a for a, b in zip(newer, older, strict=True)]
+    return found
+
+
+def table(rows: list[Row]) -> str:
+    """All runs."""
+    head = ["day", "commit", "processor", *(str(k) for k in range(1, len(GOALS) + 1))]
+    lines = [_line(head), _line(["---"] * 3 + ["---:"] * len(GOALS)), *map(_line, rows[-_KEPT:])]
     return f"{HEADING}\nColumns are the lines of the first table.\n\n" + "\n".join(lines) + "\n"
 
 
-def _row(cells: list[str]) -> str:
+def of_others(known: str, cpu: str) -> list[str]:
+    """The tables of other processors, as the page has them."""
+    parts = ["### " + part.strip("\n") + "\n" for part in known.partition(HEADING)[0].split("\n### ")[1:]]
+    return [part for part in parts if not part.startswith(f"### {cpu},")]
+
+
+def _line(cells: Row) -> str:
     return "| " + " | ".join(cells) + " |"
 
 

@@ -11,6 +11,8 @@ from typing import Any
 
 from .goals import GOALS, OURS, Goal
 
+NOT_MEASURED = "–"
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -37,42 +39,45 @@ def read(path: Path) -> tuple[list[Timing], dict[str, Any]]:
 def _timing(stored: dict[str, Any]) -> Timing:
     told = stored["extra_info"]
     more = {k: v for k, v in told.items() if k not in _OWN}
+    if "seconds" not in told and stored["options"]["timer"] == "process_time":
+        more["clock"] = "of the processor"
     seconds = told.get("seconds", stored["stats"]["min"] / told.get("calls", 1))
     return Timing(
         told["what"], told["who"], seconds, told.get("apart"), told.get("limit"), told.get("size"), more
     )
 
 
-def goals(timings: list[Timing]) -> str:
-    """Every goal with what was measured."""
+def goals(by_processor: dict[str, list[str]]) -> str:
+    """Every goal with what each processor reached."""
     lines = [
-        "| | what | beside | goal | measured | | prototype |",
-        "| ---: | --- | --- | ---: | ---: | --- | ---: |",
-        *(f"| {k} {_goal(goal, timings)}" for k, goal in enumerate(GOALS, start=1)),
+        f"| | what | beside | command | goal | {' | '.join(by_processor)} |",
+        "| ---: | --- | --- | --- | ---: |" + " ---: |" * len(by_processor),
+        *(
+            f"| {k} | {_goal(goal)} | {' | '.join(values)} |"
+            for k, (goal, values) in enumerate(
+                zip(GOALS, zip(*by_processor.values(), strict=True), strict=True), start=1
+            )
+        ),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _goal(goal: Goal, timings: list[Timing]) -> str:
+def _goal(goal: Goal) -> str:
     wanted = f"≥ {goal.at_least:.3g} ×" if goal.peer else f"≤ {duration(goal.at_least)}"
-    value = measured(goal, timings)
-    verdict = "not measured" if value == "–" else "met" if _met(goal, timings) else "**not met**"
     what = goal.what if goal.who == OURS else f"{goal.what}: {goal.who}"
-    return f"| {what} | {goal.peer or '–'} | {wanted} | {value} | {verdict} | {goal.reach or '–'} |"
-
-
-def _met(goal: Goal, timings: list[Timing]) -> bool:
-    ours, peer = _of(goal.what, goal.who, timings), _of(goal.what, goal.peer, timings)
-    assert ours is not None
-    return ours.seconds * goal.at_least <= peer.seconds if peer else ours.seconds <= goal.at_least
+    return f"{what} | {goal.peer or '–'} | {goal.commands} | {wanted}"
 
 
 def measured(goal: Goal, timings: list[Timing]) -> str:
-    """Seconds, or how many times as fast as the peer; a dash where that was not measured."""
+    """Seconds, or how many times as fast as the peer; bold where the goal is missed."""
     ours, peer = _of(goal.what, goal.who, timings), _of(goal.what, goal.peer, timings)
     if ours is None or (goal.peer and peer is None):
-        return "–"
-    return f"{peer.seconds / ours.seconds:.3g} ×" if peer else duration(ours.seconds)
+        return NOT_MEASURED
+    if peer is None:
+        value, met = duration(ours.seconds), ours.seconds <= goal.at_least
+    else:
+        value, met = f"{peer.seconds / ours.seconds:.3g} ×", ours.seconds * goal.at_least <= peer.seconds
+    return value if met else f"**{value}**"
 
 
 def _of(what: str, who: str, timings: list[Timing]) -> Timing | None:

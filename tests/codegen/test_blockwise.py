@@ -9,6 +9,8 @@ import pytest
 from undertow import UndertowError
 from undertow.codegen import Functions
 from undertow.codegen.compiler import Compiler
+
+# Private: the size of a block and its code have edges that the result hides.
 from undertow.codegen.tape import _BLOCK, Blockwise, _compiled, blockwise
 from undertow.model.loading import bundled_vehicles, load_vehicle
 

@@ -1,5 +1,7 @@
 """Which compiled code is trusted, and what happens without a compiler."""
 
+# Private names of `cache` and `compiler`: what they remember in a process is forgotten, as in a new one.
+
 from __future__ import annotations
 
 import json
@@ -371,6 +373,7 @@ assert loaded.undertow_test_answer() == 42.0
 """
 
 
+@pytest.mark.slow
 @posix
 def test_two_processes_build_the_same_at_once(
     c_compiler: Compiler, own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -422,6 +425,7 @@ print("alive")
 """
 
 
+@pytest.mark.slow
 @posix
 def test_functions_of_other_libraries_are_not_called(c_compiler: Compiler, tmp_path: Path) -> None:
     """A library in the process that has functions of the same names does not get into the way."""
@@ -459,6 +463,7 @@ for name in ("bluerov2", "full"):
 """
 
 
+@pytest.mark.slow
 def test_the_same_model_is_the_same_source_in_every_process() -> None:
     first, second = (_python(HASHES, PYTHONHASHSEED=seed).stdout for seed in ("1", "2"))
     assert first == second

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.codegen.support import BUNDLED, assert_close, functions_of, random_point
+from tests.quick import first_quick
 from undertow.codegen import Compiled
 from undertow.codegen.compiler import Compiler
 from undertow.codegen.library import Evaluator
@@ -20,7 +21,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("name", [*BUNDLED, "full"])
+@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], len(BUNDLED)))
 def test_compiled_functions_equal_the_virtual_machine(name: str, c_compiler: Compiler) -> None:
     functions = functions_of(name)
     compiled = Compiled(functions, compiled=True)
@@ -70,19 +71,6 @@ def test_earlier_results_survive_the_next_call() -> None:
     kept = first.copy()
     evaluate(2 * point.x, point.u, point.p, 0.0)
     assert np.array_equal(first, kept)
-
-
-@pytest.mark.parametrize("compiled", [False, None])
-def test_a_direct_call_works_on_its_own_arrays(compiled: bool | None) -> None:
-    functions = functions_of("bluerov2")
-    direct = Compiled(functions, compiled=compiled).direct("dynamics")
-    x_dot = direct.outputs["x_dot"]
-    for seed in (1, 2):
-        point = random_point(functions, seed)
-        for name, value in (("x", point.x), ("u", point.u), ("p", point.p), ("t", point.t)):
-            direct.inputs[name][:] = value
-        direct.run()
-        assert_close(x_dot, np.array(functions.dynamics(point.x, point.u, point.p, point.t)).ravel())
 
 
 def test_a_model_without_inputs_has_an_evaluator() -> None:

@@ -22,6 +22,7 @@ from tests.codegen.support import (
     random_point,
     vehicle_with,
 )
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.cli.main import main
 from undertow.codegen import Simulator
@@ -77,7 +78,7 @@ def test_the_example_steps_the_model(name: str, c_compiler: Compiler, tmp_path: 
     assert np.abs(table[-1, 1:]).max() > 0.1
 
 
-@pytest.mark.parametrize("name", [*BUNDLED, "full"])
+@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], 2))
 def test_every_function_equals_the_virtual_machine(name: str, c_compiler: Compiler, tmp_path: Path) -> None:
     folder = _export(name, tmp_path)
     command = [*c_compiler.command, *STRICT, "-O1", "-shared", "-fPIC", "model.c", "-lm", "-o", "model.so"]
@@ -145,7 +146,7 @@ int main(void) {
 """
 
 
-@pytest.mark.parametrize("lanes", [0, 1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([0, 1, 4, 8]))
 def test_the_loops_are_clean_too(lanes: int, c_compiler: Compiler, tmp_path: Path) -> None:
     """Zero lanes: the driver with sensitivities."""
     from undertow.codegen.driver import driver_source

@@ -9,8 +9,11 @@ import pytest
 import sympy as sm
 
 from tests.codegen.support import functions_of, random_parameters, vehicle_with
+from tests.quick import first_quick
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
+
+# Private: counts of windows beside a multiple of the lanes.
 from undertow.codegen.gauss_newton import _LANES, Products, _parts
 from undertow.codegen.lanes import shares
 from undertow.model.effect import Wrench
@@ -74,7 +77,7 @@ def rows(given: Case) -> np.ndarray:
     return np.concatenate([s[:, :, :size] * given.weight[..., None], error[..., None]], axis=3)
 
 
-@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("name", first_quick(VEHICLES, 2))
 @pytest.mark.parametrize("compiled", [True, False])
 def test_sums_are_those_of_sensitivities(name: str, compiled: bool, c_compiler: Compiler) -> None:
     given = case(name)

@@ -10,6 +10,7 @@ import pytest
 import sympy as sm
 
 from tests.codegen.support import BUNDLED, functions_of, random_parameters, vehicle_with
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator, simulate
 from undertow.codegen.compiler import Compiler, find_compiler
@@ -117,8 +118,8 @@ def _batch(functions: Functions, runs: int, samples: int) -> tuple[np.ndarray, n
     return x0, t, rng.normal(size=(runs, samples, functions.u.numel()))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("runs", [3, 21])  # in one group and in two
+@pytest.mark.parametrize("compiled", first_quick([True, False]))
+@pytest.mark.parametrize("runs", first_quick([21, 3]))  # in two groups and in one
 @pytest.mark.parametrize("name", [*BUNDLED, "full"])
 def test_the_driver_in_c_and_the_virtual_machine_agree(
     name: str, runs: int, compiled: bool, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch

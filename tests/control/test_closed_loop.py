@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
+from tests.quick import first_quick
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
 from undertow.control.closed_loop.measures import CREDIBLE, divergence
 from undertow.control.closed_loop.sampling import SampledLoop
@@ -154,8 +155,8 @@ def test_a_fast_loop_without_sampling_is_integrated_in_steps_that_suit_it() -> N
 
 
 # --- model, controller and integrator together -----------------------------------------------------
-@pytest.mark.parametrize("continuous", [False, True])
-@pytest.mark.parametrize("gains", ["paper-pid", "paper-smc"])
+@pytest.mark.parametrize("continuous", first_quick([False, True]))
+@pytest.mark.parametrize("gains", first_quick(["paper-pid", "paper-smc"]))
 @pytest.mark.parametrize("other", ["numba", "virtual machine"])
 def test_without_a_compiler_the_numbers_are_the_same(
     gains: str, continuous: bool, other: str, monkeypatch: pytest.MonkeyPatch

@@ -16,37 +16,6 @@ from .source import c_source, with_unique_symbols
 
 
 # --- fast calls from NumPy arrays -----------------------------------------------------------------
-class Direct:
-    """A CasADi function on fixed arrays: write into `inputs`, call, read `outputs`; nothing is copied.
-
-    Each array holds the nonzeros, column by column, of the input or output of that name.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        The function.
-
-    Attributes
-    ----------
-    inputs, outputs : dict of ndarray
-        The arrays by name.
-    run : callable
-        Evaluates the function; calling it costs less than calling the object.
-    """
-
-    def __init__(self, function: ca.Function) -> None:
-        self._buffer, self.run = function.buffer()
-        self.inputs = {n: np.zeros(function.nnz_in(i)) for i, n in enumerate(function.name_in())}
-        self.outputs = {n: np.zeros(function.nnz_out(i)) for i, n in enumerate(function.name_out())}
-        for i, array in enumerate(self.inputs.values()):
-            self._buffer.set_arg(i, memoryview(array.data))  # type: ignore[call-arg]
-        for i, array in enumerate(self.outputs.values()):
-            self._buffer.set_res(i, memoryview(array.data))  # type: ignore[call-arg]
-
-    def __call__(self) -> None:
-        self.run()
-
-
 class Evaluator:
     """A CasADi function evaluated through its buffer for a fixed number of runs at once.
 
@@ -59,18 +28,23 @@ class Evaluator:
     """
 
     def __init__(self, function: ca.Function, batch: int = 1) -> None:
-        direct = Direct(function.map(batch) if batch > 1 else function)
-        self._call = direct
+        mapped = function.map(batch) if batch > 1 else function
+        # The buffer has the arrays' addresses: nothing is copied between it and them.
+        self._buffer, self._run = mapped.buffer()
         # CasADi stores columns one after the other, so a run is a row of these arrays.
-        self._inputs = [a.reshape(batch, a.size // batch) for a in direct.inputs.values()]
-        self._outputs = [a.reshape(batch, a.size // batch) for a in direct.outputs.values()]
+        self._inputs = [np.zeros((batch, function.nnz_in(i))) for i in range(function.n_in())]
+        self._outputs = [np.zeros((batch, function.nnz_out(i))) for i in range(function.n_out())]
+        for i, array in enumerate(self._inputs):
+            self._buffer.set_arg(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
+        for i, array in enumerate(self._outputs):
+            self._buffer.set_res(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
         self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
 
     def __call__(self, *inputs: np.ndarray | float) -> list[np.ndarray]:
         """Outputs of shape (batch, rows, columns) for inputs of shape (batch or 1, size)."""
         for array, given in zip(self._inputs, inputs, strict=True):
             array[:] = given
-        self._call()
+        self._run()
         return [place.dense(values) for place, values in zip(self._places, self._outputs, strict=True)]
 
 
@@ -140,10 +114,6 @@ class Compiled:
     def evaluator(self, name: str, batch: int = 1) -> Evaluator:
         """One of the functions for NumPy arrays, `batch` evaluations in a call, through its buffer."""
         return Evaluator(getattr(self, name), batch)
-
-    def direct(self, name: str) -> Direct:
-        """One of the functions on fixed arrays: the cheapest call from Python."""
-        return Direct(getattr(self, name))
 
     def _ready(self, function: ca.Function) -> ca.Function:
         return compiled_or_virtual(self._wish, lambda compiler: load(function, compiler), lambda: function)

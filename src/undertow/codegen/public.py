@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 
 from .functions import Functions
 from .simulate import Simulator
@@ -72,7 +71,7 @@ class Model:
         )
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>"
+        return html(repr(self))
 
 
 def compile(vehicle: Vehicle) -> Model:
@@ -82,6 +81,11 @@ def compile(vehicle: Vehicle) -> Model:
     ----------
     vehicle : Vehicle
         The vehicle.
+
+    Returns
+    -------
+    Model
+        `states`, `inputs` and `simulate(x0, u, dt)`.
 
     Raises
     ------
