@@ -101,7 +101,7 @@ def examine(
     mapping: LogMapping | None = None,
     report: Progress = lambda done, words: None,
 ) -> Examined:
-    """Look for what is wrong with logs before physics is blamed.
+    """Look for what is wrong with logs before the model is blamed.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def examine(
     mapping : Mapping, optional
         How the logs were read; what the runs themselves know of it by default.
     report : callable
-        Told what share is done, and what is being done.
+        Receives the share that is done, and what is being done.
 
     Raises
     ------
@@ -128,10 +128,10 @@ def examine(
     examiner.findings += alone.values()
     report(0.0, "looking at clock and samples")
     examiner.look_at_samples()
-    report(0.1, "holding pose rates against velocities")
+    report(0.1, "comparing pose rates with velocities")
     examiner.undo_reading_mistakes()
     examiner.undo_what_cannot_be()
-    report(0.4, "holding motion against commands")
+    report(0.4, "comparing motion with commands")
     examiner.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
     rows = excitation(vehicle, examiner.runs)
@@ -149,7 +149,7 @@ def examine(
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
-    """Refuse logs that cannot be, by the quick checks of `examine`; each log is held to them alone.
+    """Refuse logs that cannot be, by the quick checks of `examine`; each log by itself.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         if not trust_log and all(run.has(n) for n in needed) and (found := _refused(vehicle, run)):
             finding, edits = found
             raise UndertowError(
-                f"log '{run.source or run.name}' cannot be: {finding.text}; write {_on_one_line(edits)} into "
-                "the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
+                f"log '{run.source or run.name}' is impossible: {finding.text}; write {_on_one_line(edits)} "
+                "into the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
                 "(trust_log=True)"
             )
 
@@ -188,9 +188,9 @@ def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
 
 
 def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
-    """What cannot be in some of the logs, by their names, where the others are of another mind.
+    """What cannot be in some of the logs, by their names, where the others do not show it.
 
-    All together, logs with a mistake and logs without would tell nothing, or what is true of neither.
+    Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
     """
     found = {r.name: _refused(vehicle, r) for r in runs} if len(runs) > 1 else {}
     wrong = {name: one[0] for name, one in found.items() if one is not None}
@@ -337,7 +337,7 @@ class _Examiner:
         self.edits += edits
 
     def _doubt(self, found: Explanation, others: list[str]) -> None:
-        """Say what may be a mistake or a flaw of a sensor, and leave it."""
+        """Say what may be a mistake or an error of a sensor, and leave it."""
         self.findings.append(
             Finding(
                 id=found.mistake.id,
@@ -365,7 +365,7 @@ _DECIDES = 2.0
 
 
 def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
-    """The mistake that the model speaks for, and those that it does not speak against."""
+    """The mistake that the model supports, and those that it does not contradict."""
     tied = [found.mistake, *found.rivals][:_TRIED]
     if len(tied) == 1:
         return found.mistake, []

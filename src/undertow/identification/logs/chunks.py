@@ -52,7 +52,7 @@ class LogPart(NamedTuple):
     """LogPart of a long log."""
 
     run: Run  # its samples within the window
-    # Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
+    # Time in the middle of the rows that it shares with the part after it, s; by the rows of the file,
     # those outside the window too, so that either part reaches beyond it as far as the window does.
     border: float
 

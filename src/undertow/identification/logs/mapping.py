@@ -176,7 +176,7 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 
 def _first_fault(error: ValidationError) -> str:
-    # An unknown key explains a missing one (chanel: channel is missing), so it is told first.
+    # An unknown key explains a missing one (chanel: channel is missing), so it is reported first.
     fault = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
     place = [str(part) for part in fault["loc"]]
     key = ".".join(place)

@@ -126,7 +126,7 @@ class Separations:
     def __init__(self, rivals: Sequence[RivalModel], spread: float, *, with_logs: bool) -> None:
         self._spread, self._count = spread, len(rivals)
         self.pairs = list(combinations(range(len(rivals)), 2))
-        # A model cannot be told from one that holds it: only the other way round there is a difference.
+        # A model cannot differ from one that contains it: only the other way round is there a difference.
         self._ways = [
             [(i, j) for i, j in (pair, pair[::-1]) if not rivals[i].parts < rivals[j].parts]
             for pair in self.pairs
