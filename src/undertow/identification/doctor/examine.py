@@ -101,23 +101,9 @@ def examine(
     mapping: LogMapping | None = None,
     report: Progress = lambda done, words: None,
 ) -> Examined:
-    """Look for what is wrong with logs before the model is blamed.
+    """Look for what is wrong with logs, which must have the velocities and commands of the vehicle.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs with its velocities and commands.
-    mapping : Mapping, optional
-        How the logs were read; what the runs themselves know of it by default.
-    report : callable
-        Receives the share that is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If a run lacks a velocity or a command of the vehicle.
+    Without a `mapping`, that with which the runs were read is taken.
     """
     began = time.perf_counter()
     for run in runs:
@@ -149,23 +135,11 @@ def examine(
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
-    """Refuse logs that cannot be, by the quick checks of `examine`; each log by itself.
+    """Refuse impossible logs, by the quick checks of `examine`; each log by itself, unless `trust_log`.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs; one that lacks a velocity or a command of the vehicle is not looked at.
-    trust_log : bool
-        Whether they are taken as they are.
-
-    Raises
-    ------
-    UndertowError
-        If pose rates and velocities contradict each other, or the motion is one that no vehicle of this mass,
-        size and thrust can have, and a usual mistake explains it. The message has the channel, its value, the
-        limit, and the line of the mapping file that mends it.
+    Refused are logs whose pose rates and velocities contradict each other, or whose motion no vehicle of this
+    mass, size and thrust can have, where a usual mistake explains it. A log that lacks a velocity or a
+    command is not examined.
     """
     needed = [*vehicle.velocity_names, *vehicle.command_names]
     for run in runs:

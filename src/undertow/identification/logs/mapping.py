@@ -148,19 +148,7 @@ class LogMapping(_Strict):
 
 
 def read_mapping(path: str | Path) -> LogMapping:
-    """Read a mapping file.
-
-    Parameters
-    ----------
-    path : path
-        TOML file with ``schema = "undertow/mapping/1"``.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is no TOML, has an unknown key (the nearest known one is named) or a wrong
-        value.
-    """
+    """Read a mapping file, TOML with ``schema = "undertow/mapping/1"``."""
     path = Path(path)
     data = read_toml(path, "mapping file")
     if data.get("schema") != SCHEMA:

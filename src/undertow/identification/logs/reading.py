@@ -58,34 +58,11 @@ def read_log(
     also: Iterable[str] = (),
     limits: LogLimits = WHOLE,
 ) -> Run:
-    """Read a log.
+    """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
 
-    Parameters
-    ----------
-    path : path
-        CSV, CSV.gz or Parquet file.
-    mapping : Mapping, optional
-        What the columns mean; without it they must have the channel names and SI units of undertow.
-    channels : iterable of str
-        Names of the commands the vehicle needs; each must be in the log.
-    window : (t_min, t_max)
-        Keep samples of this time only, in s on the clock of the run; None: no limit.
-    missing_commands : "refuse", "hold" or "gap", optional
-        What to do where a command has no sample; the mapping says it otherwise, and refusing is the default.
-    also : iterable of str
-        Names of commands that are read where the log has them.
-    limits : LogLimits
-        How large it may be; what is larger is refused before it is held in memory.
-
-    Returns
-    -------
-    Run
-        In SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or holds what no log may hold; the message names the place and the remedy.
+    `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
+    mapping, columns must have the channel names and SI units of undertow. The window, in s, is on the clock
+    of the run (None: no limit). What is larger than the limits is refused before it is held in memory.
     """
     path, mapping = Path(path), mapping or LogMapping()
     data = file_bytes(path, limits)
