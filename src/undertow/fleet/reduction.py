@@ -25,7 +25,7 @@ from undertow.identification.estimation.weak_form import (
     matched_disturbance,
     opened,
 )
-from undertow.identification.logs.chunks import LongLog, hash_of
+from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -327,10 +327,7 @@ def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
     UndertowError
         If it cannot be read, or does not say whose and which day's log it is.
     """
-    try:
-        sha256 = hash_of(Path(path))
-    except OSError as error:
-        raise UndertowError(f"{path} cannot be read: {error.strerror or error}") from error
+    sha256 = sha256_of(path)
     return partition_of(Path(path), LogMapping.model_validate_json(mapping)), sha256
 
 

@@ -187,9 +187,12 @@ def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping,
     if column.power != 1.0:
         cells = np.sign(cells) * np.abs(cells) ** column.power
     if column.fresh is not None:
-        itself = column.fresh == name
-        flag = changed(cells) if itself else numbers(table, column.fresh, mapping, where)
-        cells = new_only(cells, flag)
+        if column.fresh == name:  # a value that differs from that of the row before is new
+            new = np.concatenate([[True], cells[1:] != cells[:-1]])
+        else:
+            flag = numbers(table, column.fresh, mapping, where)
+            new = np.isfinite(flag) & (flag != 0)
+        cells = np.where(new, cells, np.nan)
     return scale * cells + offset
 
 
@@ -307,16 +310,6 @@ _FEWEST = 10  # reports of a channel
 _LOST = 3.0  # usual times between reports without one: what happened meanwhile is unknown
 _ORDER = 3  # a difference of this order leaves little of a smooth motion
 _NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-
-
-def changed(values: Array) -> Array:
-    """Return 1 where a value differs from that of the row before, and in the first row, 0 elsewhere."""
-    return np.concatenate([[1.0], values[1:] != values[:-1]])
-
-
-def new_only(values: Array, flag: Array) -> Array:
-    """Return the values where the flag is set, NaN where it is zero or missing."""
-    return np.where(np.isfinite(flag) & (flag != 0), values, np.nan)
 
 
 def on_the_clock(run: Run, names: Iterable[str]) -> Run:
