@@ -23,7 +23,7 @@ from undertow.cli.main import commands, load, main
 
 ROOT = Path(__file__).parents[1]
 SLOW = {
-    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas", "pint", "plotly",
+    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pint", "plotly",
     "polars", "pydantic", "rich", "scipy", "statsmodels", "sympy", "tomlkit",
 }  # fmt: skip
 MOST_MODULES = 220
@@ -87,7 +87,7 @@ def test_help_of_no_command_imports_anything_slow(tmp_path: Path) -> None:
 
 AUV = ROOT / "src" / "undertow" / "demo_data" / "auv"
 NO_PICTURES = {"control", "matplotlib", "plotly", "scipy.signal"}
-NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
+NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
             ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
             ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
             (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
-            ("linearize mini-auv", {"polars", "plotly", "numba", "undertow.identification"}),
+            ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
         ],
         5,
     ),

@@ -9,8 +9,7 @@ import pytest
 from tests.codegen.support import BUNDLED, assert_close, functions_of, random_point
 from tests.quick import first_quick
 from undertow.codegen import Compiled
-from undertow.codegen.compiler import Compiler
-from undertow.codegen.library import Evaluator
+from undertow.codegen.compiler import Compiler, Evaluator
 
 KINDS = {
     "dynamics": "dynamics",

@@ -15,10 +15,16 @@ from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.driver import driver_source
-from undertow.codegen.lanes import LANES_HEADER, in_threads, packed, processors, shares, unpacked
 from undertow.codegen.plain import LANES, plain_c
-from undertow.codegen.rollout import rollout_source
+from undertow.codegen.trajectories import (
+    LANES_HEADER,
+    in_threads,
+    packed,
+    processors,
+    rollout_source,
+    shares,
+    unpacked,
+)
 
 RUNS = 11
 
@@ -151,7 +157,7 @@ def test_the_environment_says_how_many_threads(monkeypatch: pytest.MonkeyPatch) 
     assert 1 <= processors() <= (os.cpu_count() or 1)
 
 
-@pytest.mark.parametrize("part", ["dynamics", "rollout", "sensitivities"])
+@pytest.mark.parametrize("part", ["dynamics", "rollout"])
 def test_one_run_keeps_out_of_512_bit_registers(part: str, c_compiler: Compiler, tmp_path: Path) -> None:
     """Also on a processor that GCC does not know: a single 512-bit instruction halves the speed on Intel."""
     functions = functions_of("bluerov2")
@@ -160,7 +166,6 @@ def test_one_run_keeps_out_of_512_bit_registers(part: str, c_compiler: Compiler,
             LANES_HEADER + plain_c(functions.prepared.dynamics, "f", words=LANES, shared=("t",))
         ),
         "rollout": lambda: rollout_source(functions, 1)[0],
-        "sensitivities": lambda: driver_source(functions)[0],
     }
     (tmp_path / "model.c").write_text(sources[part](), encoding="utf-8")
     stranger = replace(c_compiler, command=(*c_compiler.command, "-mtune=generic")).for_this_machine("-S")

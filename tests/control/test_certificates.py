@@ -12,9 +12,9 @@ import pytest
 
 from tests.quick import first_quick
 from undertow.control.closed_loop import ClosedLoop, Scenario
-from undertow.control.conditions.check import check
 from undertow.control.conditions.problem import Uncertainty
 from undertow.control.conditions.result import SETTINGS, Report
+from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.linear.systems import close_loop
 from undertow.control.linear.trim import find_trim
@@ -88,7 +88,7 @@ def law(vehicle: Vehicle, name: str = "pid", **changed: object) -> GainSet:
 
 
 def judged(gains: GainSet) -> Report:
-    return check(gains, Uncertainty(gains.plant.vehicle), forms=["derived"])
+    return certify(gains, Uncertainty(gains.plant.vehicle), forms=["derived"])
 
 
 def with_effect(vehicle: Vehicle, name: str, **values: float) -> Vehicle:

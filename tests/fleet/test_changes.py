@@ -12,10 +12,10 @@ import pytest
 
 from benchmarks.fleet.made import folder_with_vehicle, fouling
 from benchmarks.fleet.names import asked, logged
-from undertow.fleet.changes import Change, Changes, Direction, Kind, Span, chance
-from undertow.fleet.diagnose import summarised
-from undertow.fleet.reduction import Job, Panel, marked
-from undertow.fleet.verdicts import Asked, Statement, holm, statements
+from undertow.fleet.changes import Change, ChangeTests, Direction, Kind, Span, two_sided_p
+from undertow.fleet.diagnose import summary
+from undertow.fleet.reduction import Job, Panel, with_fingerprint
+from undertow.fleet.verdicts import SpanTest, Statement, holm, statements
 
 Drift = Mapping[str, float]
 
@@ -27,7 +27,7 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def panel(craft: Path) -> Panel:
-    return marked(Job(str(craft)))[1]
+    return with_fingerprint(Job(str(craft)))[1]
 
 
 def said(panel: Panel, craft: Path, drift: Drift, seed: int, **more: int) -> list[Statement]:
@@ -65,7 +65,7 @@ def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> Non
 
 def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> None:
     own = logged(panel, craft, {}, 4)
-    of = summarised({"it": (panel, own)}).vehicles[0]
+    of = summary({"it": (panel, own)}).vehicles[0]
     assert {p.statement.answer for p in (*of.months[1:], of.whole)} == {"none seen"}
     for parameter in of.whole.parameters:
         stated = panel.vehicle.value_of(parameter.name).value
@@ -119,12 +119,14 @@ def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
 def told(*changes: tuple[Kind, str, float, float]) -> Statement:
     """What is said of changes of kind, place, value and error five days against five, among many others."""
     own = tuple(
-        Change(Direction(kind, of, np.zeros(1)), value, error, 8.0, chance(value, error, 8.0))
+        Change(Direction(kind, of, np.zeros(1)), value, error, 8.0, two_sided_p(value, error, 8.0))
         for kind, of, value, error in changes
     )
     still = tuple(Change(Direction("inertia", "surge", np.zeros(1)), 0.0, 1.0, 8.0, 1.0) for _ in range(500))
     span = Span((), lambda day: 0.0, (5, 5))
-    return statements([Asked(cast("Changes", None), span, own), Asked(cast("Changes", None), span, still)])[0]
+    return statements(
+        [SpanTest(cast("ChangeTests", None), span, own), SpanTest(cast("ChangeTests", None), span, still)]
+    )[0]
 
 
 def test_none_seen_is_said_of_what_would_have_shown() -> None:

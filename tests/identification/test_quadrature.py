@@ -101,7 +101,7 @@ def test_rows_that_feel_commands_from_before_the_log_count_for_nothing() -> None
     weak = WeakModel(Functions(model), ("X_u", "delay"))
     p = np.array(weak.functions.values())
     (part,), noise, (segment,) = weak.linearise(data, p), weak.whitening(data, p), data.segments
-    feels = segment.t[segment.functions.windows.first] < segment.t[0] + 0.6
+    feels = segment.t[segment.functions.supports.first] < segment.t[0] + 0.6
     forces = np.tile(np.arange(len(data.rows)) < 3, len(feels)) & np.repeat(feels, len(data.rows))
     assert 0 < np.count_nonzero(forces) == part.start.shape[1]
     changed = replace(part, r=part.r + 50.0 * forces)

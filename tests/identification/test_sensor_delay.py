@@ -285,7 +285,7 @@ def test_sensitivity_to_the_delay_is_that_of_the_shifted_report() -> None:
     windows = cut(runs_of(case), model, 5.0)
     shooting = Shooting(Functions(model), windows, ["velocity_delay"], np.ones(len(windows.names)))
     p = np.array(shooting.functions.values())
-    starts = shooting.first_starts(p)
+    starts = shooting.measured_starts(p)
     place = shooting.places[0]
     at = shooting.linearise(p, starts)
     costs = []

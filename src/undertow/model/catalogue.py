@@ -93,11 +93,6 @@ def load_effects(path: Path) -> list[type[Effect]]:
     """Run a user's effect file and return the effect classes in it.
 
     The file is Python and is executed: call this only for a file that the user has named on purpose.
-
-    Raises
-    ------
-    UndertowError
-        If the file is missing, cannot be run, or holds no effect.
     """
     if not path.is_file():
         raise UndertowError(f"effect file '{path}' does not exist: check the path")
@@ -121,13 +116,7 @@ def load_effects(path: Path) -> list[type[Effect]]:
 
 
 def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
-    """The effect class of this id.
-
-    Raises
-    ------
-    UndertowError
-        If there is none; the nearest known id is named.
-    """
+    """The effect class of this id."""
     if effect_id not in known:
         raise UndertowError(
             f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"

@@ -22,21 +22,11 @@ def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Param
 
 @dataclass(frozen=True)
 class Bulk:
-    """How large a vehicle is, by its mass and inertia.
+    """How large a vehicle is, by its mass and inertia."""
 
-    Attributes
-    ----------
-    mass : float
-        kg.
-    length : float
-        Edge of a cube of water of this mass, m.
-    gyration : float
-        Largest radius of gyration that the file states, m; zero where it states none.
-    """
-
-    mass: float
-    length: float
-    gyration: float
+    mass: float  # kg
+    length: float  # edge of a cube of water of this mass, m
+    gyration: float  # largest radius of gyration that the file states, m; zero where it states none
 
 
 class Effect(abc.ABC):

@@ -22,47 +22,23 @@ from .units import short_unit
 
 @dataclass(frozen=True)
 class Value:
-    """Value of a parameter in SI and SNAME signs, and how far it is known.
-
-    Attributes
-    ----------
-    value : float
-        The number.
-    estimate : bool
-        Whether a fit may change it.
-    sigma : float, optional
-        Standard deviation of the number as stated (prior) or as fitted.
-    source : str
-        Where it comes from.
-    assumed : bool
-        True where no source gives the number.
-    """
+    """Value of a parameter in SI and SNAME signs, and how far it is known."""
 
     value: float
-    estimate: bool = False
-    sigma: float | None = None
-    source: str = ""
-    assumed: bool = False
+    estimate: bool = False  # whether a fit may change it
+    sigma: float | None = None  # standard deviation of the number as stated (prior) or as fitted
+    source: str = ""  # where it comes from
+    assumed: bool = False  # true where no source gives the number
 
 
 @dataclass(frozen=True)
 class Thruster:
-    """One thruster: the log column of its command and the wrench of one newton of its thrust.
-
-    Attributes
-    ----------
-    wrench : tuple of float
-        Force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m).
-    thrust_per_command : Value
-        Thrust per unit of command, N.
-    limit : float, optional
-        Largest magnitude of the command.
-    """
+    """One thruster: the log column of its command and the wrench of one newton of its thrust."""
 
     name: str
-    wrench: tuple[float, ...]
-    thrust_per_command: Value = Value(1.0)
-    limit: float | None = None
+    wrench: tuple[float, ...]  # force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m)
+    thrust_per_command: Value = Value(1.0)  # thrust per unit of command, N
+    limit: float | None = None  # largest magnitude of the command
 
 
 def _refuse_twice(names: Iterable[str], complaint: str) -> None:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sm
 
-from undertow.control.conditions.by_law import CONDITIONS, Signs
+from undertow.control.conditions.by_law import CONDITIONS, Quantities
 from undertow.control.conditions.lyapunov import CANDIDATES
 from undertow.control.conditions.problem import SignSet, sign_sets
 from undertow.control.laws import LAWS, LawSignals
@@ -27,24 +27,12 @@ from undertow.typing import Array
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Something that does not fit, or that is left open.
+    """Something that does not fit, or that is left open."""
 
-    Attributes
-    ----------
-    kind : str
-        "wrong", or "open" for what is missing or only assumed.
-    where : str
-        Equation, matrix or effect.
-    text : str
-        What it is.
-    evidence : str
-        The computation that shows it.
-    """
-
-    kind: str
-    where: str
-    text: str
-    evidence: str
+    kind: str  # "wrong", or "open" for what is missing or only assumed
+    where: str  # equation, matrix or effect
+    text: str  # what it is
+    evidence: str  # the computation that shows it
 
 
 WRONG, OPEN = "wrong", "open"
@@ -209,7 +197,7 @@ def _zero(matrix: sm.Matrix) -> bool:
 def condition_units() -> Iterator[Discrepancy]:
     """Printed PID conditions whose units do not fit, neither with iota a pure number nor with iota in 1/s."""
     units = {g.name: g.force for g in LAWS["pid"].gains} | {"M": "kg", "D": "kg/s"}
-    s = Signs({name: symbol(name) for name in (*units, "iota")})
+    s = Quantities({name: symbol(name) for name in (*units, "iota")})
     for condition in CONDITIONS["pid"]:
         if condition.form != "printed":
             continue
@@ -242,18 +230,7 @@ _TRIALS, _SEED, _ROUNDING = 200, 20210405, 1e-9
 
 
 def audit_vehicle(vehicle: Vehicle) -> list[Discrepancy]:
-    """Everything that does not fit in the equations of a vehicle, and what its file leaves open.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        A vehicle as its file has it.
-
-    Raises
-    ------
-    UndertowError
-        If its mass matrix is not positive definite.
-    """
+    """Everything that does not fit in the equations of a vehicle, and what its file leaves open."""
     plant = Plant(vehicle)
     return [
         *_symmetry(plant),

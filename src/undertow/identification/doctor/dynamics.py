@@ -20,7 +20,7 @@ from undertow.identification.estimation.weak_form import (
     fit_weak,
     free_parameters,
     mean_square,
-    settled,
+    with_reestimated_noise,
 )
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
@@ -361,7 +361,7 @@ def _worth_fitting(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, 
 
 def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanation | None:
     # Under the noise model of the wrong reading a fit stops early: those that help get their own.
-    helping = [(m, at.gain(settled(fit))) for m, fit in fitted if at.gain(fit).decisive]
+    helping = [(m, at.gain(with_reestimated_noise(fit))) for m, fit in fitted if at.gain(fit).decisive]
     found = [(m, g) for m, g in helping if g.decisive]
     if not found:
         return None

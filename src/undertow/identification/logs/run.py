@@ -189,18 +189,18 @@ class Run:
         return replace(self, notes=(*self.notes, *notes))
 
 
-def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An angle without jumps by turns; missing samples stay missing."""
-    result, there = angle.copy(), np.isfinite(angle)
-    result[there] = np.unwrap(angle[there])
-    return result
-
-
 def _shown(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
     """Row of a channel for a notebook."""
     there = data[np.isfinite(data)]
     span = tuple(float(x) for x in (there.min(), there.mean(), there.max())) if len(there) else (None,) * 3
     return name, UNITS.get(name, ""), len(there), *span
+
+
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle without jumps by turns; missing samples stay missing."""
+    result, there = angle.copy(), np.isfinite(angle)
+    result[there] = np.unwrap(angle[there])
+    return result
 
 
 def _frozen(data: object) -> NDArray[np.float64]:

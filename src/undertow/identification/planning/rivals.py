@@ -17,7 +17,7 @@ from undertow.identification.diagnosis.trial import Bench, open_bench, scout
 from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.weak_form import WeakFit, free_parameters, settled
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.catalogue import Catalogue, lookup
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
@@ -270,7 +270,7 @@ def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> 
     starts = [screened, {n: v for n, v in screened.items() if n in own}]
     starts += [found, bench.base.values | found] if found else []
     fits = [bench.fit(candidate.vehicle, candidate.free(), start) for start in starts]
-    return settled(min(fits, key=lambda fit: fit.cost))
+    return with_reestimated_noise(min(fits, key=lambda fit: fit.cost))
 
 
 def _valued(
