@@ -162,7 +162,7 @@ def test_every_command_that_fits_refuses_what_cannot_be(
         text_of({n: columns[n] for n in ("t", "u", "f1", "f2")} | {"u": 1e3 * columns["u"]})
     )
     line = refusal(words, capsys, tmp_path)
-    assert "cannot be: u is in mm/s, read as m/s: the surge of the log needs" in line
+    assert "is impossible: u is in mm/s, read as m/s: the surge of the log needs" in line
     assert 'write [columns] u = { channel = "u", unit = "mm/s" } into the mapping file' in line
     assert "--trust-log" in line
 

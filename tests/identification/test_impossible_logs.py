@@ -146,7 +146,7 @@ def test_what_cannot_be_is_refused_with_value_limit_and_line(
     what: str, name: str, wrong: Break, left_out: tuple[str, ...], told: str, line: str
 ) -> None:
     message = _refusal(_vehicle(name), _log(name, wrong, left_out))
-    assert message.startswith(f"log '{name}' cannot be: ")
+    assert message.startswith(f"log '{name}' is impossible: ")
     assert told in message
     assert line in message
     assert "\n" not in message
@@ -182,7 +182,7 @@ def test_a_vehicle_that_only_drifts_is_known_by_its_size() -> None:
 def test_one_bad_log_among_good_ones_is_named() -> None:
     good, bad = _log("usv", dict), _log("usv", _speeds(MMPS))
     runs = [good, Run("second", bad.t, bad.channels), Run("third", good.t, good.channels)]
-    assert _refusal(_vehicle("usv"), *runs).startswith("log 'second' cannot be: u, v are in mm/s")
+    assert _refusal(_vehicle("usv"), *runs).startswith("log 'second' is impossible: u, v are in mm/s")
     (mistake, *_) = examine(_vehicle("usv"), runs).result.mistakes
     assert mistake.text.startswith("second, and not all of the logs: u, v are in mm/s")
 
@@ -326,7 +326,7 @@ def test_real_logs_are_not_refused(vehicle_file: str, map_file: str, log: str) -
 def test_fit_compare_and_diagnose_refuse_and_can_be_told_to_trust() -> None:
     vehicle, bad = _vehicle("box"), _log("box", _speeds(MMPS))
     for function in (Estimator().fit, compare, diagnose):
-        with pytest.raises(UndertowError, match=r"cannot be: u is in mm/s, read as m/s"):
+        with pytest.raises(UndertowError, match=r"is impossible: u is in mm/s, read as m/s"):
             function(vehicle, [bad])
     trusted = Estimator().fit(vehicle, [bad], trust_log=True)
     assert np.isfinite([*trusted.values.values()]).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import undertow.identification
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 
@@ -53,9 +52,3 @@ def test_segments_end_at_long_steps_and_on_request_at_missing_samples():
     assert run.segments(["u"]) == [slice(0, 1), slice(2, 5), slice(6, 7)]
     assert _run([3.0], u=[1]).segments() == [slice(0, 1)]
     assert _run([0, 1], u=[nan, nan]).segments("u") == []
-
-
-def test_the_package_loads_on_demand_and_knows_its_names():
-    assert undertow.identification.read_log.__name__ == "read_log"
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        undertow.identification.nothing  # noqa: B018

@@ -25,7 +25,7 @@ from undertow.identification.estimation.weak_form import (
     start_fit,
     with_process_noise,
 )
-from undertow.identification.logs.chunks import LongLog, hash_of
+from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -261,10 +261,7 @@ def fingerprint(job: Job, panel: Panel) -> str:
 
 def identify_log(path: str, mapping: str) -> tuple[Partition, str]:
     """Whose and which day's log a file is, and the SHA-256 of its bytes."""
-    try:
-        sha256 = hash_of(Path(path))
-    except OSError as error:
-        raise UndertowError(f"{path} cannot be read: {error.strerror or error}") from error
+    sha256 = sha256_of(path)
     return partition_of(Path(path), LogMapping.model_validate_json(mapping)), sha256
 
 

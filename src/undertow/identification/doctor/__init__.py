@@ -1,1 +1,1 @@
-"""Mistakes in logs, and in how they are read, before physics is blamed for them."""
+"""Mistakes in logs, and in how they are read, before the model is blamed for them."""

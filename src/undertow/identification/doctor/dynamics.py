@@ -62,7 +62,7 @@ class DynamicsSettings:
     moved: float = 5.0  # spread of a velocity over its noise from which its equation of motion is evidence
     worse: float = 1.25  # no other equation may get worse by more than this factor
     unit: float = 5.0  # change of a channel's spread that only another unit explains
-    small: float = 0.5  # excess over the noise that cannot be told from none
+    small: float = 0.5  # excess over the noise that counts as none
     pwm_middle: float = 1500.0  # pulse width of a servo signal at rest, microseconds
     pwm_travel: float = 400.0  # its travel to either side
     alike: float = 0.02  # share by which two thrusters must differ to be exchanged
@@ -408,9 +408,9 @@ def _two_reversed(at: Dynamics, signs: list[Mistake]) -> Explanation | None:
 def allowed(
     kinematics: Kinematics, runs: Sequence[Run], at: Dynamics, known: Sequence[Mistake]
 ) -> list[Mistake]:
-    """Mistakes that pose rates and velocities do not speak against and that matter to the model.
+    """Mistakes that pose rates and velocities do not contradict and that matter to the model.
 
-    None where pose rates and velocities disagree: a log that cannot be read is no witness for the model.
+    None where pose rates and velocities disagree: a log that cannot be read is no evidence about the model.
     """
     result: list[Mistake] = []
     given = kinematics.mismatch(runs) if kinematics else None

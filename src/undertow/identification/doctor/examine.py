@@ -98,23 +98,9 @@ def examine(
     mapping: LogMapping | None = None,
     report: Progress = lambda done, words: None,
 ) -> Examined:
-    """Look for what is wrong with logs before physics is blamed.
+    """Look for what is wrong with logs, which must have the velocities and commands of the vehicle.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs with its velocities and commands.
-    mapping : Mapping, optional
-        How the logs were read; what the runs themselves know of it by default.
-    report : callable
-        Told what share is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If a run lacks a velocity or a command of the vehicle.
+    Without a `mapping`, that with which the runs were read is taken.
     """
     began = time.perf_counter()
     for run in runs:
@@ -125,10 +111,10 @@ def examine(
     examiner.findings += alone.values()
     report(0.0, "looking at clock and samples")
     examiner.look_at_samples()
-    report(0.1, "holding pose rates against velocities")
+    report(0.1, "comparing pose rates with velocities")
     examiner.undo_reading_mistakes()
     examiner.undo_what_cannot_be()
-    report(0.4, "holding motion against commands")
+    report(0.4, "comparing motion with commands")
     examiner.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
     rows = excitation(vehicle, examiner.runs)
@@ -146,31 +132,19 @@ def examine(
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
-    """Refuse logs that cannot be, by the quick checks of `examine`; each log is held to them alone.
+    """Refuse impossible logs, by the quick checks of `examine`; each log by itself, unless `trust_log`.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs; one that lacks a velocity or a command of the vehicle is not looked at.
-    trust_log : bool
-        Whether they are taken as they are.
-
-    Raises
-    ------
-    UndertowError
-        If pose rates and velocities contradict each other, or the motion is one that no vehicle of this mass,
-        size and thrust can have, and a usual mistake explains it. The message has the channel, its value, the
-        limit, and the line of the mapping file that mends it.
+    Refused are logs whose pose rates and velocities contradict each other, or whose motion no vehicle of this
+    mass, size and thrust can have, where a usual mistake explains it. A log that lacks a velocity or a
+    command is not examined.
     """
     needed = [*vehicle.velocity_names, *vehicle.command_names]
     for run in runs:
         if not trust_log and all(run.has(n) for n in needed) and (found := _refused(vehicle, run)):
             finding, edits = found
             raise UndertowError(
-                f"log '{run.source or run.name}' cannot be: {finding.text}; write {_on_one_line(edits)} into "
-                "the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
+                f"log '{run.source or run.name}' is impossible: {finding.text}; write {_on_one_line(edits)} "
+                "into the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
                 "(trust_log=True)"
             )
 
@@ -185,9 +159,9 @@ def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
 
 
 def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
-    """What cannot be in some of the logs, by their names, where the others are of another mind.
+    """What cannot be in some of the logs, by their names, where the others do not show it.
 
-    All together, logs with a mistake and logs without would tell nothing, or what is true of neither.
+    Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
     """
     found = {r.name: _refused(vehicle, r) for r in runs} if len(runs) > 1 else {}
     wrong = {name: one[0] for name, one in found.items() if one is not None}
@@ -334,7 +308,7 @@ class _Examiner:
         self.edits += edits
 
     def _doubt(self, found: Explanation, others: list[str]) -> None:
-        """Say what may be a mistake or a flaw of a sensor, and leave it."""
+        """Say what may be a mistake or an error of a sensor, and leave it."""
         self.findings.append(
             Finding(
                 id=found.mistake.id,
@@ -362,7 +336,7 @@ _DECIDES = 2.0
 
 
 def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
-    """The mistake that the model speaks for, and those that it does not speak against."""
+    """The mistake that the model supports, and those that it does not contradict."""
     tied = [found.mistake, *found.rivals][:_TRIED]
     if len(tied) == 1:
         return found.mistake, []

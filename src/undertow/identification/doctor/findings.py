@@ -22,67 +22,36 @@ class ResultTable(BaseModel):
 
 
 class Finding(ResultTable):
-    """One thing that the logs show.
+    """One thing that the logs show."""
 
-    Attributes
-    ----------
-    id : str
-        What kind of thing; stable from version to version.
-    severity : "mistake", "warning" or "note"
-        A mistake spoils every result and is certain; a warning may; a note is good to know.
-    text : str
-        One line with the numbers.
-    evidence : dict
-        The numbers behind it, SI.
-    mapping : str
-        Lines for the mapping file that mend it, in TOML; empty where none can.
-    vehicle : str
-        What to change in the vehicle file to the same end; empty where nothing there can mend it.
-    alternatives : list of str
-        Other explanations that these logs do not exclude.
-    """
-
-    id: str
-    severity: Severity
-    text: str
-    evidence: dict[str, float] = {}
-    mapping: str = ""
+    id: str  # what kind of thing; stable from version to version
+    severity: Severity  # a mistake spoils every result and is certain; a warning may; a note is good to know
+    text: str  # one line with the numbers
+    evidence: dict[str, float] = {}  # the numbers behind it, SI
+    mapping: str = ""  # lines for the mapping file that mend it, in TOML; empty where none can
+    # What to change in the vehicle file to the same end; empty where nothing there can mend it.
     vehicle: str = ""
-    alternatives: list[str] = []
+    alternatives: list[str] = []  # other explanations that these logs do not exclude
 
 
 class DofExcitation(ResultTable):
-    """What happened in one degree of freedom.
+    """What happened in one degree of freedom."""
 
-    Attributes
-    ----------
-    degree_of_freedom, velocity, unit : str
-        Which one, the channel of its velocity, and the unit of that.
-    rms, noise : float
-        Of the velocity.
-    moving : float
-        Share of the time in which it stands out of its noise and exceeds a tenth of its usual largest value.
-    positive : float
-        Share of that time in the positive direction.
-    reversals : int
-        Changes of direction.
-    command_range : float or None
-        Span of the force that the commands ask for, over the largest that they could; None: no limit is known
-        or nothing acts there.
-    cannot : list of str
-        What cannot be identified from it.
-    """
-
+    # degree_of_freedom, velocity, unit: which one, the channel of its velocity, and the unit of that.
     degree_of_freedom: str
     velocity: str
     unit: str
+    # rms, noise: of the velocity.
     rms: float
     noise: float
+    # Share of the time in which it stands out of its noise and exceeds a tenth of its usual largest value.
     moving: float
-    positive: float
-    reversals: int
+    positive: float  # share of that time in the positive direction
+    reversals: int  # changes of direction
+    # Span of the force that the commands ask for, over the largest that they could; None: no limit is known
+    # or nothing acts there.
     command_range: float | None
-    cannot: list[str]
+    cannot: list[str]  # what cannot be identified from it
 
 
 class Examination(ResultTable):

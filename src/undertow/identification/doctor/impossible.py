@@ -1,4 +1,4 @@
-"""What cannot be, whatever the physics: forces and speeds that no vehicle of this mass has."""
+"""What is impossible, whatever the physics: forces and speeds that no vehicle of this mass has."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Responses:
         return [r for row in range(len(self._mass)) if self._known(row) for r in self._row(table, row)]
 
     def _known(self, row: int) -> bool:
-        """Whether the vehicle file knows the inertia: what is to be estimated is no witness."""
+        """Whether the vehicle file knows the inertia: what is to be estimated is no evidence."""
         name = _INERTIA[self.vehicle.dof_indices[row]]
         return name in self.vehicle.values and not self.vehicle.values[name].estimate
 
@@ -239,7 +239,7 @@ class _PlausibilityCheck:
         """The force that the motion needs, against what the commands give."""
         try:
             responses = Responses(self.vehicle, self.settings)
-        except UndertowError:  # actuation that depends on the motion cannot be told from the log alone
+        except UndertowError:  # actuation that depends on the motion does not follow from the log alone
             return None
         before = self._sure(responses.of(self.runs))
         far = {key: r for key, r in before.items() if not self._possible(r)}
@@ -293,7 +293,7 @@ class _PlausibilityCheck:
 
     def _readings(self) -> Iterator[Mistake]:
         """Units of what was measured."""
-        # Pose rates have been held against velocities: with them the clock was.
+        # Pose rates have been compared with velocities, and so has the clock.
         yield from () if self.kinematics else (m for m, _ in likely_time_units(self.runs, self.mapping))
         known = reading_mistakes(self.mapping, self.runs)
         yield from (m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id)

@@ -36,7 +36,7 @@ SETTINGS = KinematicsSettings()
 
 
 BLOCKS = (("x", "y"), ("z",), ("phi",), ("theta",), ("psi",))
-"""Pose rates that are judged together: a mistake in a frame turns north into east."""
+"""Pose rates that are judged together: a mistake in a frame exchanges north and east."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Mismatch:
 
 
 class Kinematics:
-    """Where and how pose rates are held against velocities; the same for a log as given and as mended."""
+    """Where and how pose rates are compared with velocities; the same for a log as given and as mended."""
 
     def __init__(self, runs: Sequence[Run], vehicle: Vehicle, most: int = SETTINGS.samples) -> None:
         self.most = most
@@ -220,7 +220,7 @@ def _measured(runs: Sequence[Run], name: str) -> bool:
 
 
 def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
-    """Pose coordinates whose rate can be held against a velocity of its own."""
+    """Pose coordinates whose rate can be compared with a velocity of its own."""
     pairs = zip(vehicle.pose_names, vehicle.velocity_names, strict=True)
     found = [p for p, v in pairs if _measured(runs, p) and _measured(runs, v)]
     turns = "yaw" in vehicle.degrees_of_freedom and not all(r.has("psi") for r in runs)

@@ -122,7 +122,7 @@ def both(first: Mistake, second: Mistake) -> Mistake:
 
 @dataclass(frozen=True)
 class PlausibilitySettings:
-    """From where on a log is not only suspicious but cannot be.
+    """From where on a log is not only suspicious but impossible.
 
     Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles,
     every effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real
@@ -149,7 +149,7 @@ class PlausibilitySettings:
     alike: float = 1.25  # factor within which a unit must explain that
     near: float = 4.0  # factor within which the two must agree once a mistake is undone
     errors: float = 8.0  # standard errors by which a gain stands out of its scatter
-    # Of the motion, beside what other forces explain, that commands must explain to be a witness. With a gain
+    # Of the motion, beside what other forces explain, that commands must explain to be evidence. With a gain
     # below `weakest`, commands of a sound log explain a hundredth of that.
     share: float = 0.3
     # Speed over sqrt(g V^(1/3)), V the volume of the mass in water: torpedoes reach 11, fast ships 4.
@@ -200,8 +200,8 @@ UNITS_OF_MOTION = frozenset({"length_unit", "speed_unit", "motion_unit"})
 def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping) -> Mistake | None:
     """The unit of the time column in which pose rates and velocities have the same size.
 
-    Where only positions, or only angles, can be held against velocities, a unit of those explains the same; a
-    usual step that is far too short or too long then speaks for the time.
+    Where only positions, or only angles, can be compared with velocities, a unit of those explains the same:
+    a usual step that is far too short or too long is then evidence for the time.
     """
     if not kinematics or any(run.derived for run in runs):
         return None

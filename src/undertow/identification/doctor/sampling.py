@@ -19,7 +19,7 @@ from .findings import DofExcitation, Edit, Finding, as_toml, column_edit
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """From where on sampling and excitation are worth a word."""
+    """From where on sampling and excitation are reported."""
 
     jitter: float = 0.05  # spread of the steps, as a share of the usual one
     gap: float = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
@@ -299,7 +299,7 @@ def _still_commands(
         f"what acts on {', '.join(moving)} stands still while the vehicle moves there, and the model can "
         "only blame something else"
         if moving
-        else f"what {'they do' if len(names) > 1 else 'it does'} cannot be told from this log"
+        else f"what {'they do' if len(names) > 1 else 'it does'} cannot be seen in this log"
     )
     yield Finding(
         id="still_commands",
@@ -334,7 +334,7 @@ def _headings(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         yield Finding(
             id="headings",
             severity="note",
-            text=f"headings span {np.degrees(span):.0f} degrees: a current cannot be told from a constant "
-            "force, nor a flaw of the velocity sensor from one of the compass",
+            text=f"headings span {np.degrees(span):.0f} degrees: a current cannot be distinguished from a "
+            "constant force, nor an error of the velocity sensor from one of the compass",
             evidence={"span": span},
         )

@@ -44,7 +44,7 @@ class SensorSettings:
     few: int = 800  # samples in which they are looked for
     sure: float = 6.0  # standard errors from which a parameter of a sensor is believed
     explains: float = 0.5  # share of the mismatch that it may leave
-    worth: float = 5e-4  # mismatch below which it is not worth a word
+    worth: float = 5e-4  # mismatch below which it is not reported
     water_worth: float = 2e-3  # the same for the velocity of the water
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
     rest: float = 0.05  # mismatch that is reported where nothing explains it

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -40,7 +39,6 @@ from .table import (
 if TYPE_CHECKING:
     import polars as pl
 
-_HASHED = 1 << 20
 _LEAST_GZIP = 18
 
 
@@ -52,7 +50,7 @@ class LogPart(NamedTuple):
     """LogPart of a long log."""
 
     run: Run  # its samples within the window
-    # Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
+    # Time in the middle of the rows that it shares with the part after it, s; by the rows of the file,
     # those outside the window too, so that either part reaches beyond it as far as the window does.
     border: float
 
@@ -189,15 +187,6 @@ def size_of(path: Path) -> int:
         file.seek(-4, SEEK_END)
         # A gzip file ends with its size, of which it keeps 32 bits.
         return max(packed, int.from_bytes(file.read(4), "little"))
-
-
-def hash_of(path: Path) -> str:
-    """SHA-256 of a file, read in pieces."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while piece := file.read(_HASHED):
-            digest.update(piece)
-    return digest.hexdigest()
 
 
 def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:

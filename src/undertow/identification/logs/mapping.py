@@ -23,81 +23,44 @@ class _Strict(BaseModel):
 
 
 class Column(_Strict):
-    """One column: its channel value is ``scale * cell^power + offset`` in `unit`, converted to SI.
+    """One column: its channel value is ``scale * cell^power + offset`` in `unit`, converted to SI."""
 
-    Attributes
-    ----------
-    channel : str
-        Name of the channel it becomes.
-    unit : str or None
-        Unit of the column; None: the SI unit of the channel.
-    scale, offset : float
-        Applied to the cell first; `offset` is in `unit`.
-    power : float
-        Exponent of the magnitude of the cell; the sign stays (rpm |rpm| for 2).
-    wrapped : bool or None
-        Whether the angle jumps by a turn and is to be unwrapped; None: only psi is.
-    optional : bool
-        Whether a log may lack this column.
-    fresh : str or None
-        Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
-        column itself where no other tells: then a value that differs from the row before is new.
-    """
-
-    channel: str = Field(min_length=1)
-    unit: str | None = None
+    channel: str = Field(min_length=1)  # name of the channel it becomes
+    unit: str | None = None  # unit of the column; None: the SI unit of the channel
+    # scale, offset: applied to the cell first; `offset` is in `unit`.
     scale: float = 1.0
     offset: float = 0.0
+    # Exponent of the magnitude of the cell; the sign stays (rpm |rpm| for 2).
     power: float = Field(default=1.0, gt=0)
-    wrapped: bool | None = None
-    optional: bool = False
+    wrapped: bool | None = None  # whether the angle jumps by a turn and is to be unwrapped; None: only psi is
+    optional: bool = False  # whether a log may lack this column
+    # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
+    # column itself where no other tells: then a value that differs from the row before is new.
     fresh: str | None = Field(default=None, min_length=1)
 
 
 class Time(_Strict):
-    """The time column.
+    """The time column."""
 
-    Attributes
-    ----------
-    column : str
-        Its name.
-    unit : str
-        ``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``.
-    offset : float
-        Added to all times, s.
-    disorder : "refuse" or "drop"
-        What to do with rows whose time is not later than that of every row before.
-    every : int
-        Only every so many-th row is used, at most every 10^6-th: for pose logged much faster than the vehicle
-        moves.
-    """
-
-    column: str = "t"
-    unit: str = "s"
-    offset: float = 0.0
+    column: str = "t"  # its name
+    unit: str = "s"  # ``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``
+    offset: float = 0.0  # added to all times, s
+    # What to do with rows whose time is not later than that of every row before.
     disorder: Literal["refuse", "drop"] = "refuse"
+    # Only every so many-th row is used, at most every 10^6-th: for pose logged much faster than the vehicle
+    # moves.
     every: int = Field(default=1, ge=1, le=1_000_000)
 
 
 class Frames(_Strict):
-    """The frames of the log.
+    """The frames of the log."""
 
-    Attributes
-    ----------
-    position : "NED" or "ENU"
-        Axes of x, y, z.
-    body : "FRD" or "FLU"
-        Axes of u … r and tau_X … tau_N.
-    attitude : "NED" or "ENU" or None
-        Whether phi, theta, psi turn FRD axes in NED (heading from north, clockwise) or FLU axes in ENU
-        (heading from east, anticlockwise); None: as the other two, which then must belong together.
-    velocity : "body", "NED" or "ENU"
-        Axes of u, v, w alone: body axes (those of `body`), or north, east, down or east, north, up.
-    """
-
-    position: Literal["NED", "ENU"] = "NED"
-    body: Literal["FRD", "FLU"] = "FRD"
+    position: Literal["NED", "ENU"] = "NED"  # axes of x, y, z
+    body: Literal["FRD", "FLU"] = "FRD"  # axes of u … r and tau_X … tau_N
+    # Whether phi, theta, psi turn FRD axes in NED (heading from north, clockwise) or FLU axes in ENU (heading
+    # from east, anticlockwise); None: as the other two, which then must belong together.
     attitude: Literal["NED", "ENU"] | None = None
+    # Axes of u, v, w alone: body axes (those of `body`), or north, east, down or east, north, up.
     velocity: Literal["body", "NED", "ENU"] = "body"
 
 
@@ -113,54 +76,29 @@ def _named(value: Any) -> Any:
 
 
 class LogMapping(_Strict):
-    """A whole mapping file; see the module for an example.
-
-    Attributes
-    ----------
-    columns : dict
-        Column name to `Column` (or just to the channel name).
-    time, frames : Time, Frames
-        Time base and axes.
-    water : Water or None
-        Velocity of the water, where the log has velocities through the water; None: they are over ground.
-    delimiter, decimal, comment : str
-        How the text is written; `comment` is a prefix of lines to skip.
-    missing : tuple of str or float
-        Texts and numbers that stand for a missing sample, besides empty cells and NaN.
-    ignore : tuple of str
-        Columns to leave out without a note.
-    missing_commands : "refuse", "hold" or "gap"
-        What to do where a command has no sample.
-    """
+    """A whole mapping file; see the module for an example."""
 
     schema_: Literal["undertow/mapping/1"] = Field(alias="schema", default="undertow/mapping/1")
     description: str = ""
+    # Column name to `Column` (or just to the channel name).
     columns: dict[str, Annotated[Column, BeforeValidator(_named)]] = {}
+    # time, frames: time base and axes.
     time: Time = Time()
     frames: Frames = Frames()
+    # Velocity of the water, where the log has velocities through the water; None: they are over ground.
     water: Water | None = None
+    # delimiter, decimal, comment: how the text is written; `comment` is a prefix of lines to skip.
     delimiter: str = Field(default=",", min_length=1, max_length=1, pattern=r"[\x01-\x7f]")
     decimal: Literal[".", ","] = "."
     comment: str | None = Field(default=None, min_length=1, max_length=5)
+    # Texts and numbers that stand for a missing sample, besides empty cells and NaN.
     missing: tuple[float | str, ...] = ()
-    ignore: tuple[str, ...] = ()
-    missing_commands: CommandPolicy = "refuse"
+    ignore: tuple[str, ...] = ()  # columns to leave out without a note
+    missing_commands: CommandPolicy = "refuse"  # what to do where a command has no sample
 
 
 def read_mapping(path: str | Path) -> LogMapping:
-    """Read a mapping file.
-
-    Parameters
-    ----------
-    path : path
-        TOML file with ``schema = "undertow/mapping/1"``.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is no TOML, has an unknown key (the nearest known one is named) or a wrong
-        value.
-    """
+    """Read a mapping file, TOML with ``schema = "undertow/mapping/1"``."""
     path = Path(path)
     data = read_toml(path, "mapping file")
     if data.get("schema") != SCHEMA:
@@ -176,7 +114,7 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 
 def _first_fault(error: ValidationError) -> str:
-    # An unknown key explains a missing one (chanel: channel is missing), so it is told first.
+    # An unknown key explains a missing one (chanel: channel is missing), so it is reported first.
     fault = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
     place = [str(part) for part in fault["loc"]]
     key = ".".join(place)

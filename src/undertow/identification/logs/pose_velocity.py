@@ -381,27 +381,10 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     Each pose channel is smoothed (see `undertow.identification.logs.pose_velocity`): noise and smoothness are
     estimated from the data, outliers are dropped, shifts of the origin are bridged, and where tracking was
     lost for more than 0.5 s the velocities are NaN. Roll and pitch take part where they are degrees of
-    freedom, and are taken as zero otherwise.
+    freedom, and are taken as zero otherwise. x and y need psi beside them unless the heading is constant.
 
-    Parameters
-    ----------
-    run : Run
-        With the pose channels of the degrees of freedom; x and y need psi beside them unless the heading is
-        constant.
-    degrees_of_freedom : iterable of str
-        Of ``surge sway heave roll pitch yaw``.
-
-    Returns
-    -------
-    Run
-        With u … r (m/s, rad/s, body axes) of the degrees of freedom; their names are in `derived` and the
-        medians of their standard deviations in `sigma`. Velocities that were there are kept; outliers in the
-        pose are NaN.
-
-    Raises
-    ------
-    UndertowError
-        If a pose channel is missing, or has too few samples.
+    Velocities that were there are kept. The names of those that are added are in `derived` of the run, the
+    medians of their standard deviations in `sigma`; outliers in the pose become NaN.
     """
     asked = list(degrees_of_freedom)
     lacking = [VELOCITY[_DOF.index(name)] for name in asked if not run.has(VELOCITY[_DOF.index(name)])]

@@ -60,34 +60,11 @@ def read_log(
     also: Iterable[str] = (),
     limits: LogLimits = WHOLE,
 ) -> Run:
-    """Read a log.
+    """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
 
-    Parameters
-    ----------
-    path : path
-        CSV, CSV.gz or Parquet file.
-    mapping : Mapping, optional
-        What the columns mean; without it they must have the channel names and SI units of undertow.
-    channels : iterable of str
-        Names of the commands the vehicle needs; each must be in the log.
-    window : (t_min, t_max)
-        Keep samples of this time only, in s on the clock of the run; None: no limit.
-    missing_commands : "refuse", "hold" or "gap", optional
-        What to do where a command has no sample; the mapping says it otherwise, and refusing is the default.
-    also : iterable of str
-        Names of commands that are read where the log has them.
-    limits : LogLimits
-        How large it may be; what is larger is refused before it is held in memory.
-
-    Returns
-    -------
-    Run
-        In SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or holds what no log may hold; the message names the place and the remedy.
+    `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
+    mapping, columns must have the channel names and SI units of undertow. The window, in s, is on the clock
+    of the run (None: no limit). What is larger than the limits is refused before it is held in memory.
     """
     path, mapping = Path(path), mapping or LogMapping()
     data = file_bytes(path, limits)
@@ -263,9 +240,12 @@ def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping,
     if column.power != 1.0:
         cells = np.sign(cells) * np.abs(cells) ** column.power
     if column.fresh is not None:
-        itself = column.fresh == name
-        flag = changed(cells) if itself else numbers(table, column.fresh, mapping, where)
-        cells = new_only(cells, flag)
+        if column.fresh == name:  # a value that differs from that of the row before is new
+            new = np.concatenate([[True], cells[1:] != cells[:-1]])
+        else:
+            flag = numbers(table, column.fresh, mapping, where)
+            new = np.isfinite(flag) & (flag != 0)
+        cells = np.where(new, cells, np.nan)
     return scale * cells + offset
 
 
@@ -383,16 +363,6 @@ _FEWEST = 10  # reports of a channel
 _LOST = 3.0  # usual times between reports without one: what happened meanwhile is unknown
 _ORDER = 3  # a difference of this order leaves little of a smooth motion
 _NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-
-
-def changed(values: Array) -> Array:
-    """Return 1 where a value differs from that of the row before, and in the first row, 0 elsewhere."""
-    return np.concatenate([[1.0], values[1:] != values[:-1]])
-
-
-def new_only(values: Array, flag: Array) -> Array:
-    """Return the values where the flag is set, NaN where it is zero or missing."""
-    return np.where(np.isfinite(flag) & (flag != 0), values, np.nan)
 
 
 def on_the_clock(run: Run, names: Iterable[str]) -> Run:

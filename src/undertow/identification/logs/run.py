@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.notebook import html
+from undertow.typing import Flags
 
 if TYPE_CHECKING:
     from .mapping import LogMapping
@@ -151,17 +152,17 @@ class Run:
                 f"run {self.name!r} has no sample in the time window {low:g} to {high:g} s: "
                 f"it lasts from {self.t[0]:g} to {self.t[-1]:g} s"
             )
-        channels, wrapped = (
-            {name: data[keep] for name, data in table.items()} for table in (self.channels, self.wrapped)
-        )
-        return replace(self, t=self.t[keep], channels=channels, wrapped=wrapped)
+        return self._rows(keep)
 
     def head(self, count: int) -> Run:
         """Return the first samples as a run of its own."""
+        return self._rows(builtins.slice(count))
+
+    def _rows(self, rows: Flags | builtins.slice) -> Run:
         channels, wrapped = (
-            {name: data[:count] for name, data in table.items()} for table in (self.channels, self.wrapped)
+            {name: data[rows] for name, data in table.items()} for table in (self.channels, self.wrapped)
         )
-        return replace(self, t=self.t[:count], channels=channels, wrapped=wrapped)
+        return replace(self, t=self.t[rows], channels=channels, wrapped=wrapped)
 
     def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
         """Return index slices without a time step longer than five median steps.

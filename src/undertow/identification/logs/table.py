@@ -236,7 +236,7 @@ def is_gzip(data: bytes) -> bool:
 def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
     try:
         table = read()
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+    except _UNREADABLE as error:
         reason = str(error).split("\n")[0].strip()
         raise UndertowError(
             f"{where} cannot be read as a table: {reason}: check the delimiter, or export it again"

@@ -182,20 +182,8 @@ def plan_parameters(
 
     The criterion is the determinant of the information on them (D-optimality; Atkinson, Donev and Tobias,
     Optimum Experimental Designs): that of the weak form of the simulated log, as `fit_weak` sees it, together
-    with stated priors and the logs.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` count.
-    runs : sequence of Run
-        Logs that exist already.
-    request : PlanRequest, optional
-        Duration, limits and the like.
-    only : sequence of str
-        The parameters that matter; the others are still to be estimated. All by default.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+    with stated priors and the logs. `only` names the parameters that matter, by default all that are marked
+    `estimate`; the others are still estimated.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
     request = request or PlanRequest()

@@ -126,7 +126,7 @@ class Separations:
     def __init__(self, rivals: Sequence[RivalModel], spread: float, *, with_logs: bool) -> None:
         self._spread, self._count = spread, len(rivals)
         self.pairs = list(combinations(range(len(rivals)), 2))
-        # A model cannot be told from one that holds it: only the other way round there is a difference.
+        # A model cannot differ from one that contains it: only the other way round is there a difference.
         self._ways = [
             [(i, j) for i, j in (pair, pair[::-1]) if not rivals[i].parts < rivals[j].parts]
             for pair in self.pairs
@@ -173,22 +173,9 @@ def plan_separation(
 
     What counts is the difference between the predictions of two models after the parameters of the one have
     been refitted to the other, in units of the noise (T-optimality; Atkinson and Fedorov, 1975, Biometrika
-    62), in the weak form, by which `undertow diagnose` judges. While searching, refits are linearised.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model without the effects in question.
-    specs : sequence of RivalSpec
-        At least two models.
-    runs : sequence of Run
-        Logs that exist already; the rivals are fitted to them, and have to keep fitting them.
-    request : PlanRequest, optional
-        Duration, limits and the like.
-    known : mapping, optional
-        Effects by id.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+    62), in the weak form, by which `undertow diagnose` judges. While searching, refits are linearised. The
+    rivals are fitted to the logs, and have to keep fitting them; `vehicle` is the model without the effects
+    in question.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
     request, known = request or PlanRequest(), known or catalogue()
@@ -314,20 +301,8 @@ def suggest(
 ) -> str:
     """Say which kind of manoeuvre would tell effects apart, within the commands and motions of the logs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model without the effects.
-    ids : sequence of str
-        Effects (joined by + where a model has several); "none" is the model without any.
-    runs : sequence of Run
-        Logs that cannot tell.
-    values : mapping, optional
-        Values found for the parameters of each effect, by id, SNAME signs: where the fits begin.
-    known : mapping, optional
-        Effects by id.
-    tries : int
-        Manoeuvres that are looked at.
+    Effects of one model are joined by +; "none" is the model without any. Fits begin at `values`, by id of
+    the effect and name of the parameter, SNAME signs.
     """
     specs = [RivalSpec(name, (values or {}).get(name, {})) for name in ids]
     plan = plan_separation(vehicle, specs, runs, PlanRequest(tries=tries), known=known).plan
