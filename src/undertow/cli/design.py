@@ -46,11 +46,11 @@ def design(
     out: Annotated[Path | None, _OUT] = None,
     effects: EffectsOption = None,
 ) -> None:
-    from undertow.control.linear.numeric import told
+    from undertow.control.linear.numeric import as_input_error
     from undertow.files import check_writable, write_whole
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
-    with told():
+    with as_input_error():
         done = designed(vehicle, error, force, law, direction or [], name, effects or [])
     show(done)
     if out is None:

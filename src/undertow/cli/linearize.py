@@ -104,13 +104,13 @@ def linearize(
     json: Annotated[bool, _JSON] = False,
     effects: EffectsOption = None,
 ) -> None:
-    from undertow.control.linear.numeric import told
+    from undertow.control.linear.numeric import as_input_error
 
     from ._terminal import print_json, progress
 
     check_picture(plot, out, vehicle, gains)
     wish = Wish(vehicle, at or [], free or [], current, direction or [], gains, sensors, effects or [])
-    with progress("linearising") as tell, told():
+    with progress("linearising") as tell, as_input_error():
         found = analysed(wish, family, seed, pade, tell)
         channels = found.chosen(input, output)
         content = found.content(channels)  # all of it, before the first line is printed

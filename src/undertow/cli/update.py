@@ -62,11 +62,11 @@ def update(
     out: Annotated[Path, _OUT] = Path("build"),
     effects: EffectsOption = None,
 ) -> None:
-    from undertow.control.linear.numeric import told
+    from undertow.control.linear.numeric import as_input_error
 
     from ._terminal import progress
 
-    with progress("updating") as tell, told():
+    with progress("updating") as tell, as_input_error():
         done = Update(vehicle, gains, at, out, effects or []).run(tell)
     show(done)
 
