@@ -192,16 +192,13 @@ class Analysis:
                 "vehicle": self.vehicle.name,
                 "gains": self.gains.name if self.gains else None,
                 "trim": {
-                    "states": dict(trim.states),
-                    "commands": dict(trim.commands),
-                    "direction": dict(trim.direction),
-                    "turning": trim.turning,
-                    "remarks": list(trim.remarks),
+                    name: getattr(trim, name)
+                    for name in ("states", "commands", "direction", "turning", "remarks")
                 },
-                "units": dict(self.units),
+                "units": self.units,
                 "stable": not self.growing,
                 "modes": [_mode(m) for m in self.modes],
-                "zeros": {c.name: [[z.real, z.imag] for z in c.zeros] for c in channels},
+                "zeros": {c.name: c.zeros for c in channels},
                 "margins": {n: vars(m) for n, m in self.margins(channels).items()},
                 "controllability": vars(self.controllability),
                 "observability": vars(self.observability),
@@ -222,13 +219,8 @@ def _short(source: str) -> tuple[str, str]:
 
 
 def _mode(mode: Mode) -> dict[str, Any]:
-    return {
-        "pole": [mode.pole.real, mode.pole.imag],
-        "frequency": mode.frequency,
-        "damping": mode.damping,
-        "time_constant": mode.time_constant,
-        "states": list(mode.states),
-    }
+    numbers = {name: getattr(mode, name) for name in ("frequency", "damping", "time_constant")}
+    return {"pole": mode.pole, **numbers, "states": mode.states}
 
 
 def _family(found: Family) -> dict[str, Any]:
@@ -237,8 +229,7 @@ def _family(found: Family) -> dict[str, Any]:
         "refused": found.refused,
         "unstable": [m.name for m in found.unstable],
         "members": [
-            {"name": m.name, "stable": m.stable, "poles": [[q.pole.real, q.pole.imag] for q in m.modes]}
-            for m in found.members
+            {"name": m.name, "stable": m.stable, "poles": [q.pole for q in m.modes]} for m in found.members
         ],
     }
 
@@ -248,6 +239,8 @@ def _plain(content: Any) -> Any:
         return {str(k): _plain(v) for k, v in content.items()}
     if isinstance(content, list | tuple):
         return [_plain(v) for v in content]
+    if isinstance(content, complex):
+        return [_plain(content.real), _plain(content.imag)]
     if isinstance(content, float):
         return float(content) if isfinite(content) else None
     return content
