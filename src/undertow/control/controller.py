@@ -31,11 +31,10 @@ from .gains import GainSet
 class ControllerSettings:
     """The numbers of allocation with limits and of anti-windup."""
 
+    # Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too
+    # few for all directions, then least squares is meant.
     damping: float = 1e-8
-    """Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too
-    few for all directions, then least squares is meant."""
-    rounding: float = 1e-9
-    """Part of the wanted force that counts as rounding and not as a limit."""
+    rounding: float = 1e-9  # part of the wanted force that counts as rounding and not as a limit
 
 
 SETTINGS = ControllerSettings()

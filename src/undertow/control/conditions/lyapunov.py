@@ -27,10 +27,8 @@ class ComparisonSettings:
     """How the stated derivative of a candidate is compared with the one worked out from the model."""
 
     seed: int = 20210405
-    points: int = 3
-    """At least so many random points, and one for each set of signs."""
-    tolerance: float = 1e-9
-    """Relative difference that counts as rounding."""
+    points: int = 3  # at least so many random points, and one for each set of signs
+    tolerance: float = 1e-9  # relative difference that counts as rounding
 
 
 COMPARISON = ComparisonSettings()

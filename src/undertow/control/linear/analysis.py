@@ -17,24 +17,17 @@ from undertow.typing import Array
 class AnalysisSettings:
     """What counts as zero in linear systems, and what curves show."""
 
-    rank: float = 1e-9
-    """Singular values below this part of the largest are rounding."""
-    reached: float = 1e-6
-    """A state with a smaller part in what is reached is not reached at all."""
+    rank: float = 1e-9  # singular values below this part of the largest are rounding
+    reached: float = 1e-6  # a state with a smaller part in what is reached is not reached at all
+    # Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
     share: float = 0.1
-    """Part of a state, beside the largest, in a mode or in what is not reached, from which it is named."""
-    at_zero: float = 1e-10
-    """Real parts up to this do not grow, 1/s."""
+    at_zero: float = 1e-10  # real parts up to this do not grow, 1/s
+    # Gain margins beyond these are at the ends of the frequency axis, from rounding.
     factors: tuple[float, float] = (1e-6, 1e6)
-    """Gain margins beyond these are at the ends of the frequency axis, from rounding."""
-    points: int = 600
-    """Of a curve."""
-    decades: float = 1.5
-    """That a frequency response goes beyond the slowest and the fastest pole."""
-    time_constants: float = 5.0
-    """Of the slowest mode that a step response shows."""
-    longest: float = 600.0
-    """Longest step response, s."""
+    points: int = 600  # of a curve
+    decades: float = 1.5  # that a frequency response goes beyond the slowest and the fastest pole
+    time_constants: float = 5.0  # of the slowest mode that a step response shows
+    longest: float = 600.0  # longest step response, s
 
 
 SETTINGS = AnalysisSettings()

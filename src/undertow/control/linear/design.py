@@ -28,16 +28,13 @@ _HORIZONTAL = ("x", "y")
 class DesignSettings:
     """The numbers of a quadratic design."""
 
+    # Time, s, over which an integral is to remove an error, beside the time constant of the loop without.
     integral_time: float = 5.0
-    """Time, s, over which an integral is to remove an error, beside the time constant of the loop without."""
-    longer: float = 2.0
-    """Factor on this time as often as the conditions on gains fail."""
-    rounds: int = 12
-    """Most trials."""
+    longer: float = 2.0  # factor on this time as often as the conditions on gains fail
+    rounds: int = 12  # most trials
+    # Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span.
     weights: tuple[float, float] = (1e-9, 1e9)
-    """Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span."""
-    decays: float = -1e-9
-    """Real part, 1/s, above which a state left to itself does not come to rest."""
+    decays: float = -1e-9  # real part, 1/s, above which a state left to itself does not come to rest
 
 
 SETTINGS = DesignSettings()

@@ -65,26 +65,20 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
 class TrimSettings:
     """What a trim prefers, and how exactly it is found."""
 
+    # Price of the square of a velocity that is not held, (m/s)^-2: drift is avoided before tilt.
     drift: float = 1e2
-    """Price of the square of a velocity that is not held, (m/s)^-2: drift is avoided before tilt."""
-    tilt: float = 1.0
-    """The same of a pose coordinate: tilt is avoided before command."""
-    command: float = 1e-4
-    """The same of a command."""
-    effect_state: float = 1e-6
-    """The same of a state of an effect."""
+    tilt: float = 1.0  # the same of a pose coordinate: tilt is avoided before command
+    command: float = 1e-4  # the same of a command
+    effect_state: float = 1e-6  # the same of a state of an effect
+    # Degrees from which the search begins where the heading is to be found.
     headings: tuple[float, ...] = (0.0, 90.0, 180.0, -90.0)
-    """Degrees from which the search begins where the heading is to be found."""
-    balanced: float = 1e-9
-    """Rates of change below this are none, SI."""
-    rounds: int = 12
-    """Newton's steps, and halvings of each."""
+    balanced: float = 1e-9  # rates of change below this are none, SI
+    rounds: int = 12  # Newton's steps, and halvings of each
+    # Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
     negligible: float = 5e-3
-    """Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad."""
+    # Forces of a steady motion may change by this much in a second, m/s^3: far above rounding.
     steady: float = 1e-7
-    """Forces of a steady motion may change by this much in a second, m/s^3: far above rounding."""
-    at_rest: float = 1e-9
-    """Speed through the water, m/s, and turning rate, rad/s, that are rounding."""
+    at_rest: float = 1e-9  # speed through the water, m/s, and turning rate, rad/s, that are rounding
 
 
 SETTINGS = TrimSettings()
