@@ -16,6 +16,8 @@ from undertow.control.linear.analysis import modes
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
 
+pytestmark = pytest.mark.docs
+
 PAGE = (Path(__file__).parents[1] / "docs" / "chain.md").read_text()
 FITTED = {"X_u": -6.339, "Y_v": -5.905}  # what the first fit of the page makes of quadratic drag
 

@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from undertow.fleet.engine import Engine, Failure, Here, OnDask, engine
-from undertow.fleet.reduction import Job, Reduced, marked, panel_of, reduce_log
+from undertow.fleet.engine import DaskEngine, Engine, Failure, InProcess, engine
+from undertow.fleet.reduction import Job, Reduced, panel_of, reduce_log, with_fingerprint
 
 from .made import folder_with_vehicle, write
 
@@ -43,7 +43,7 @@ def material(logs: int, rows: int) -> Iterator[Material]:
         days = [(first + timedelta(days=i), {}) for i in range(logs)]
         write(folder / "logs", vehicle, "one", days, seconds=rows // 10)
         paths = tuple(str(p) for p in sorted((folder / "logs").rglob("*.parquet")))
-        yield Material(marked(Job(str(vehicle)))[0], paths, rows // 10 * 10 + 1)
+        yield Material(with_fingerprint(Job(str(vehicle)))[0], paths, rows // 10 * 10 + 1)
 
 
 @contextmanager
@@ -51,10 +51,10 @@ def ready(given: Material, workers: int) -> Iterator[Engine]:
     """An engine whose workers have their model; none works in this process."""
     if not workers:
         panel_of(given.job)
-        yield Here()
+        yield InProcess()
         return
     with engine(workers=workers) as doing:
-        assert isinstance(doing, OnDask)
+        assert isinstance(doing, DaskEngine)
         doing.client.run(_warm, given.job, given.paths[0])
         yield doing
 

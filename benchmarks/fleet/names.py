@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undertow.fleet.changes import Changes, Day, by_month, days_of, shift, trend
-from undertow.fleet.reduction import Job, Panel, marked, reduce_runs
-from undertow.fleet.verdicts import Asked, Statement, statements
+from undertow.fleet.changes import ChangeTests, Day, by_month, days_of, shift, trend
+from undertow.fleet.reduction import Job, Panel, reduce_runs, with_fingerprint
+from undertow.fleet.verdicts import SpanTest, Statement, statements
 
 from .made import THRUSTERS, days, folder_with_vehicle, fouling, run
 
@@ -50,7 +50,7 @@ def counted(seeds: int = 4) -> dict[str, Counter[str]]:
     """For each drift how often the name was right, wrong, or none was given."""
     with TemporaryDirectory() as name:
         craft = folder_with_vehicle(Path(name))
-        panel = marked(Job(str(craft)))[1]
+        panel = with_fingerprint(Job(str(craft)))[1]
         found = {}
         for drift in DRIFTS:
             said = (_said(panel, craft, drift, _SEED + seed) for seed in range(seeds))
@@ -79,11 +79,11 @@ def logged(
     return days_of((d, reduce_runs([r], panel, "day")) for d, r in zip(dates, runs, strict=True))
 
 
-def asked(panel: Panel, own: list[Day]) -> list[Asked]:
+def asked(panel: Panel, own: list[Day]) -> list[SpanTest]:
     """All days, then every month against the first."""
-    changes, months = Changes(panel), list(by_month(own).values())
+    changes, months = ChangeTests(panel), list(by_month(own).values())
     spans = [trend(own), *(shift(months[0], later) for later in months[1:])]
-    return [Asked(changes, span, tuple(changes.over(span))) for span in spans]
+    return [SpanTest(changes, span, tuple(changes.over(span))) for span in spans]
 
 
 def table(found: Mapping[str, Counter[str]]) -> str:

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")
 
 from benchmarks.fleet.costs import Material, apart, material, ready, worked
-from undertow.fleet.engine import Here
+from undertow.fleet.engine import InProcess
 
 from .conftest import Speed
 
@@ -25,7 +25,7 @@ def logs() -> Iterator[Material]:
 
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def time_fleet_rows(speed: Speed, logs: Material, workers: int) -> None:
-    plain = worked(logs, Here())
+    plain = worked(logs, InProcess())
     with ready(logs, workers) as doing:
         off = apart(worked(logs, doing), plain)
         speed(

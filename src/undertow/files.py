@@ -73,22 +73,7 @@ _BRACKET = re.compile(r"[\[\]{}]")
 
 
 def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STATEMENTS) -> str:
-    """Read a text file (UTF-8) that is no longer than such a file may be.
-
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        What it is called in messages, such as "vehicle file".
-    limits
-        What it may be.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is too large or is not UTF-8.
-    """
+    """Read a text file (UTF-8) that is no longer than such a file may be."""
     try:
         with Path(path).open("rb") as stream:
             data = stream.read(limits.size + 1)  # a device or a pipe tells no size
@@ -111,14 +96,7 @@ def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STAT
 
 
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
-    """Read a TOML file; what would make a parser work for minutes is refused before it is parsed.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is too large, has keys or values nested too deeply, is no TOML, or has an
-        integer of more than 64 bits.
-    """
+    """Read a TOML file; what would make a parser work for minutes is refused before it is parsed."""
     text, where = read_text(path, kind), os.fspath(path)
     _refuse_depth(text, where, kind, STATEMENTS)
     try:
@@ -131,13 +109,7 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
 
 
 def read_json(path: str | os.PathLike[str], kind: str, limits: TextLimits = RESULTS) -> str:
-    """Read the text of a JSON file of reasonable size and depth; what it holds is for the caller to check.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is too large, is not UTF-8 or is nested too deeply.
-    """
+    """Read the text of a JSON file of reasonable size and depth; what it holds is for the caller to check."""
     text = read_text(path, kind, limits)
     if _depth(_QUOTED.sub("_", text)) > limits.depth:
         raise UndertowError(_too_deep(os.fspath(path), kind, limits))
@@ -202,18 +174,7 @@ def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
     older target is left as it was. The permission bits of an existing target are kept; a link is followed; a
     device or pipe is simply written to.
 
-    Parameters
-    ----------
-    path
-        The file to write. Its folder must exist.
-    data
-        Text (written as UTF-8, line ends unchanged) or bytes.
-
-    Raises
-    ------
-    UndertowError
-        The folder is missing or not a folder, the target is a folder or write-protected, or the system
-        refuses (no space, no permission, ...).
+    `data`: text (written as UTF-8, line ends unchanged) or bytes.
     """
     target = Path(path)
     payload = data.encode("utf-8") if isinstance(data, str) else data
@@ -225,13 +186,7 @@ def write_whole(path: str | os.PathLike[str], data: str | bytes) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder, and those above it, where they are missing.
-
-    Raises
-    ------
-    UndertowError
-        If that cannot be.
-    """
+    """Make a folder, and those above it, where they are missing."""
     folder = Path(path)
     with together() as files:
         try:
@@ -250,11 +205,6 @@ def together() -> Iterator[FileSet]:
 
     Until then they stand under temporary names beside their targets. Whatever ends the block early, those
     are removed, and so are the folders made in it. A block within another is part of it.
-
-    Raises
-    ------
-    UndertowError
-        At the end of the block, if a file cannot take its place.
     """
     outer = _OPEN.get()
     if outer is not None:
@@ -274,25 +224,16 @@ def together() -> Iterator[FileSet]:
 
 @dataclass
 class FileSet:
-    """Files that appear together.
+    """Files that appear together."""
 
-    Attributes
-    ----------
-    staged : list of (temporary, target)
-        Files on the disk under temporary names.
-    streams : list of (target, bytes)
-        What goes to devices and pipes.
-    folders : list of Path
-        Folders made for them, the outer ones first.
-    """
-
-    staged: list[tuple[Path, Path]] = field(default_factory=list)
-    streams: list[tuple[Path, bytes]] = field(default_factory=list)
-    folders: list[Path] = field(default_factory=list)
+    staged: list[tuple[Path, Path]] = field(default_factory=list)  # files on the disk under temporary names
+    streams: list[tuple[Path, bytes]] = field(default_factory=list)  # what goes to devices and pipes
+    folders: list[Path] = field(default_factory=list)  # folders made for them, the outer ones first
 
     def add(self, target: Path, payload: bytes) -> None:
         """Put a file on the disk under a temporary name."""
-        mode = _mode_of(target)
+        _check_target(target)
+        mode = target.stat().st_mode if target.exists() else None
         if mode is not None and not stat.S_ISREG(mode):
             self.streams.append((target, payload))  # /dev/stdout, a pipe: there is nothing to replace
             return
@@ -362,25 +303,13 @@ def _remove(paths: Iterable[Path]) -> None:
 def check_writable(
     *paths: str | os.PathLike[str] | None, inputs: Iterable[str | os.PathLike[str]] = ()
 ) -> None:
-    """Refuse, before the work is done, outputs that could not be written after it.
-
-    Parameters
-    ----------
-    paths
-        Files that are going to be written; None is passed over.
-    inputs
-        What is read in the same work; no output may be one of these files.
-
-    Raises
-    ------
-    UndertowError
-        If a folder is missing or write-protected, a target is a folder, write-protected or an input, or two
-        outputs are the same file.
-    """
+    """Refuse, before the work is done, outputs that could not be written after it."""
     outputs = [Path(path) for path in paths if path is not None]
     read = [Path(path) for path in inputs]
     for i, path in enumerate(outputs):
         _check_target(path)
+        if not _is_special(path):
+            _try_folder(path)
         taken = next((other for other in read if other.is_file() and _same(path, other)), None)
         if taken is not None:
             raise UndertowError(f"output '{path}' is the input '{taken}': choose another name for it")
@@ -389,13 +318,7 @@ def check_writable(
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
-    """Refuse, before the work is done, a folder that could not be made or written into after it.
-
-    Raises
-    ------
-    UndertowError
-        If it, or the nearest folder above it that exists, is write-protected or no folder.
-    """
+    """Refuse, before the work is done, a folder that could not be made or written into after it."""
     folder = Path(path)
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     if not existing.is_dir():
@@ -405,16 +328,15 @@ def check_folder(path: str | os.PathLike[str]) -> None:
 
 
 def _check_target(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise UndertowError(f"cannot write '{path}': folder '{path.parent}' does not exist: make it first")
+    folder = path.parent
+    if not folder.exists():
+        raise UndertowError(f"cannot write '{path}': the folder '{folder}' does not exist; create it first")
+    if not folder.is_dir():
+        raise UndertowError(f"cannot write '{path}': '{folder}' is not a folder; choose another place")
     if path.is_dir():
-        raise UndertowError(f"cannot write '{path}': it is a folder: name a file in it")
-    if not os.access(path if _is_special(path) else path.parent, os.W_OK):
-        raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
-    if path.is_file() and not os.access(path, os.W_OK):
+        raise UndertowError(f"cannot write '{path}': it is a folder; give the name of a file")
+    if path.exists() and not os.access(path, os.W_OK):
         raise UndertowError(f"cannot write '{path}': it is write-protected; choose another name")
-    if not _is_special(path):
-        _try_folder(path)
 
 
 def _try_folder(path: Path) -> None:
@@ -436,34 +358,12 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:
-    """The SHA-256 of a file's bytes as 64 hexadecimal digits.
-
-    Raises
-    ------
-    UndertowError
-        The file cannot be read.
-    """
+    """The SHA-256 of a file's bytes as 64 hexadecimal digits."""
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as failure:
         raise UndertowError(f"cannot read '{os.fspath(path)}': {_reason(failure)}") from failure
-
-
-def _mode_of(target: Path) -> int | None:
-    """The mode of an existing target that may be written, None for a new one."""
-    folder = target.parent
-    if not folder.exists():
-        raise UndertowError(f"cannot write '{target}': the folder '{folder}' does not exist; create it first")
-    if not folder.is_dir():
-        raise UndertowError(f"cannot write '{target}': '{folder}' is not a folder; choose another place")
-    if not target.exists():
-        return None
-    if target.is_dir():
-        raise UndertowError(f"cannot write '{target}': it is a folder; give the name of a file")
-    if not os.access(target, os.W_OK):
-        raise UndertowError(f"cannot write '{target}': it is write-protected; choose another name")
-    return target.stat().st_mode
 
 
 def _fill(temporary: Path, payload: bytes) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions import attitude
 from undertow.control.conditions.attitude import Attitudes, Interval, least, least_eigenvalue
 from undertow.control.conditions.problem import ALL, SAMPLED, Problem, Uncertainty
@@ -114,7 +115,7 @@ def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
     assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
 
 
-@pytest.mark.parametrize("sideways", [60.0, 50.0])
+@pytest.mark.parametrize("sideways", first_quick([60.0, 50.0]))
 def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     """With other gains to the side the heading matters, and is searched as well."""
     found = certify(rov_gains(tmp_path, "pd", sideways), Uncertainty(rov()), forms=["derived"])
@@ -125,6 +126,7 @@ def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     assert ("psi" in row.where) == (sideways != 60.0)
 
 
+@pytest.mark.slow
 def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -> None:
     """The nominal verdict is proved by intervals; over the parameters a few attitudes are tried only."""
     vehicle = rov()
@@ -141,6 +143,7 @@ def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -
         assert (rows[scope].verdict, box.verdict) == (HOLDS, verdict)
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(attitude, "BOUNDS", replace(attitude.BOUNDS, most_boxes=1))
     gains = rov_gains(tmp_path, "pd", 10.0)
@@ -152,6 +155,7 @@ def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: 
     assert not found.ok
 
 
+@pytest.mark.slow
 def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None:
     """A gain that the damping of roll just outweighs on an even keel is too much when pitched."""
     problem = Problem(rov_gains(tmp_path))

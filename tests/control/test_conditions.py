@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions.by_law import CONDITIONS, Quantities
 from undertow.control.conditions.channels import roots, routh_array
 from undertow.control.conditions.problem import Problem, Uncertainty
@@ -51,7 +52,7 @@ def row(form: str, condition: str, scope: str, signs: str, gains: str = "paper-p
 
 
 # --- as printed -------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("signs", "right"), [("forward", 10.088308), ("backward", 11.408386)])
+@pytest.mark.parametrize(("signs", "right"), first_quick([("forward", 10.088308), ("backward", 11.408386)]))
 def test_printed_damper(signs: str, right: float) -> None:
     found = row("printed", "K_V", "matrices", signs)
     assert (found.left, found.verdict) == (0.005, "fails")
@@ -145,6 +146,7 @@ def test_sliding_mode_reaches_although_the_weight_is_uncertain() -> None:
 
 
 # --- gains that tell north from east ----------------------------------------------------------------
+@pytest.mark.slow
 def test_gains_that_are_good_heading_north_only_are_refused() -> None:
     """Heading east, the stiff gains of y act on surge: M k_i > K k_p there."""
     vehicle = load_vehicle("mini-auv")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions.channels import coupled_roots
 from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, along_the_loop, in_numbers
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
@@ -37,10 +38,7 @@ def surge(sigma_mass: float, sigma_drag: float, k_v: float) -> tuple[GainSet, Ve
     return replace(gains, values={**gains.values, "K_V_x": k_v, "K_V_y": k_v}), vehicle
 
 
-@pytest.mark.parametrize(
-    ("k_v", "box"),
-    [(0.05, NOMINAL), (0.095, SOME), (0.30, ALL)],
-)
+@pytest.mark.parametrize(("k_v", "box"), first_quick([(0.05, NOMINAL), (0.095, SOME), (0.30, ALL)]))
 def test_routh_over_intervals_and_ellipsoid(k_v: float, box: str) -> None:
     """k_v > M k_i/k_p - X_u = 0.0859646 at the values of the file, plus what the deviations add to it."""
     gains, vehicle = surge(0.1, 0.01, k_v)
@@ -69,6 +67,7 @@ def test_ellipsoid_is_exact_where_the_margin_is_linear() -> None:
         assert row.ellipsoid.verdict == verdict
 
 
+@pytest.mark.slow
 def test_correlation_of_a_fit_counts() -> None:
     """The margin falls with mass and rises with drag: errors that go together cancel in it."""
     verdicts = {}
@@ -114,7 +113,7 @@ def loop_of(problem: Problem, iota: float) -> Callable[..., tuple[np.ndarray, np
     return cast("Callable[..., tuple[np.ndarray, np.ndarray]]", sm.lambdify(names, pair, "numpy", cse=True))
 
 
-@pytest.mark.parametrize("drag", [5.2, 50.0])
+@pytest.mark.parametrize("drag", first_quick([5.2, 50.0]))
 def test_v_falls_from_every_state_within_the_level_of_the_region(drag: float) -> None:
     """States drawn at and below the level, most of them along one axis, where damping hurts most."""
     problem = thick_water(STRONG, drag)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fleet.made import days, folder_with_vehicle, fouling, write
-from undertow.fleet.engine import OnDask, engine
+from undertow.fleet.engine import DaskEngine, engine
 
 
 @pytest.fixture(scope="session")
@@ -25,9 +25,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OnDask]:
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskEngine]:
     """Two processes."""
     pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")
     with chdir(tmp_path_factory.mktemp("dask")), engine(workers=2, patience=120.0) as doing:
-        assert isinstance(doing, OnDask)
+        assert isinstance(doing, DaskEngine)
         yield doing

@@ -12,10 +12,10 @@ import pytest
 
 from benchmarks.fleet.made import folder_with_vehicle, fouling
 from benchmarks.fleet.names import asked, logged
-from undertow.fleet.changes import Change, Changes, Direction, Kind, Span, chance
-from undertow.fleet.diagnose import summarised
-from undertow.fleet.reduction import Job, Panel, marked
-from undertow.fleet.verdicts import Asked, Statement, holm, statements
+from undertow.fleet.changes import Change, ChangeTests, Direction, Kind, Span, two_sided_p
+from undertow.fleet.diagnose import summary
+from undertow.fleet.reduction import Job, Panel, with_fingerprint
+from undertow.fleet.verdicts import SpanTest, Statement, holm, statements
 
 Drift = Mapping[str, float]
 
@@ -27,13 +27,14 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def panel(craft: Path) -> Panel:
-    return marked(Job(str(craft)))[1]
+    return with_fingerprint(Job(str(craft)))[1]
 
 
 def said(panel: Panel, craft: Path, drift: Drift, seed: int, **more: int) -> list[Statement]:
     return statements(asked(panel, logged(panel, craft, drift, seed, **more)))
 
 
+@pytest.mark.slow
 def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
     own = asked(panel, logged(panel, craft, fouling(0.4), 1))
     statement = statements(own)[0]
@@ -45,6 +46,7 @@ def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
         assert change.error < 0.04
 
 
+@pytest.mark.slow
 def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Path) -> None:
     for statement in said(panel, craft, {"gain_error_port": -0.2}, 2):
         assert (statement.answer, statement.effects) == ("grew", ("thruster wear",))
@@ -52,6 +54,7 @@ def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Pa
         assert "starboard" not in statement.words
 
 
+@pytest.mark.slow
 def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> None:
     statement = said(panel, craft, fouling(0.4) | {"gain_error_bow": -0.3}, 3)[0]
     assert statement.answer == "grew"
@@ -62,7 +65,7 @@ def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> Non
 
 def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> None:
     own = logged(panel, craft, {}, 4)
-    of = summarised({"it": (panel, own)}).vehicles[0]
+    of = summary({"it": (panel, own)}).vehicles[0]
     assert {p.statement.answer for p in (*of.months[1:], of.whole)} == {"none seen"}
     for parameter in of.whole.parameters:
         stated = panel.vehicle.value_of(parameter.name).value
@@ -70,13 +73,14 @@ def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> No
     assert all(score.p_value > 0.01 for score in of.scores)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drift",
     [
         pytest.param({"m_w": 5.0}, id="water in the hull"),
-        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts"),
-        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone"),
-        pytest.param(fouling(-0.3), id="a hull that was cleaned"),
+        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts", marks=pytest.mark.slow),
+        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone", marks=pytest.mark.slow),
+        pytest.param(fouling(-0.3), id="a hull that was cleaned", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_neither_is_called_neither(panel: Panel, craft: Path, drift: Drift) -> None:
@@ -100,6 +104,7 @@ def test_more_vehicles_ask_for_more() -> None:
     assert holm([1e-9, 0.004, *[0.5] * 100], 0.01) == pytest.approx(0.01 / 101)
 
 
+@pytest.mark.slow
 def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
     """Days of an unchanged craft in random order, a hundred reports: two false ones at the most."""
     own, random = logged(panel, craft, {}, 8, months=2, each=5), np.random.default_rng(0)
@@ -114,12 +119,14 @@ def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
 def told(*changes: tuple[Kind, str, float, float]) -> Statement:
     """What is said of changes of kind, place, value and error five days against five, among many others."""
     own = tuple(
-        Change(Direction(kind, of, np.zeros(1)), value, error, 8.0, chance(value, error, 8.0))
+        Change(Direction(kind, of, np.zeros(1)), value, error, 8.0, two_sided_p(value, error, 8.0))
         for kind, of, value, error in changes
     )
     still = tuple(Change(Direction("inertia", "surge", np.zeros(1)), 0.0, 1.0, 8.0, 1.0) for _ in range(500))
     span = Span((), lambda day: 0.0, (5, 5))
-    return statements([Asked(cast("Changes", None), span, own), Asked(cast("Changes", None), span, still)])[0]
+    return statements(
+        [SpanTest(cast("ChangeTests", None), span, own), SpanTest(cast("ChangeTests", None), span, still)]
+    )[0]
 
 
 def test_none_seen_is_said_of_what_would_have_shown() -> None:

@@ -16,31 +16,31 @@ import pytest
 from benchmarks.trust.cases import Planned
 from benchmarks.trust.run import records, run
 from undertow.errors import UndertowError
-from undertow.fleet.diagnose import Question, Store, diagnose
-from undertow.fleet.engine import Failure, Here, OnDask, engine
+from undertow.fleet.diagnose import Store, diagnose
+from undertow.fleet.engine import DaskEngine, Failure, InProcess, Waiting, engine
 from undertow.fleet.reduction import Job
-from undertow.fleet.rollouts import Flights, rollouts
-from undertow.fleet.verdicts import Fleet
+from undertow.fleet.rollouts import RolloutJob, rollouts
+from undertow.fleet.verdicts import FleetReport
 
 
-def question(fleet: Path) -> Question:
-    return Question([str(fleet / "logs/**/*.parquet")], Job(str(fleet / "craft.toml"), rows=300))
+def question(fleet: Path) -> tuple[list[str], Job]:
+    return [str(fleet / "logs/**/*.parquet")], Job(str(fleet / "craft.toml"), rows=300)
 
 
 @pytest.fixture(scope="session")
-def alone(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Fleet:
+def alone(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> FleetReport:
     """The answer of the path without a cluster."""
-    return diagnose(question(fleet), Here(), Store(tmp_path_factory.mktemp("alone")))
+    return diagnose(*question(fleet), InProcess(), Store(tmp_path_factory.mktemp("alone")))
 
 
-def numbers(of: Fleet) -> np.ndarray:
+def numbers(of: FleetReport) -> np.ndarray:
     periods = [p for v in of.vehicles for p in (*v.months, v.whole)]
     values = [[p.misfit, *(x for q in p.parameters for x in (q.value, q.error))] for p in periods]
     changes = [[x for c in p.changes for x in (c.percent, c.error, c.p_value)] for p in periods]
     return np.array([x for row in (*values, *changes) for x in row], dtype=float)
 
 
-def test_one_process_names_what_fouls_and_nothing_else(alone: Fleet) -> None:
+def test_one_process_names_what_fouls_and_nothing_else(alone: FleetReport) -> None:
     alfa, bravo = alone.vehicles
     assert (alfa.vehicle, bravo.vehicle) == ("alfa", "bravo")
     assert alfa.whole.statement.answer == "none seen"
@@ -50,7 +50,7 @@ def test_one_process_names_what_fouls_and_nothing_else(alone: Fleet) -> None:
 
 
 def test_a_cluster_gives_the_same_though_a_worker_is_killed(
-    fleet: Path, alone: Fleet, cluster: OnDask, tmp_path: Path
+    fleet: Path, alone: FleetReport, cluster: DaskEngine, tmp_path: Path
 ) -> None:
     processes: dict[str, int] = cluster.client.run(os.getpid)
     assert len(set(processes.values())) == 2
@@ -61,7 +61,7 @@ def test_a_cluster_gives_the_same_though_a_worker_is_killed(
             killed.append(next(iter(processes.values())))
             os.kill(killed[0], signal.SIGKILL)
 
-    found = diagnose(question(fleet), cluster, Store(tmp_path), kill)
+    found = diagnose(*question(fleet), cluster, Store(tmp_path), kill)
     assert killed
     assert (found.done, found.worked, found.failed) == (18, 18, {})
     np.testing.assert_allclose(numbers(found), numbers(alone), rtol=1e-10, atol=1e-12)
@@ -80,7 +80,8 @@ def _may_die(times: int, dask_scheduler: Any = None) -> None:
     dask_scheduler.allowed_failures = times
 
 
-def test_what_kills_its_workers_is_given_up_and_the_rest_is_done(cluster: OnDask) -> None:
+@pytest.mark.slow
+def test_what_kills_its_workers_is_given_up_and_the_rest_is_done(cluster: DaskEngine) -> None:
     cluster.client.run_on_scheduler(_may_die, 0)
     (_, killer), *more = cluster.results(_fatal, [(1,)])
     cluster.client.run_on_scheduler(_may_die, 3)
@@ -91,13 +92,15 @@ def test_what_kills_its_workers_is_given_up_and_the_rest_is_done(cluster: OnDask
     assert rest == {0: 0, 1: Failure("no such thing: take another"), 2: 3}
 
 
-def test_any_scheduler_will_do(cluster: OnDask) -> None:
+def test_any_scheduler_will_do(cluster: DaskEngine) -> None:
     with engine(cluster.client.scheduler.address) as other:
         assert sorted(other.results(abs, [(-1,), (2,)])) == [(0, 1), (1, 2)]
 
 
-def test_a_scheduler_that_is_not_there_is_refused(cluster: OnDask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("undertow.fleet.engine._REACH", 1.0)
+def test_a_scheduler_that_is_not_there_is_refused(
+    cluster: DaskEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("undertow.fleet.engine.WAITING", Waiting(scheduler=1.0))
     with pytest.raises(UndertowError, match=r"127\.0\.0\.1:9' does not answer"), engine("tcp://127.0.0.1:9"):
         pass
     with pytest.raises(UndertowError, match="does not answer"), engine("nonsense://"):
@@ -108,7 +111,8 @@ def _page(dask_scheduler: Any = None) -> int:
     return dask_scheduler.http_server.port
 
 
-def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: OnDask) -> None:
+@pytest.mark.slow
+def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: DaskEngine) -> None:
     """The page of the scheduler is at any port that is free, so that Dask has nothing to warn of."""
     assert cluster.client.run_on_scheduler(_page) != 8787
     with engine(workers=1) as other:
@@ -117,11 +121,11 @@ def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: OnDask) -> 
 
 @pytest.mark.parametrize("address", ["nonsense", "nonsense:x", "", "tls://127.0.0.1:9"])
 def test_what_is_no_address_is_refused_once_and_for_all(
-    address: str, cluster: OnDask, monkeypatch: pytest.MonkeyPatch
+    address: str, cluster: DaskEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing of a client is left that complains when it is thrown away."""
     complaints: list[Any] = []
-    monkeypatch.setattr("undertow.fleet.engine._REACH", 0.1)
+    monkeypatch.setattr("undertow.fleet.engine.WAITING", Waiting(scheduler=0.1))
     monkeypatch.setattr("sys.unraisablehook", complaints.append)
     with pytest.raises(UndertowError, match="does not answer"), engine(address):
         pass
@@ -135,7 +139,7 @@ def _sockets(dask_worker: Any = None, dask_scheduler: Any = None) -> set[str]:
     return {c.laddr.ip for c in process.net_connections(kind="inet") if c.status == "LISTEN"}
 
 
-def _listening(doing: OnDask) -> set[str]:
+def _listening(doing: DaskEngine) -> set[str]:
     """Addresses on which scheduler, page, nannies and workers listen."""
     client = doing.client
     workers, nannies = client.run(_sockets), client.run(_sockets, nanny=True)
@@ -144,11 +148,12 @@ def _listening(doing: OnDask) -> set[str]:
     return here.union(*workers.values(), *nannies.values())
 
 
-def test_nobody_outside_this_machine_reaches_the_cluster(cluster: OnDask) -> None:
+def test_nobody_outside_this_machine_reaches_the_cluster(cluster: DaskEngine) -> None:
     """Dask runs whatever it is sent by anybody who can connect."""
     assert _listening(cluster) == {"127.0.0.1"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only on Linux every address of 127/8 is this machine")
 def test_a_cluster_listens_elsewhere_only_where_it_is_told_to() -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")
@@ -207,17 +212,16 @@ class _Deaf:
 
 @pytest.mark.parametrize(("workers", "words"), [(2, "no answer of any worker"), (0, "no worker")])
 def test_silence_comes_to_an_end(workers: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("undertow.fleet.engine._POLL", 0.01)
-    monkeypatch.setattr("undertow.fleet.engine._WORKERLESS", 0.05)
+    monkeypatch.setattr("undertow.fleet.engine.WAITING", Waiting(poll=0.01, workerless=0.05))
     client = _Deaf(workers)
-    found = dict(OnDask(client, patience=0.1).results(abs, [(1,), (2,)]))
+    found = dict(DaskEngine(client, patience=0.1).results(abs, [(1,), (2,)]))
     assert all(words in failure.words for failure in found.values())
     assert sorted(found) == [0, 1]
     assert client.cancelled == 1
 
 
 def test_one_bad_item_stops_no_other() -> None:
-    found = dict(Here().results(_half, [(4,), ("x",)]))
+    found = dict(InProcess().results(_half, [(4,), ("x",)]))
     assert found[0] == 2
     assert "TypeError" in found[1].words
 
@@ -226,10 +230,10 @@ def _half(number: Any) -> Any:
     return number / 2
 
 
-def test_rollouts_on_a_cluster_are_those_of_one_process(fleet: Path, cluster: OnDask) -> None:
+def test_rollouts_on_a_cluster_are_those_of_one_process(fleet: Path, cluster: DaskEngine) -> None:
     logs = [str(next((fleet / "logs").rglob("*.parquet")))]
-    flights = Flights(str(fleet / "craft.toml"), horizon=10.0)
-    here, there = (rollouts(flights, logs, 20, doing)[0] for doing in (Here(), cluster))
+    job = RolloutJob(str(fleet / "craft.toml"), horizon=10.0)
+    here, there = (rollouts(job, logs, 20, doing)[0] for doing in (InProcess(), cluster))
     assert [b.window for b in there] == [0, 1, 2, 3, 4]
     for one, other in zip(here, there, strict=True):
         np.testing.assert_allclose(one.high, other.high, rtol=1e-10)
@@ -242,7 +246,7 @@ def _record(case: Planned) -> dict[str, Any]:
     return {"id": case.id, "kind": case.kind, "where": os.getpid()}
 
 
-def test_the_benchmark_of_trust_runs_on_a_cluster(cluster: OnDask, tmp_path: Path) -> None:
+def test_the_benchmark_of_trust_runs_on_a_cluster(cluster: DaskEngine, tmp_path: Path) -> None:
     cases = [Planned("usv", (), 1.0, 1.0, False, "plain", seed) for seed in range(4)]
     out = tmp_path / "trust.jsonl"
     assert run(cases, out, _record, engine=cluster) == 1

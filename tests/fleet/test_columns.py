@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.fleet.made import fouling, run
 from undertow.errors import UndertowError
-from undertow.fleet.changes import choosing, days_of, no_prior, solve
-from undertow.fleet.reduction import Job, Panel, marked, reduce_log, reduce_runs
+from undertow.fleet.changes import Prior, days_of, selection, solve
+from undertow.fleet.reduction import Job, Panel, reduce_log, reduce_runs, with_fingerprint
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
@@ -22,7 +22,7 @@ from undertow.model.loading import load_vehicle
 
 @pytest.fixture(scope="module")
 def panel(fleet: Path) -> Panel:
-    return marked(Job(str(fleet / "craft.toml")))[1]
+    return with_fingerprint(Job(str(fleet / "craft.toml")))[1]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def test_columns_together_are_those_of_each_effect_by_itself(panel: Panel, day: 
     together = panel.table(day)
     data = prepare([day], panel.vehicle)
     p = np.array(panel.base.functions.values(), dtype=float)
-    noise = panel._noise(data, p)
+    noise = panel._noise(data, p)  # private: both sides are to be weighed alike
     order = [*panel.daily, *panel.names]
     known = {c.id: c for c in candidates(panel.vehicle, catalogue())}
     for effect in ("thruster_gain", "ocean_current", "sensor_scale", "lift", "thruster_curve"):
@@ -51,8 +51,8 @@ def test_the_factor_is_least_squares_over_all_rows(panel: Panel, day: Run) -> No
     reduced = reduce_runs(halves, panel, "day")
     found = solve(
         days_of([(np.datetime64("2026-01-01").item(), reduced)]),
-        [choosing(panel.names, panel.free)],
-        no_prior(len(panel.free)),
+        [selection(panel.names, panel.free)],
+        Prior().beside(len(panel.free)),
     )
     rows = [panel.table(half) for half in halves]
     J, r = np.vstack([t.J for t in rows]), np.concatenate([t.r for t in rows])
@@ -74,8 +74,8 @@ def test_one_linear_step_agrees_with_a_fit(panel: Panel, fleet: Path, day: Run) 
     reduced = reduce_runs([day], only_current, "day")
     found = solve(
         days_of([(np.datetime64("2026-01-01").item(), reduced)]),
-        [choosing(only_current.names, panel.free)],
-        no_prior(len(panel.free)),
+        [selection(only_current.names, panel.free)],
+        Prior().beside(len(panel.free)),
     )
     for name, step, error in zip(panel.free, found.theta, found.errors, strict=True):
         assert panel.vehicle.value_of(name).value + step == pytest.approx(fit.values[name], abs=1.5 * error)
@@ -85,16 +85,16 @@ def test_a_vehicle_with_nothing_to_estimate_is_refused(fleet: Path, tmp_path: Pa
     known = tmp_path / "known.toml"
     known.write_text((fleet / "craft.toml").read_text().replace("estimate = true", "estimate = false"))
     with pytest.raises(UndertowError, match="no parameter of 'craft' is to be estimated"):
-        marked(Job(str(known)))
+        with_fingerprint(Job(str(known)))
     with pytest.raises(UndertowError, match="'currant' is no effect"):
-        marked(Job(str(fleet / "craft.toml"), daily=("currant",)))
+        with_fingerprint(Job(str(fleet / "craft.toml"), daily=("currant",)))
 
 
 def test_a_worker_with_another_vehicle_file_refuses(fleet: Path, tmp_path: Path) -> None:
-    job = marked(Job(str(fleet / "craft.toml")))[0]
+    job = with_fingerprint(Job(str(fleet / "craft.toml")))[0]
     other = tmp_path / "craft.toml"
     other.write_text((fleet / "craft.toml").read_text().replace("20.0", "21.0"))
     elsewhere = Job(str(other), fingerprint="0" * 64)
     with pytest.raises(UndertowError, match="reads another"):
         reduce_log(elsewhere, str(next((fleet / "logs").rglob("*.parquet"))))
-    assert marked(Job(str(other)))[0].fingerprint != job.fingerprint
+    assert with_fingerprint(Job(str(other)))[0].fingerprint != job.fingerprint

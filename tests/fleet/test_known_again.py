@@ -9,13 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.fleet.diagnose import Store
-from undertow.fleet.engine import Here
+from undertow.fleet.engine import InProcess
 from undertow.fleet.partitions import content_of, files_digest
-from undertow.fleet.reduction import Job, Reduced, marked, reduce_log
-from undertow.fleet.rollouts import Flights, Source, rollouts, windows_of
+from undertow.fleet.reduction import Job, Reduced, reduce_log, with_fingerprint
+from undertow.fleet.rollouts import RolloutJob, Source, rollouts, windows_of
 
 SIDE = """
 import sympy as sm
@@ -49,7 +50,7 @@ class Skewed(Measurement):
 """
 
 
-@pytest.mark.parametrize("within", [True, False])
+@pytest.mark.parametrize("within", first_quick([True, False]))
 def test_an_edited_actuation_or_sensor_is_another_model(fleet: Path, tmp_path: Path, within: bool) -> None:
     """Whether the vehicle has the effect, or it is only a column."""
     text = (fleet / "craft.toml").read_text()
@@ -60,17 +61,17 @@ def test_an_edited_actuation_or_sensor_is_another_model(fleet: Path, tmp_path: P
     for name, gain, scale in (("one", 1, 1), ("stronger", 2, 1), ("longer", 1, 2)):
         effects = tmp_path / f"{name}.py"
         effects.write_text(SIDE.replace("GAIN", str(gain)).replace("SCALE", str(scale)))
-        panel = marked(Job(str(vehicle), (str(effects),)))[1]
+        panel = with_fingerprint(Job(str(vehicle), (str(effects),)))[1]
         contents.append(str([content_of(model) for model in panel.models]))
     assert len(set(contents)) == 3
 
 
 def test_another_prior_is_another_result(fleet: Path, tmp_path: Path) -> None:
     other, text = tmp_path / "craft.toml", (fleet / "craft.toml").read_text()
-    found = {marked(Job(str(fleet / "craft.toml")))[0].fingerprint}
+    found = {with_fingerprint(Job(str(fleet / "craft.toml")))[0].fingerprint}
     for edit in (("sigma = 0.5", "sigma = 0.6"), (", sigma = 1.5 }", " }")):
         other.write_text(text.replace(*edit))
-        found.add(marked(Job(str(other)))[0].fingerprint)
+        found.add(with_fingerprint(Job(str(other)))[0].fingerprint)
     assert len(found) == 3
 
 
@@ -79,7 +80,7 @@ def test_the_bytes_of_effects_are_in_the_fingerprint(fleet: Path, tmp_path: Path
     found = set()
     for scale in ("1", "1 + 0"):
         effects.write_text(SIDE.replace("GAIN", "1").replace("SCALE", scale))
-        found.add(marked(Job(str(fleet / "craft.toml"), (str(effects),)))[0].fingerprint)
+        found.add(with_fingerprint(Job(str(fleet / "craft.toml"), (str(effects),)))[0].fingerprint)
     assert len(found) == 2
 
 
@@ -107,12 +108,12 @@ def test_a_living_worker_reads_changed_files_again(fleet: Path, tmp_path: Path) 
     )
     vehicle.write_text(text)
     table.write_parquet(log)
-    flights = Flights(str(vehicle), horizon=10.0)
-    seen = [rollouts(flights, [str(log)], 5, Here())[0]]
+    job = RolloutJob(str(vehicle), horizon=10.0)
+    seen = [rollouts(job, [str(log)], 5, InProcess())[0]]
     table.with_columns(pl.col("u") + 1.0).write_parquet(log)
-    seen.append(rollouts(flights, [str(log)], 5, Here())[0])
+    seen.append(rollouts(job, [str(log)], 5, InProcess())[0])
     vehicle.write_text(text.replace("m = 20.0", "m = 40.0"))
-    seen.append(rollouts(flights, [str(log)], 5, Here())[0])
+    seen.append(rollouts(job, [str(log)], 5, InProcess())[0])
     first, moved, heavy = (one[0] for one in seen)
     u = first.names.index("u")
     np.testing.assert_allclose(moved.measured[:, u], first.measured[:, u] + 1.0)
@@ -121,17 +122,17 @@ def test_a_living_worker_reads_changed_files_again(fleet: Path, tmp_path: Path) 
 
 def test_a_worker_with_other_files_refuses(fleet: Path, tmp_path: Path) -> None:
     log = next((fleet / "logs").rglob("*.parquet"))
-    flights = Flights(str(fleet / "craft.toml"), horizon=10.0)
+    job = RolloutJob(str(fleet / "craft.toml"), horizon=10.0)
     with pytest.raises(UndertowError, match="this worker reads another"):
-        windows_of(replace(flights, files="0" * 64), Source(str(log), sha256_of(log)))
-    mine = replace(flights, files=files_digest(flights.vehicle, ()))
+        windows_of(replace(job, files="0" * 64), Source(str(log), sha256_of(log)))
+    mine = replace(job, files=files_digest(job.vehicle, ()))
     with pytest.raises(UndertowError, match="another file for this worker"):
         windows_of(mine, Source(str(log), "0" * 64))
     assert windows_of(mine, Source(str(log), sha256_of(log))) == 5
 
 
 def test_a_log_that_is_still_written_to_is_not_kept(fleet: Path) -> None:
-    job = marked(Job(str(fleet / "craft.toml")))[0]
+    job = with_fingerprint(Job(str(fleet / "craft.toml")))[0]
     log = next((fleet / "logs").rglob("*.parquet"))
     with pytest.raises(UndertowError, match="was changed while it was read"):
         reduce_log(job, str(log), "0" * 64)

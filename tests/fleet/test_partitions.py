@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.fleet.partitions import Partition, find, partition_of, twins
+from undertow.fleet.partitions import Partition, duplicates, find, partition_of
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.table import flat_table
 
@@ -79,7 +79,7 @@ def test_patterns_and_folders_find_each_file_once(tmp_path: Path) -> None:
 
 def test_a_copy_counts_once() -> None:
     one, copy, other = (Partition("v", date(2026, 2, i), Path(f"{i}")) for i in (1, 2, 3))
-    assert twins([(copy, "h"), (one, "h"), (other, "g")]) == {copy: one}
+    assert duplicates([(copy, "h"), (one, "h"), (other, "g")]) == {copy: one}
 
 
 def test_names_with_brackets_are_names(tmp_path: Path) -> None:

@@ -20,13 +20,13 @@ import typer
 from undertow.cli._vehicle_and_logs import EffectsOption, FillOption, MapOption, TrustOption
 from undertow.errors import UndertowError
 from undertow.files import check_writable, together, write_whole
-from undertow.fleet.diagnose import PLACE, Question, Store
+from undertow.fleet.diagnose import PLACE, Store
 from undertow.fleet.diagnose import diagnose as diagnose_fleet
 from undertow.fleet.engine import Engine
 from undertow.fleet.reduction import DAILY, Job
-from undertow.fleet.rollouts import Band, Flights
+from undertow.fleet.rollouts import Band, RolloutJob
 from undertow.fleet.rollouts import rollouts as roll_out
-from undertow.fleet.verdicts import Fleet, Of, Parameter, Period
+from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
 
 from ._terminal import console, progress, section, table, text
 from ._vehicle_and_logs import Fill
@@ -187,7 +187,7 @@ def diagnosed(
     job = _job(vehicle, daily, map, effects, fill, trust_log)
     store = Store(out)
     with progress("looking at files") as tell:
-        found = diagnose_fleet(Question(logs, job, passes), engine, store, tell)
+        found = diagnose_fleet(logs, job, engine, store, tell, passes=passes)
     show(found)
     with together():
         write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
@@ -222,7 +222,7 @@ def _job(
     return Job(seen, files, mapping.model_dump_json(), daily=chosen, fill=fill, trust_log=trust_log)
 
 
-def show(found: Fleet) -> None:
+def show(found: FleetReport) -> None:
     """Print what is said of every vehicle, then what is missing."""
     out = console()
     for of in found.vehicles:
@@ -247,18 +247,18 @@ def _failed(path: str, words: str) -> str:
     return words if path in words else f"{path}: {words}"
 
 
-def _heads(of: Of) -> list[str]:
+def _heads(of: VehicleReport) -> list[str]:
     return [*(p.name for p in of.months[-_MONTHS:]), "all days"]
 
 
-def _estimates(of: Of) -> Iterator[tuple[str, ...]]:
+def _estimates(of: VehicleReport) -> Iterator[tuple[str, ...]]:
     """One line for each parameter: its last months, then all days."""
     periods = [*of.months[-_MONTHS:], of.whole]
     for i, one in enumerate(of.whole.parameters):
         yield f"{one.name}, {one.unit}", *(_cell(p.parameters[i]) for p in periods)
 
 
-def _rows(of: Of) -> Iterator[tuple[str, ...]]:
+def _rows(of: VehicleReport) -> Iterator[tuple[str, ...]]:
     for period in of.months:
         said = period.statement
         answer, words = ("", "the first") if said is None else (said.answer, said.words)
@@ -272,7 +272,7 @@ def _rows(of: Of) -> Iterator[tuple[str, ...]]:
         )
 
 
-def _lines(of: Of) -> Iterator[str]:
+def _lines(of: VehicleReport) -> Iterator[str]:
     if of.whole.statement is not None:
         yield f"over all days, in proportion to time: {of.whole.statement.words}"
     yield from of.remarks
@@ -282,7 +282,7 @@ def _lines(of: Of) -> Iterator[str]:
         yield f"the model may lack {told}: undertow diagnose on some days tells"
 
 
-def page(found: Fleet) -> str:
+def page(found: FleetReport) -> str:
     """The report as Markdown."""
     parts = ["# Fleet\n", f"{found.done} of {found.found} files count.\n"]
     parts += [_section(of) for of in found.vehicles]
@@ -303,7 +303,7 @@ standard error by the scatter of the days, or by the noise where that is more; d
 """
 
 
-def _section(of: Of) -> str:
+def _section(of: VehicleReport) -> str:
     names = [p.name for p in of.whole.parameters]
     units = [p.unit for p in of.whole.parameters]
     heads = ["month", "days", "hours", *(f"{n}, {u}" for n, u in zip(names, units, strict=True))]
@@ -318,7 +318,7 @@ def _section(of: Of) -> str:
     return "\n".join([*parts, ""])
 
 
-def _all(of: Of) -> list[Period]:
+def _all(of: VehicleReport) -> list[Period]:
     return [*of.months, of.whole]
 
 
@@ -373,9 +373,9 @@ def rolled(
         raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
     seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
     mapping = (LogMapping() if map is None else read_mapping(map)).model_dump_json()
-    flights = Flights(seen, files, mapping, fill, horizon, coverage, seed, trust_log)
+    job = RolloutJob(seen, files, mapping, fill, horizon, coverage, seed, trust_log)
     with progress("rolling out") as tell:
-        bands, failed, source = roll_out(flights, [str(p.absolute()) for p in logs], count, engine, tell)
+        bands, failed, source = roll_out(job, [str(p.absolute()) for p in logs], count, engine, tell)
     heads = ("channel", "within the band, %", "half width at the end", "half width in noise")
     section(
         f"{count} rollouts of {len(bands)} windows of {horizon:g} s; {source}",

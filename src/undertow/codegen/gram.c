@@ -6,7 +6,7 @@
      ENTRIES          how many these are; START says where each row begins, COLUMN in which column each stands
      NEEDED, NEEDS    which of x, nu_dot, u and t, in this order, the function needs, and how many
      TABLE            numbers of the sums of all rows
-   and GRAM, RESIDUAL and BUILD, the names of the entry points.
+   and GRAM and BUILD, the names of the entry points.
 
    LANES samples go side by side, DEEP of them one after the other, so that the sums of a tile stay in registers
    meanwhile. Everything is on the stack of a call. */
@@ -38,8 +38,6 @@ typedef struct {
   int64_t n;                   /* samples */
   const double *const *column; /* of every needed input, n */
   const double *p;
-  const double *const *weight; /* of every row, or none */
-  int64_t weight_step;         /* 0: one weight for all samples */
 } Data;
 
 INLINE Real load(const double *from, int64_t left) {
@@ -81,16 +79,8 @@ static int64_t rows_at(const Data *data, int64_t first, Real *rows) {
   if (gaps)
     for (int i = 0; i < NEEDS; i++) in[NEEDED[i]] = real_where(whole, in[NEEDED[i]], real(0.0));
   ROWS(in, in + NX, in + NX + ND, data->p, in[INPUTS - 1], rows);
-  for (int i = 0; i < ND && (gaps || data->weight); i++) {
-    Real factor = real(1.0);
-    if (data->weight) {
-      const double *weight = data->weight[i] + first * data->weight_step;
-      factor = !data->weight_step ? real(*weight) : left < LANES ? load(weight, left) : load_full(weight);
-      factor = real_sqrt(factor);
-    }
-    for (int k = START[i]; k < START[i + 1]; k++) rows[k] = real_where(whole, factor * rows[k], real(0.0));
-  }
   if (!gaps) return LANES;
+  for (int k = 0; k < ENTRIES; k++) rows[k] = real_where(whole, rows[k], real(0.0));
   int64_t counted = 0;
   const Real one = real_truth(whole);
   for (int i = 0; i < LANES; i++) counted += LANE(one, i) != 0;
@@ -161,8 +151,8 @@ static void deliver(Real *sums, double *table, double *lost) {
           }
 }
 
-#define DATA int64_t n, const double *const *column, const double *p, const double *const *weight, int64_t weight_step
-#define GIVEN {n, column, p, weight, weight_step}
+#define DATA int64_t n, const double *const *column, const double *p
+#define GIVEN {n, column, p}
 
 /* Adds products of rows and target to `table` and `lost` (WIDTH x WIDTH, upper triangle); returns the samples. */
 EXPORTED int64_t GRAM(DATA, double *table, double *lost);
@@ -177,30 +167,6 @@ int64_t GRAM(DATA, double *table, double *lost) {
     for (; deep < DEEP && first < n; deep++, first += LANES) counted += rows_at(&data, first, rows + deep * ENTRIES);
     add_products(rows, deep, sums);
     if (first % DELIVERY == 0 || first >= n) deliver(sums, table, lost);
-  }
-  return counted;
-}
-
-/* Adds H' (b - H theta) to the first NF of `sums`, and |b - H theta|^2 to the one after them. */
-EXPORTED int64_t RESIDUAL(DATA, const double *theta, double *sums, double *lost);
-
-int64_t RESIDUAL(DATA, const double *theta, double *sums, double *lost) {
-  const Data data = GIVEN;
-  Real rows[ENTRIES], found[WIDTH];
-  int64_t counted = 0;
-  memset(found, 0, sizeof found);
-  for (int64_t first = 0; first < n;) {
-    counted += rows_at(&data, first, rows);
-    for (int r = 0; r < ND; r++) {
-      const int end = START[r + 1] - 1;
-      Real error = rows[end];
-      for (int k = START[r]; k < end; k++) error -= rows[k] * theta[COLUMN[k]];
-      for (int k = START[r]; k < end; k++) found[COLUMN[k]] += rows[k] * error;
-      found[NF] += error * error;
-    }
-    first += LANES;
-    if (first % DELIVERY && first < n) continue;
-    for (int k = 0; k < WIDTH; k++) add_exactly(across(found[k]), sums + k, lost + k), found[k] = real(0.0);
   }
   return counted;
 }

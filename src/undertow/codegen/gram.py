@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from itertools import pairwise
 from typing import Protocol
 
@@ -16,12 +15,12 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .cache import library_for
-from .compiler import Compiler
-from .driver import loaded, pointer
+from .compiler import Compiler, loaded, pointer
+from .engine import at_samples
 from .functions import Functions
-from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
-from .source import EXPORTED, digest, integers
+from .source import c_file, digest, integers
+from .trajectories import LANES_HEADER
 
 # As many samples as fit in one instruction.
 _LANES = """\
@@ -33,6 +32,7 @@ _LANES = """\
 #define LANES 1
 #endif
 """
+# Samples whose rows are in memory together, where they are not compiled.
 _CHUNK = 128
 
 
@@ -134,67 +134,37 @@ class Sums:
 
 
 class RowSource(Protocol):
-    """Passes over columns of samples; a weight is an array for each row, of one entry or one by sample."""
+    """Passes over columns of samples."""
 
-    def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None: ...
+    def gram(self, columns: list[Array], p: Array, sums: Sums) -> None: ...
 
-    def residual(
-        self, columns: list[Array], p: Array, weights: list[Array] | None, theta: Array, sums: Sums
-    ) -> None: ...
-
-    def build(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]: ...
+    def build(self, columns: list[Array], p: Array) -> tuple[Array, int]: ...
 
 
 class CompiledRows:
-    """Passes over the data in C.
-
-    Parameters
-    ----------
-    rows : Layout
-        The rows.
-    compiler : Compiler
-        Compiler to use.
-    """
+    """Passes over the data in C."""
 
     def __init__(self, rows: Layout, compiler: Compiler) -> None:
         self._layout = rows
         source, prefix = gram_source(rows)
         library = loaded(library_for(source, compiler.for_this_machine()))
-        self._entry = {name: getattr(library, f"{prefix}{name}") for name in ("gram", "residual", "build")}
+        self._entry = {name: getattr(library, f"{prefix}{name}") for name in ("gram", "build")}
         for entry in self._entry.values():
             entry.restype = ctypes.c_int64
 
-    def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None:
+    def gram(self, columns: list[Array], p: Array, sums: Sums) -> None:
         """Add products of rows and target, upper triangle."""
-        sums.count += self._called("gram", columns, p, weights, sums.value, sums.lost)
+        sums.count += self._called("gram", columns, p, sums.value, sums.lost)
 
-    def residual(
-        self, columns: list[Array], p: Array, weights: list[Array] | None, theta: Array, sums: Sums
-    ) -> None:
-        """Add products of rows and what theta leaves of the target, then its square."""
-        sums.count += self._called("residual", columns, p, weights, theta, sums.value, sums.lost)
-
-    def build(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
+    def build(self, columns: list[Array], p: Array) -> tuple[Array, int]:
         """Rows and target as a matrix; zero where a sample has gaps."""
         n = _length(columns)
         matrix = np.empty((n * self._layout.degrees, self._layout.size + 1))
-        return matrix, self._called("build", columns, p, weights, matrix)
+        return matrix, self._called("build", columns, p, matrix)
 
-    def _called(
-        self, name: str, columns: list[Array], p: Array, weights: list[Array] | None, *results: Array
-    ) -> int:
-        n = _length(columns)
-        step = int(weights is not None and len(weights[0]) > 1)
-        return int(
-            self._entry[name](
-                ctypes.c_int64(n),
-                _pointers(columns),
-                pointer(p),
-                None if weights is None else _pointers(weights),
-                ctypes.c_int64(step),
-                *map(pointer, results),
-            )
-        )
+    def _called(self, name: str, columns: list[Array], p: Array, *results: Array) -> int:
+        n = ctypes.c_int64(_length(columns))
+        return int(self._entry[name](n, _pointers(columns), pointer(p), *map(pointer, results)))
 
 
 def _pointers(columns: list[Array]) -> ctypes.Array[ctypes.c_void_p]:
@@ -210,15 +180,15 @@ def gram_source(rows: Layout) -> tuple[str, str]:
     f, starts = rows.function, rows.starts
     sizes = {"NX": f.numel_in(0), "ND": f.numel_in(1), "NU": f.numel_in(2), "NF": rows.size}
     sizes |= {"ENTRIES": len(rows.row), "NEEDS": len(rows.needed), "TABLE": _tiles(starts)}
-    lines = [_LANES, LANES_HEADER, "#include <string.h>", EXPORTED, "#define ROWS entries_of_rows"]
+    lines = [_LANES, LANES_HEADER, "#include <string.h>", "#define ROWS entries_of_rows"]
     lines += [f"#define {k} {v}" for k, v in sizes.items()]
     for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.needed)):
         lines.append(integers(name, values))
     lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
-    lines.append((files("undertow.codegen") / "gram.c").read_text(encoding="utf-8"))
+    lines.append(c_file("gram.c"))
     text = "\n".join(lines)
     prefix = f"undertow_{digest(text)[:16]}_"
-    names = "".join(f"#define {n.upper()} {prefix}{n}\n" for n in ("gram", "residual", "build"))
+    names = "".join(f"#define {n.upper()} {prefix}{n}\n" for n in ("gram", "build"))
     return names + text, prefix
 
 
@@ -229,60 +199,38 @@ def _tiles(starts: list[int]) -> int:
 
 
 class VirtualRows:
-    """The same passes by CasADi's virtual machine and NumPy, where there is no compiler.
-
-    Parameters
-    ----------
-    rows : Layout
-        The rows.
-    """
+    """The same passes where the rows are not compiled."""
 
     def __init__(self, rows: Layout) -> None:
         self._layout = rows
-        self._map = rows.function.map(_CHUNK)
 
-    def gram(self, columns: list[Array], p: Array, weights: list[Array] | None, sums: Sums) -> None:
+    def gram(self, columns: list[Array], p: Array, sums: Sums) -> None:
         """Add products of rows and target, upper triangle."""
-        for table, count in self._chunks(columns, p, weights):
+        for table, count in self._chunks(columns, p):
             sums.value += np.triu(table.T @ table)
             sums.count += count
 
-    def residual(
-        self, columns: list[Array], p: Array, weights: list[Array] | None, theta: Array, sums: Sums
-    ) -> None:
-        """Add products of rows and what theta leaves of the target, then its square."""
-        for table, count in self._chunks(columns, p, weights):
-            error = table[:, -1] - table[:, :-1] @ theta
-            sums.value += [*(table[:, :-1].T @ error), error @ error]
-            sums.count += count
-
-    def build(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
+    def build(self, columns: list[Array], p: Array) -> tuple[Array, int]:
         """Rows and target as a matrix; zero where a sample has gaps."""
-        parts = [*self._chunks(columns, p, weights)]
+        parts = [*self._chunks(columns, p)]
         nothing = np.zeros((0, self._layout.size + 1))
         return np.vstack([nothing, *(table for table, _ in parts)]), sum(count for _, count in parts)
 
-    def _chunks(self, columns: list[Array], p: Array, weights: list[Array] | None) -> list[tuple[Array, int]]:
-        n = _length(columns)
-        slices = [slice(i, min(i + _CHUNK, n)) for i in range(0, n, _CHUNK)]
-        return [self._chunk([c[s] for c in columns], p, _cut(weights, s)) for s in slices]
+    def _chunks(self, columns: list[Array], p: Array) -> Iterator[tuple[Array, int]]:
+        for first in range(0, _length(columns), _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            yield self._chunk(np.stack([c[rows] for c in columns]), p)
 
-    def _chunk(self, columns: list[Array], p: Array, weights: list[Array] | None) -> tuple[Array, int]:
-        known, count, f = self._layout, len(columns[0]), self._layout.function
+    def _chunk(self, columns: Array, p: Array) -> tuple[Array, int]:
+        """Rows and target at some samples, and how many of these have no gap."""
+        known, count, f = self._layout, columns.shape[1], self._layout.function
         sizes = [f.numel_in(i) for i in (0, 1, 2)] + [1]
-        inputs = np.zeros((sum(sizes), _CHUNK))
-        inputs[list(known.needed), :count] = columns
-        whole = np.isfinite(inputs).all(axis=0) & (np.arange(_CHUNK) < count)
-        x, nu_dot, u, t = np.split(np.where(whole, inputs, 0.0), np.cumsum(sizes)[:-1])
-        entries = self._map(x, nu_dot, u, np.tile(p[:, None], _CHUNK), t)
-        table = np.zeros((_CHUNK, known.degrees, known.size + 1))
-        table[:, list(known.row), list(known.column)] = np.asarray(entries).T
-        if weights is not None:
-            for r, weight in enumerate(weights):
-                table[:count, r] *= np.sqrt(weight)[:, None]
+        inputs = np.zeros((count, sum(sizes)))
+        inputs[:, list(known.needed)] = columns.T
+        whole = np.asarray(np.isfinite(inputs).all(axis=1))
+        x, nu_dot, u, t = np.split(np.where(whole[:, None], inputs, 0.0), np.cumsum(sizes)[:-1], axis=1)
+        (entries,) = at_samples(f, [x, nu_dot, u, p, t], count)
+        table = np.zeros((count, known.degrees, known.size + 1))
+        table[:, list(known.row), list(known.column)] = entries
         table[~whole] = 0.0
-        return table[:count].reshape(-1, known.size + 1), int(whole.sum())
-
-
-def _cut(weights: list[Array] | None, rows: slice) -> list[Array] | None:
-    return None if weights is None else [w if len(w) == 1 else w[rows] for w in weights]
+        return table.reshape(-1, known.size + 1), int(whole.sum())

@@ -60,6 +60,12 @@ def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: 
     pade : int
         Order of the approximation of dead times; 0 leaves them out.
 
+    Returns
+    -------
+    control.StateSpace
+        States are pose, velocities and those of the effects; inputs are the commands, outputs pose and
+        velocities.
+
     Raises
     ------
     UndertowError

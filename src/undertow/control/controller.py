@@ -13,9 +13,8 @@ import numpy as np
 import sympy as sm
 
 from undertow.codegen.convert import Converter
-from undertow.codegen.export import Report, comment, filled, identifier, listing, slug, strings
+from undertow.codegen.export import Entry, Report, comment, filled, identifier, listing, slug, strings
 from undertow.codegen.functions import solve_symmetric
-from undertow.codegen.manifest import Entry
 from undertow.codegen.plain import plain_c
 from undertow.errors import UndertowError
 from undertow.files import make_folder, together, write_whole

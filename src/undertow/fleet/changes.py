@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 from functools import cached_property
 from typing import Literal
@@ -17,35 +17,29 @@ from undertow.typing import Array
 
 from .reduction import Panel, Reduced
 
-# Singular value of the scaled factor, relative to the greatest, below which nothing is determined.
-_OPEN = 1e-7
-# The same for products of columns, whose rounding is that much coarser.
-_LEAST = 1e-13
-# Share of a parameter that may lie in what is not determined.
-_TOUCHED = 1e-3
+
+@dataclass(frozen=True)
+class RankLimits:
+    """From where on days do not determine a parameter."""
+
+    singular: float = 1e-7  # singular value of the scaled factor, relative to the greatest
+    eigen: float = 1e-13  # eigenvalue of products of columns: their rounding is that much coarser
+    share: float = 1e-3  # share of a parameter that may lie in what is not determined
+
+
+_RANK = RankLimits()
 
 
 @dataclass(frozen=True)
 class Day:
-    """All partitions of a vehicle and day.
+    """All partitions of a vehicle and day."""
 
-    Attributes
-    ----------
-    day : date
-        Of which day.
-    factor : (q, k + 1) array
-        Their factors stacked in the order of their files.
-    samples, entries : int
-        Rows of the logs and of the regression.
-    seconds : float
-        Time that they cover, s.
-    """
-
-    day: date
-    factor: Array
+    day: date  # of which day
+    factor: Array  # (q, k + 1): their factors stacked in the order of their files
+    # samples, entries: rows of the logs and of the regression
     samples: int
     entries: int
-    seconds: float
+    seconds: float  # time that they cover, s
 
     @cached_property
     def gram(self) -> Array:
@@ -59,13 +53,7 @@ class Day:
 
 
 def days_of(parts: Iterable[tuple[date, Reduced]]) -> list[Day]:
-    """Days in order, whatever order the partitions of each came in.
-
-    Parameters
-    ----------
-    parts : iterable of (date, Reduced)
-        Partitions of one vehicle in the order of their files.
-    """
+    """Days in order, whatever order the partitions of each came in."""
     found: dict[date, list[Reduced]] = {}
     for day, reduced in parts:
         found.setdefault(day, []).append(reduced)
@@ -85,33 +73,23 @@ def days_of(parts: Iterable[tuple[date, Reduced]]) -> list[Day]:
 class Prior:
     """What is known of unknowns beforehand: rows of weight (unknown - centre)."""
 
-    centre: Array
-    weight: Array
+    centre: Array = field(default_factory=lambda: np.zeros(0))
+    weight: Array = field(default_factory=lambda: np.zeros(0))
+
+    def beside(self, count: int) -> Prior:
+        """The same, and `count` more unknowns of which nothing is known."""
+        return Prior(np.pad(self.centre, (0, count)), np.pad(self.weight, (0, count)))
 
 
 @dataclass(frozen=True)
-class Solved:
-    """Least squares over days.
+class LeastSquares:
+    """Least squares over days."""
 
-    Attributes
-    ----------
-    theta : (m,) array
-        Unknowns.
-    covariance : (m, m) array
-        Of the noise alone.
-    determined : (m,) array of bool
-        Whether the days determine each.
-    shifts : (days, m) array
-        What leaving out each day does to the unknowns.
-    fall : float
-        How much less the sum of squares is than at zero.
-    """
-
-    theta: Array
-    covariance: Array
-    determined: NDArray[np.bool_]
-    shifts: Array
-    fall: float
+    theta: Array  # (m,): unknowns
+    covariance: Array  # (m, m): of the noise alone
+    determined: NDArray[np.bool_]  # (m,): whether the days determine each
+    shifts: Array  # (days, m): what leaving out each day does to the unknowns
+    fall: float  # how much less the sum of squares is than at zero
 
     def variance_of(self, days: Sequence[int] | slice = slice(None)) -> Array:
         """Jackknife variance by these days; they count as independent of each other."""
@@ -126,17 +104,10 @@ class Solved:
         return np.where(self.determined, error, np.inf)
 
 
-def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> Solved:
+def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> LeastSquares:
     """Least squares for unknowns that stand for the columns of every day.
 
-    Parameters
-    ----------
-    days : sequence of Day
-        In order: the order decides the last digits.
-    designs : sequence of (k, m) arrays
-        For every day, what turns unknowns into coefficients of its columns.
-    prior : Prior
-        Of the unknowns, shape (m,).
+    `prior`: of the unknowns, shape (m,).
     """
     wide = [_widened(design) for design in designs]
     rows = [day.factor @ w for day, w in zip(days, wide, strict=True)]
@@ -146,15 +117,15 @@ def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> Solved
     size = np.linalg.norm(H, axis=0)
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     U, s, V = np.linalg.svd(H * scale, full_matrices=False)
-    kept = s > _OPEN * s.max(initial=0.0)
+    kept = s > _RANK.singular * s.max(initial=0.0)
     theta = scale * (V[kept].T @ ((U.T @ target)[kept] / s[kept]))
     covariance = np.outer(scale, scale) * (V[kept].T @ (V[kept] / s[kept, None] ** 2))
-    determined = (size > 0) & (np.linalg.norm(V[~kept], axis=0) < _TOUCHED)
+    determined = (size > 0) & (np.linalg.norm(V[~kept], axis=0) < _RANK.share)
     grams = np.array([row.T @ row for row in rows])
     whole = np.sum(grams, axis=0) + known.T @ known
     shifts = _without(whole - grams, scale) - theta
     fall = float(2 * theta @ whole[:-1, -1] - theta @ whole[:-1, :-1] @ theta)
-    return Solved(theta, covariance, determined, shifts, fall)
+    return LeastSquares(theta, covariance, determined, shifts, fall)
 
 
 def _widened(design: Array) -> Array:
@@ -167,30 +138,17 @@ def _widened(design: Array) -> Array:
 def _without(grams: Array, scale: Array) -> Array:
     """Unknowns by the products of the columns with one day left out, for every day."""
     value, vector = np.linalg.eigh(grams[:, :-1, :-1] * np.outer(scale, scale))
-    kept = value > _LEAST * value.max(axis=1, keepdims=True, initial=0.0)
+    kept = value > _RANK.eigen * value.max(axis=1, keepdims=True, initial=0.0)
     along = np.einsum("dji,dj->di", vector, scale * grams[:, :-1, -1])
     solution = np.divide(along, value, out=np.zeros_like(along), where=kept)
     return np.asarray(scale * np.einsum("dij,dj->di", vector, solution))
 
 
-def choosing(names: Sequence[str], wanted: Sequence[str]) -> Array:
-    """Design in which the unknowns are the coefficients of some of the columns."""
+def selection(names: Sequence[str], wanted: Sequence[str]) -> Array:
+    """Selection matrix: the unknowns are the coefficients of some of the columns."""
     table = np.zeros((len(names), len(wanted)))
     table[[names.index(n) for n in wanted], np.arange(len(wanted))] = 1.0
     return table
-
-
-def no_prior(count: int) -> Prior:
-    """Nothing known beforehand."""
-    return Prior(np.zeros(count), np.zeros(count))
-
-
-def joined(*parts: Prior) -> Prior:
-    """Priors of unknowns side by side."""
-    return Prior(
-        np.concatenate([p.centre for p in parts]),
-        np.concatenate([p.weight for p in parts]),
-    )
 
 
 def by_month(days: Sequence[Day]) -> Mapping[str, list[Day]]:
@@ -212,78 +170,45 @@ _GAIN = "gain_error_"
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One way in which a vehicle may change.
+    """One way in which a vehicle may change."""
 
-    Attributes
-    ----------
-    kind : str
-        "drag", "thrust" or "inertia".
-    of : str
-        Motion, or thruster.
-    coefficients : (k,) array
-        Change of the columns' parameters for a change of one: drag or added mass as a whole by 100 %.
-    """
-
-    kind: Kind
-    of: str
+    kind: Kind  # "drag", "thrust" or "inertia"
+    of: str  # motion, or thruster
+    # (k,): change of the columns' parameters for a change of one: drag or added mass as a whole by 100 %
     coefficients: Array
 
     @property
     def name(self) -> str:
         """What reports call it."""
-        return {"thrust": "thrust of", "drag": "drag in", "inertia": "added mass in"}[
-            self.kind
-        ] + f" {self.of}"
+        kind = {"thrust": "thrust of", "drag": "drag in", "inertia": "added mass in"}[self.kind]
+        return f"{kind} {self.of}"
 
 
 @dataclass(frozen=True)
 class Change:
-    """How much something changed.
-
-    Attributes
-    ----------
-    direction : Direction
-        What.
-    value : float
-        Relative change over the whole span: 0.1 is ten per cent more. Drag and thrust are free side by side,
-        inertia being as it was; inertia is free by itself.
-    error : float
-        Its standard error; inf where the days do not determine it.
-    freedom : float
-        Degrees of freedom of the standard error.
-    alone : float
-        Chance of so much by scatter if nothing but its own kind may have changed.
-    """
+    """How much something changed."""
 
     direction: Direction
+    # relative change over the whole span: 0.1 is ten per cent more. Drag and thrust are free side by side,
+    # inertia being as it was; inertia is free by itself
     value: float
-    error: float
-    freedom: float
-    alone: float
+    error: float  # its standard error; inf where the days do not determine it
+    freedom: float  # degrees of freedom of the standard error
+    alone: float  # p-value if nothing but its own kind may have changed
 
     @property
     def p_value(self) -> float:
-        """Chance of so much by the scatter of the days, drag and thrust being free side by side."""
-        return chance(self.value, self.error, self.freedom)
+        """p-value by the scatter of the days, drag and thrust being free side by side."""
+        return two_sided_p(self.value, self.error, self.freedom)
 
 
 @dataclass(frozen=True)
 class Span:
-    """Days that are compared.
-
-    Attributes
-    ----------
-    days : tuple of Day
-        The days.
-    profile : callable
-        For a day its place from 0 (as at first) to 1 (as at last).
-    groups : tuple of int
-        Days at the beginning and at the end; for a trend, all days and none.
-    """
+    """Days that are compared."""
 
     days: tuple[Day, ...]
-    profile: Profile
-    groups: tuple[int, int]
+    profile: Profile  # for a day its place from 0 (as at first) to 1 (as at last)
+    groups: tuple[int, int]  # days at the beginning and at the end; for a trend, all days and none
 
     @property
     def enough(self) -> bool:
@@ -291,7 +216,7 @@ class Span:
         first, last = self.groups
         return min(first, last or first) >= FEWEST_DAYS
 
-    def freedom(self, found: Solved, places: slice) -> Array:
+    def freedom(self, found: LeastSquares, places: slice) -> Array:
         """Degrees of freedom of the standard errors, by Welch and Satterthwaite where two groups are held
         against each other.
         """
@@ -317,14 +242,8 @@ def shift(before: Sequence[Day], after: Sequence[Day]) -> Span:
     return Span((*before, *after), lambda day: float(day.day >= border), (len(before), len(after)))
 
 
-class Changes:
-    """Tests of one vehicle.
-
-    Parameters
-    ----------
-    panel : Panel
-        Columns and model.
-    """
+class ChangeTests:
+    """Tests of one vehicle."""
 
     def __init__(self, panel: Panel) -> None:
         self.panel, self.names = panel, panel.names
@@ -358,8 +277,8 @@ class Changes:
     def unseen(self) -> list[str]:
         """What no change can be told of, because nothing of it is to be estimated."""
         kinds = {d.kind for d in self.directions}
-        told = {"drag": "drag (no damping coefficient is marked with estimate)", "thrust": "thrust"}
-        return [words for kind, words in told.items() if kind not in kinds]
+        names = {"drag": "drag (no damping coefficient is marked with estimate)", "thrust": "thrust"}
+        return [words for kind, words in names.items() if kind not in kinds]
 
     # --- tests --------------------------------------------------------------------------------
     def over(self, span: Span) -> list[Change]:
@@ -368,50 +287,35 @@ class Changes:
             return []
         alone = {d: c for kind in KINDS for d, c in self._moved(span, self.of(kind)).items()}
         beside = alone | self._moved(span, self.of("drag", "thrust"))
-        return [Change(d, *beside[d], chance(*alone[d])) for d in self.directions]
+        return [Change(d, *beside[d], two_sided_p(*alone[d])) for d in self.directions]
 
     def of(self, *kinds: Kind) -> list[Direction]:
         """Directions of some kinds."""
         return [d for d in self.directions if d.kind in kinds]
 
-    def suffices(self, span: Span, moving: Sequence[Direction], effect: str, limit: float) -> bool:
+    def explains_all(self, span: Span, moving: Sequence[Direction], effect: str, limit: float) -> bool:
         """Whether changes of these directions, or of an effect of the catalogue, explain all: the effect
         stands out, and nothing else does beside them, one direction or one kind at a time.
-
-        Parameters
-        ----------
-        span : Span
-            Days that are compared.
-        moving : sequence of Direction
-            What may have changed.
-        effect : str
-            Id of an effect that may have changed; empty for none.
-        limit : float
-            Chance up to which something stands out.
         """
         own = self.panel.own.get(effect, ())
-        if own and self._chance_of(span, own) > limit:
+        if own and self._p_value_of(span, own) > limit:
             return False
         kinds = {d.kind for d in moving}
         beside = [[d] for d in self.directions if d not in moving]
         # With all three kinds free, drag, thrust and inertia that all grow alike could not be seen.
         beside += [self.of(k) for k in KINDS if k not in kinds and len(kinds) < 2]
-        return all(self._least(span, moving, group, own) > limit for group in beside)
+        return all(self._smallest_p(span, moving, group, own) > limit for group in beside)
 
-    def _least(
+    def _smallest_p(
         self, span: Span, moving: Sequence[Direction], group: Sequence[Direction], own: Sequence[str]
     ) -> float:
-        """Chance of the clearest of some directions beside others, times how many they are."""
+        """Smallest p-value of some directions beside others, times how many they are (Bonferroni)."""
         found = self._moved(span, [*moving, *group], own)
-        return len(group) * min((chance(*found[d]) for d in group), default=1.0)
+        return len(group) * min((two_sided_p(*found[d]) for d in group), default=1.0)
 
-    def _chance_of(self, span: Span, own: Sequence[str]) -> float:
-        """Chance of the clearest parameter of an effect that changes by itself, times how many it has."""
-        solved = self._solved(span, [], own)
-        places = slice(len(self._constant), len(self._constant) + len(own))
-        free = span.freedom(solved, places)
-        numbers = zip(solved.theta[places], solved.errors[places], free, strict=True)
-        return len(own) * min(chance(*one) for one in numbers)
+    def _p_value_of(self, span: Span, own: Sequence[str]) -> float:
+        """The same of the parameters of an effect that changes by itself."""
+        return len(own) * min(two_sided_p(*one) for one in self._estimates(span, [], own))
 
     def rivals(self) -> list[str]:
         """Effects of the catalogue whose change is neither drag nor thrust nor added mass by another name."""
@@ -426,22 +330,22 @@ class Changes:
         self, span: Span, moving: Sequence[Direction], beside: Sequence[str] = ()
     ) -> dict[Direction, tuple[float, float, float]]:
         """Value, standard error and degrees of freedom of directions that change together."""
-        if not moving:
-            return {}
-        solved = self._solved(span, moving, beside)
-        places = slice(len(self._constant), len(self._constant) + len(moving))
-        free = span.freedom(solved, places)
-        numbers = zip(solved.theta[places], solved.errors[places], free, strict=True)
-        return {d: (float(v), float(e), float(f)) for d, (v, e, f) in zip(moving, numbers, strict=True)}
+        return dict(zip(moving, self._estimates(span, moving, beside), strict=False)) if moving else {}
 
-    def _solved(self, span: Span, moving: Sequence[Direction], beside: Sequence[str]) -> Solved:
-        """Least squares with what is the same on all days, then what changes."""
-        still = choosing(self.names, self._constant)
-        other = choosing(self.names, list(beside))
+    def _estimates(
+        self, span: Span, moving: Sequence[Direction], beside: Sequence[str]
+    ) -> list[tuple[float, float, float]]:
+        """The same of directions, then of parameters of an effect beside them; unknowns are what is the same
+        on all days, then what changes.
+        """
+        still = selection(self.names, self._constant)
+        other = selection(self.names, list(beside))
         change = np.column_stack([*(d.coefficients for d in moving), other])
         wide = [np.column_stack([still, span.profile(day) * change, other]) for day in span.days]
-        prior = joined(self.prior, no_prior(wide[0].shape[1] - len(self.panel.free)))
-        return solve(span.days, wide, prior)
+        solved = solve(span.days, wide, self.prior.beside(wide[0].shape[1] - len(self.panel.free)))
+        places = slice(len(self._constant), len(self._constant) + change.shape[1])
+        numbers = (solved.theta[places], solved.errors[places], span.freedom(solved, places))
+        return list(zip(*(n.tolist() for n in numbers), strict=True))
 
     @property
     def prior(self) -> Prior:
@@ -451,8 +355,8 @@ class Changes:
         return Prior(centre - stated, weight)
 
 
-def chance(value: float, error: float, freedom: float) -> float:
-    """Two-sided chance of a value by its standard error."""
+def two_sided_p(value: float, error: float, freedom: float) -> float:
+    """Two-sided p-value of an estimate by Student's t; 1 where its standard error says nothing."""
     if not (np.isfinite(error) and error > 0 and freedom > 0):
         return 1.0
     return float(2 * stdtr(freedom, -abs(value) / error))

@@ -24,24 +24,31 @@ from undertow.typing import Progress
 
 from .changes import (
     Change,
-    Changes,
+    ChangeTests,
     Day,
-    Solved,
-    Span,
+    LeastSquares,
     by_month,
-    chance,
-    choosing,
     days_of,
-    joined,
-    no_prior,
+    selection,
     shift,
     solve,
     trend,
+    two_sided_p,
 )
 from .engine import Engine, Failure
-from .partitions import Partition, find, twins
-from .reduction import Job, Panel, Reduced, looked_at, marked, panel_of, reduce_log
-from .verdicts import Asked, Fleet, Of, Parameter, Period, Score, Shift, Statement, statements
+from .partitions import Partition, duplicates, find
+from .reduction import Job, Panel, Reduced, identify_log, panel_of, reduce_log, with_fingerprint
+from .verdicts import (
+    FleetReport,
+    Parameter,
+    Period,
+    Score,
+    Shift,
+    SpanTest,
+    Statement,
+    VehicleReport,
+    statements,
+)
 
 Vehicles = Mapping[str, tuple[Panel, Sequence[Day]]]
 # Relative change of an added mass from which one linear step is not exact enough.
@@ -54,37 +61,29 @@ class _Draft:
     """A vehicle with all that is asked of it, before anything is said."""
 
     name: str
-    changes: Changes
+    changes: ChangeTests
     days: Sequence[Day]
-    asked: tuple[Asked, ...]
+    asked: tuple[SpanTest, ...]
 
 
-def summarised(vehicles: Vehicles) -> Fleet:
-    """Tables and statements of all vehicles; what is said of one takes into account how many were looked at.
-
-    Parameters
-    ----------
-    vehicles : mapping
-        Columns and days of every vehicle, by name.
-    """
-    drafts = [_draft(name, Changes(panel), days) for name, (panel, days) in vehicles.items()]
+def summary(vehicles: Vehicles) -> FleetReport:
+    """Tables and statements of all vehicles; those of one count all that were looked at."""
+    drafts = [_draft(name, ChangeTests(panel), days) for name, (panel, days) in vehicles.items()]
     said = iter(statements([a for d in drafts for a in d.asked]))
     told = tuple(_told(d, list(islice(said, len(d.asked)))) for d in drafts)
     unscored = dict.fromkeys(n for d in drafts for n in d.changes.panel.unscored)
-    return Fleet(told, unscored=tuple(unscored))
+    return FleetReport(told, unscored=tuple(unscored))
 
 
-def _draft(name: str, changes: Changes, days: Sequence[Day]) -> _Draft:
+def _draft(name: str, changes: ChangeTests, days: Sequence[Day]) -> _Draft:
     months = list(by_month(days).values())
     spans = [trend(days), *(shift(months[0], later) for later in months[1:])]
-    return _Draft(name, changes, days, tuple(_asked(changes, span) for span in spans))
+    return _Draft(
+        name, changes, days, tuple(SpanTest(changes, span, tuple(changes.over(span))) for span in spans)
+    )
 
 
-def _asked(changes: Changes, span: Span) -> Asked:
-    return Asked(changes, span, tuple(changes.over(span)))
-
-
-def _told(draft: _Draft, said: Sequence[Statement]) -> Of:
+def _told(draft: _Draft, said: Sequence[Statement]) -> VehicleReport:
     months = by_month(draft.days)
     rest: list[tuple[Sequence[Change], Statement | None]] = [((), None)]
     rest += [(a.changes, s) for a, s in zip(draft.asked[1:], said[1:], strict=True)]
@@ -94,11 +93,11 @@ def _told(draft: _Draft, said: Sequence[Statement]) -> Of:
     ]
     whole = _period(draft.changes, "all", draft.days, draft.asked[0].changes, said[0])
     scores = _scores(draft.changes, draft.days)
-    return Of(draft.name, whole, tuple(periods), scores, tuple(_remarks(draft)))
+    return VehicleReport(draft.name, whole, tuple(periods), scores, tuple(_remarks(draft)))
 
 
 def _period(
-    changes: Changes,
+    changes: ChangeTests,
     name: str,
     days: Sequence[Day],
     found: Sequence[Change],
@@ -120,15 +119,14 @@ def _period(
     )
 
 
-def _fitted(changes: Changes, days: Sequence[Day], beside: Sequence[str] = ()) -> Solved:
+def _fitted(changes: ChangeTests, days: Sequence[Day], beside: Sequence[str] = ()) -> LeastSquares:
     """The free parameters of some days, and those of an effect beside them."""
     wanted = [*changes.panel.free, *beside]
-    prior = joined(changes.prior, no_prior(len(beside)))
-    design = choosing(changes.names, wanted)
-    return solve(days, [design] * len(days), prior)
+    design = selection(changes.names, wanted)
+    return solve(days, [design] * len(days), changes.prior.beside(len(beside)))
 
 
-def _parameter(panel: Panel, place: int, solved: Solved) -> Parameter:
+def _parameter(panel: Panel, place: int, solved: LeastSquares) -> Parameter:
     name, vehicle = panel.free[place], panel.vehicle
     declared = vehicle.declaration(name)
     error = float(solved.errors[place])
@@ -145,7 +143,7 @@ def _shift(change: Change) -> Shift:
     return Shift(change.direction.name, 100 * change.value, 100 * change.error, change.p_value)
 
 
-def _scores(changes: Changes, days: Sequence[Day]) -> tuple[Score, ...]:
+def _scores(changes: ChangeTests, days: Sequence[Day]) -> tuple[Score, ...]:
     """What effects that the model lacks would take off, one by one."""
     panel = changes.panel
     plain = _fitted(changes, days)
@@ -154,7 +152,7 @@ def _scores(changes: Changes, days: Sequence[Day]) -> tuple[Score, ...]:
     for effect, own in panel.own.items():
         solved = _fitted(changes, days, own)
         places = range(len(panel.free), len(panel.free) + len(own))
-        chances = [chance(solved.theta[i], solved.errors[i], len(days) - 1) for i in places]
+        chances = [two_sided_p(solved.theta[i], solved.errors[i], len(days) - 1) for i in places]
         share = max(solved.fall - plain.fall, 0.0) / max(left, 1e-300)
         found.append(Score(effect, float(share), min(1.0, count * min(chances, default=1.0))))
     return tuple(sorted(found, key=lambda s: -s.share)[:_SCORES])
@@ -164,8 +162,8 @@ def _remarks(draft: _Draft) -> list[str]:
     panel, found = draft.changes.panel, []
     solved = _fitted(draft.changes, draft.days)
     low, high = bounds_of(panel.base)
-    inertial = {n for d in draft.changes.directions if d.kind == "inertia" for n in panel.names
-                if d.coefficients[panel.names.index(n)]}  # fmt: skip
+    inertia = [d for d in draft.changes.directions if d.kind == "inertia"]
+    inertial = {n for d in inertia for n, c in zip(panel.names, d.coefficients, strict=True) if c}
     for i, name in enumerate(panel.free):
         stated, moved = panel.vehicle.value_of(name).value, float(solved.theta[i])
         if not low[i] <= stated + moved <= high[i]:
@@ -177,7 +175,6 @@ def _remarks(draft: _Draft) -> list[str]:
     return [*found, *(f"no change of {what} can be told" for what in draft.changes.unseen)]
 
 
-_KINDS = ("samples", "seconds", "entries")
 # What reading a damaged file raises: its packing, its list of contents, or a flag for what is not supported.
 _DAMAGED = (
     OSError,
@@ -195,16 +192,6 @@ class Store:
 
     Its name comes from the hash of the log's bytes and of all that decides what is made of them: a log that
     was moved or renamed is found again, one that was changed is not.
-
-    Parameters
-    ----------
-    folder : Path
-        Where; made if it is not there.
-
-    Raises
-    ------
-    UndertowError
-        If nothing can be written there.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -229,14 +216,8 @@ class Store:
     def put(self, fingerprint: str, sha256: str, reduced: Reduced) -> None:
         """Keep what was worked out of a log."""
         stream = io.BytesIO()
-        np.savez_compressed(
-            stream,
-            factor=reduced.factor,
-            names=np.array(reduced.names),
-            samples=np.array(reduced.samples),
-            seconds=np.array(reduced.seconds),
-            entries=np.array(reduced.entries),
-        )
+        content: dict[str, Any] = {name: np.array(value) for name, value in vars(reduced).items()}
+        np.savez_compressed(stream, **content)
         write_whole(self._path(fingerprint, sha256), stream.getvalue())
 
 
@@ -245,7 +226,7 @@ def _read(data: bytes) -> Reduced | None:
         if packed.testzip() is not None:  # NumPy reads on without the checksum
             return None
     with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        samples, seconds, entries = (stored[kind].item() for kind in _KINDS)
+        samples, seconds, entries = (stored[name].item() for name in ("samples", "seconds", "entries"))
         names = tuple(str(n) for n in stored["names"])
         return Reduced(names, stored["factor"], samples, seconds, entries)
 
@@ -254,25 +235,6 @@ PLACE = "{vehicle}"
 # What may stand for a vehicle in the path of its file: it leads to no other folder.
 _NAME = re.compile(r"(?!\.\.?$)[^/\\\0]+")
 _NO_NAME = "'{}' is no name that a file may have: rename the vehicle, or give one file for all vehicles"
-
-
-@dataclass(frozen=True)
-class Question:
-    """What is asked of which logs.
-
-    Attributes
-    ----------
-    patterns : sequence of str
-        Patterns of Parquet files.
-    job : Job
-        What is done with every log; `{vehicle}` in its vehicle file stands for the name of each vehicle.
-    passes : int
-        How often the model is linearised, each time at what was found before.
-    """
-
-    patterns: Sequence[str]
-    job: Job
-    passes: int = 1
 
 
 @dataclass
@@ -285,44 +247,36 @@ class _Known:
 
 
 def diagnose(
-    question: Question, engine: Engine, store: Store, tell: Progress = lambda done, words: None
-) -> Fleet:
-    """Estimates, changes and scores of every vehicle.
+    patterns: Sequence[str],
+    job: Job,
+    engine: Engine,
+    store: Store,
+    report: Progress = lambda done, words: None,
+    *,
+    passes: int = 1,
+) -> FleetReport:
+    """Estimates, changes and scores of every vehicle whose Parquet files fit one of the patterns.
 
     A file that cannot be used, or whose worker is lost, is named in the answer; all others count. What was
-    worked out is kept in the store, and only what is missing there is done.
-
-    Parameters
-    ----------
-    question : Question
-        What is asked.
-    engine : Engine
-        Who does the work.
-    store : Store
-        Where results of partitions are kept.
-    tell : callable
-        Told what share is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If no file fits a pattern, a vehicle file is bad, or not one file can be used.
+    worked out is kept in the store, and only what is missing there is done. `{vehicle}` in the vehicle file
+    of the job stands for the name of each vehicle. The model is linearised `passes` times, each time at what
+    was found before.
     """
-    paths = find(question.patterns)
-    known = _looked_at(paths, question.job, engine, tell)
-    same = twins(known.partitions.items())
+    paths = find(patterns)
+    known = _identified(paths, job, engine, report)
+    same = duplicates(known.partitions.items())
     for partition in same:
         del known.partitions[partition]
-    jobs = _jobs(question.job, sorted({p.vehicle for p in known.partitions}))
+    jobs = _jobs(job, sorted({p.vehicle for p in known.partitions}))
     done: Vehicles = {}
-    for turn in range(question.passes):
-        tell(0.05, f"reducing, pass {turn + 1} of {question.passes}")
-        done = _reduced(jobs, known, engine, store, lambda share, words: tell(0.05 + 0.9 * share, words))
-        if turn + 1 < question.passes:
+    for turn in range(passes):
+        report(0.05, f"reducing, pass {turn + 1} of {passes}")
+        done = _reduced(jobs, known, engine, store, lambda share, words: report(0.05 + 0.9 * share, words))
+        if turn + 1 < passes:
             jobs = {v: _moved(jobs[v], *done[v]) for v in done}
     _refuse_nothing(done, known, len(paths))
-    tell(0.95, "putting months together")
-    found = summarised(done)
+    report(0.95, "putting months together")
+    found = summary(done)
     return replace(
         found,
         failed=dict(sorted(known.failed.items())),
@@ -333,11 +287,11 @@ def diagnose(
     )
 
 
-def _looked_at(paths: Sequence[Path], job: Job, engine: Engine, tell: Progress) -> _Known:
+def _identified(paths: Sequence[Path], job: Job, engine: Engine, report: Progress) -> _Known:
     known = _Known()
     items = [(str(p), job.mapping) for p in paths]
-    for count, (place, answer) in enumerate(engine.results(looked_at, items), start=1):
-        tell(0.05 * count / len(paths), "looking at files")
+    for count, (place, answer) in enumerate(engine.results(identify_log, items), start=1):
+        report(0.05 * count / len(paths), "looking at files")
         if isinstance(answer, Failure):
             known.failed[str(paths[place])] = answer.words
         else:
@@ -357,13 +311,13 @@ def _jobs(job: Job, vehicles: Sequence[str]) -> dict[str, Job]:
     for vehicle in vehicles:
         source = job.vehicle.replace(PLACE, vehicle)
         if source not in by_source:
-            by_source[source] = marked(replace(job, vehicle=source))[0]
+            by_source[source] = with_fingerprint(replace(job, vehicle=source))[0]
         found[vehicle] = by_source[source]
     return found
 
 
 def _reduced(
-    jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Store, tell: Progress
+    jobs: Mapping[str, Job], known: _Known, engine: Engine, store: Store, report: Progress
 ) -> Vehicles:
     """Work out what is not known yet; then all that is known, in the order of vehicles, days and files."""
     missing = [
@@ -372,7 +326,7 @@ def _reduced(
     items = [(jobs[p.vehicle], str(p.path), sha256) for p, sha256 in missing]
     for count, (place, answer) in enumerate(engine.results(reduce_log, items), start=1):
         partition, sha256 = missing[place]
-        tell(count / len(missing), f"{count} of {len(missing)}: {partition.name}")
+        report(count / len(missing), f"{count} of {len(missing)}: {partition.name}")
         if isinstance(answer, Failure):
             known.failed[str(partition.path)] = answer.words
             del known.partitions[partition]
@@ -399,14 +353,13 @@ def _days(vehicle: str, job: Job, known: _Known, store: Store) -> list[Day]:
 
 def _moved(job: Job, panel: Panel, days: Sequence[Day]) -> Job:
     """The job linearised at what all days of a vehicle say."""
-    changes = Changes(panel)
-    found = solve(days, [choosing(panel.names, panel.free)] * len(days), changes.prior)
+    found = _fitted(ChangeTests(panel), days)
     model = panel.base
     p, places, bounds = np.array(model.functions.values(), dtype=float), list(model.places), bounds_of(model)
     p[places] = np.clip(p[places] + found.theta, *bounds)
     p = physical(model, p, bounds)
     values: tuple[tuple[str, Any], ...] = tuple(zip(panel.free, p[places].tolist(), strict=True))
-    return marked(replace(job, values=values))[0]
+    return with_fingerprint(replace(job, values=values))[0]
 
 
 def _refuse_nothing(done: Vehicles, known: _Known, count: int) -> None:

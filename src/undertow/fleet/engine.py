@@ -16,15 +16,26 @@ from uuid import uuid4
 from undertow.errors import UndertowError
 
 INSTALL = 'pip install "undertow[fleet]"'
-#: Seconds without any answer after which what is left is given up.
-PATIENCE = 900.0
 #: Where a cluster of this machine can be reached. Dask runs whatever code it is sent, so nobody outside can.
 LISTEN = "127.0.0.1"
-# Seconds that a scheduler has for an answer, and a cluster without a single worker for getting one.
-_REACH, _WORKERLESS = 10.0, 30.0
-# Tasks for each worker that wait at the scheduler: few, so that it does not grow with the fleet.
-_AHEAD = 3
-_POLL = 1.0
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """How long a cluster is waited for, s, and how much it is given at a time."""
+
+    patience: float = 900.0  # without any answer; then what is left is given up
+    scheduler: float = 10.0  # for an answer of the scheduler
+    workerless: float = 30.0  # for a first worker
+    poll: float = 1.0  # between two looks at the cluster
+    tasks: int = 3  # for each worker that wait at the scheduler: few, so that it does not grow with the fleet
+
+
+WAITING = Waiting()
+
+
+Items = Sequence[tuple[Any, ...]]
+Results = Iterator[tuple[int, Any]]
 
 
 @dataclass(frozen=True)
@@ -37,18 +48,14 @@ class Failure:
 class Engine(Protocol):
     """Applies a function to items."""
 
-    def results(
-        self, function: Callable[..., Any], items: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
+    def results(self, function: Callable[..., Any], items: Items) -> Results:
         """Place and result of every item as they come; a `Failure` where there is none."""
 
 
-class Here:
+class InProcess:
     """This process, one item after the other."""
 
-    def results(
-        self, function: Callable[..., Any], items: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
+    def results(self, function: Callable[..., Any], items: Items) -> Results:
         for place, item in enumerate(items):
             yield place, guarded(function, *item)
 
@@ -60,32 +67,24 @@ def guarded(function: Callable[..., Any], *arguments: Any) -> Any:
     except UndertowError as error:
         return Failure(str(error))
     except Exception as error:
-        return Failure(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+        return Failure(_in_one_line(error))
 
 
-class OnDask:
-    """A cluster of Dask.
+class DaskEngine:
+    """A cluster of Dask."""
 
-    Parameters
-    ----------
-    client : distributed.Client
-        Connected.
-    patience : float
-        Seconds without any answer after which what is left is given up.
-    """
-
-    def __init__(self, client: Any, patience: float = PATIENCE) -> None:
+    def __init__(self, client: Any, patience: float = WAITING.patience) -> None:
         self.client, self._patience = client, patience
 
-    def results(
-        self, function: Callable[..., Any], items: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
+    def results(self, function: Callable[..., Any], items: Items) -> Results:
         waiting, running = list(enumerate(items))[::-1], dict[Any, int]()
         token, heard, finished = uuid4().hex[:12], time.monotonic(), SimpleQueue[Any]()
         try:
             while waiting or running:
-                for place, item in _taken(waiting, self._room() - len(running)):
-                    future = self._begun(function, item, f"{token}-{place}")
+                for _ in range(min(len(waiting), self._room() - len(running))):
+                    place, item = waiting.pop()
+                    key = f"undertow-{token}-{place}"
+                    future = self.client.submit(guarded, function, *item, key=key, pure=False)
                     running[future] = place
                     future.add_done_callback(finished.put)
                 done = _next(finished)
@@ -100,17 +99,14 @@ class OnDask:
             if running and self.client.status == "running":
                 self.client.cancel(list(running), force=True)
 
-    def _begun(self, function: Callable[..., Any], item: tuple[Any, ...], name: str) -> Any:
-        return self.client.submit(guarded, function, *item, key=f"undertow-{name}", pure=False)
-
     def _room(self) -> int:
-        return _AHEAD * max(self._workers(), 1)
+        return WAITING.tasks * max(self._workers(), 1)
 
     def _workers(self) -> int:
         if self.client.status != "running":
             return 0
         try:
-            return len(self.client.sync(self.client.scheduler.ncores, callback_timeout=_REACH))
+            return len(self.client.sync(self.client.scheduler.ncores, callback_timeout=WAITING.scheduler))
         except (OSError, TimeoutError):  # client.nthreads() would wait for a scheduler that is stuck
             return 0
 
@@ -120,30 +116,25 @@ class OnDask:
         try:
             return future.result(timeout=self._patience)  # it may be worked out again if its worker died
         except Exception as error:  # the worker died with it, again and again
-            return Failure(_told(error))
+            return Failure(_in_one_line(error))
 
     def _lost(self, silent: float) -> str:
         """Why nothing more is to be expected; empty while there is hope."""
         if self.client.status not in ("running", "connecting"):
             return "the scheduler was lost"
-        if silent > _WORKERLESS and not self._workers():
-            return f"the cluster has had no worker for {_WORKERLESS:g} s"
+        if silent > WAITING.workerless and not self._workers():
+            return f"the cluster has had no worker for {WAITING.workerless:g} s"
         return f"no answer of any worker for {self._patience:g} s" if silent > self._patience else ""
-
-
-def _taken(waiting: list[Any], most: int) -> list[Any]:
-    """Up to so many from the end of a list, which loses them."""
-    return [waiting.pop() for _ in range(min(most, len(waiting)))]
 
 
 def _next(finished: SimpleQueue[Any]) -> Any:
     try:
-        return finished.get(timeout=_POLL)
+        return finished.get(timeout=WAITING.poll)
     except Empty:
         return None
 
 
-def _told(error: Exception) -> str:
+def _in_one_line(error: Exception) -> str:
     if type(error).__name__ == "KilledWorker":
         return "workers died of it again and again (out of memory?)"
     return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
@@ -153,34 +144,15 @@ def _told(error: Exception) -> str:
 def engine(
     scheduler: str | None = None,
     workers: int | None = None,
-    patience: float = PATIENCE,
+    patience: float = WAITING.patience,
     listen: str | None = None,
 ) -> Iterator[Engine]:
-    """Something that does the work.
-
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address of a Dask scheduler; without it a cluster of processes is started on this machine.
-    workers : int, optional
-        Processes of that cluster, by default one for each processor; 0 works in this process, without Dask.
-    patience : float
-        Seconds without any answer after which what is left is given up.
-    listen : str, optional
-        Address of this machine at which that cluster can be reached, by default by this machine alone; its
-        page of numbers is for this machine in any case.
-
-    Raises
-    ------
-    UndertowError
-        If Dask is not installed, the scheduler does not answer, this machine does not have the address, or
-        there is no cluster that could listen.
-    """
+    """Something that does the work."""
     if listen is not None and (workers == 0 or scheduler is not None):
         other = "--workers 0 starts none" if scheduler is None else "--scheduler names another one"
         raise UndertowError(f"--listen {listen} is for a cluster of this machine, and {other}: leave one out")
     if workers == 0 and scheduler is None:
-        yield Here()
+        yield InProcess()
         return
     if find_spec("distributed") is None:
         raise UndertowError(
@@ -188,7 +160,7 @@ def engine(
             "work in this process"
         )
     with _client(scheduler, workers, LISTEN if listen is None else listen) as client:
-        yield OnDask(client, patience)
+        yield DaskEngine(client, patience)
 
 
 @contextmanager
@@ -198,7 +170,7 @@ def _client(scheduler: str | None, workers: int | None, listen: str) -> Iterator
 
     # The profiler of workers looks at them a hundred times a second, which doubles the time of this work.
     settings = {
-        "distributed.comm.timeouts.connect": f"{_REACH:g}s",
+        "distributed.comm.timeouts.connect": f"{WAITING.scheduler:g}s",
         "distributed.worker.profile.enabled": False,
     }
     with dask.config.set(settings):
@@ -245,7 +217,7 @@ def _connected(address: Any, where: str) -> Iterator[Any]:
     client = Client.__new__(Client)
     try:
         _check_address(address)
-        Client.__init__(client, address, timeout=_REACH, set_as_default=False)
+        Client.__init__(client, address, timeout=WAITING.scheduler, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError, ImportError) as error:
         client.status = "closed"  # Dask would wait, at some later time, for what never began
         reason = " ".join(str(error).split())[:200] or type(error).__name__
@@ -256,7 +228,7 @@ def _connected(address: Any, where: str) -> Iterator[Any]:
     try:
         yield client
     finally:
-        client.close(timeout=_REACH)
+        client.close(timeout=WAITING.scheduler)
 
 
 def _check_own(address: str) -> None:

@@ -17,7 +17,7 @@ from urllib.parse import unquote
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.step import bounds_of, prior_of, reach_of
+from undertow.identification.estimation.step import bounds_of, prior_of, step_limits
 from undertow.model.composition import Composition
 from undertow.model.loading import resolve_vehicle
 from undertow.version import __version__
@@ -36,21 +36,11 @@ _EPOCH = 1e8
 
 @dataclass(frozen=True, order=True)
 class Partition:
-    """The log of one vehicle and day, or a part of it.
-
-    Attributes
-    ----------
-    vehicle : str
-        Whose.
-    day : date
-        Of which day.
-    path : Path
-        Where, absolute.
-    """
+    """The log of one vehicle and day, or a part of it."""
 
     vehicle: str
-    day: date
-    path: Path
+    day: date  # of which day
+    path: Path  # where, absolute
 
     @property
     def name(self) -> str:
@@ -59,13 +49,7 @@ class Partition:
 
 
 def find(patterns: Sequence[str]) -> list[Path]:
-    """Files that fit any of the patterns; a folder stands for all Parquet files below it.
-
-    Raises
-    ------
-    UndertowError
-        If a pattern fits no file.
-    """
+    """Files that fit any of the patterns; a folder stands for all Parquet files below it."""
     found: list[Path] = []
     for pattern in patterns:
         files = [p for p in map(Path, glob(_pattern(pattern), recursive=True)) if p.is_file()]
@@ -91,11 +75,6 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
 
     The path says so (`vehicle=V/day=D/part.parquet`), or columns `vehicle` and `day` do, or the folder (the
     vehicle) with a date in the file's name or a time that counts from 1970 (the day).
-
-    Raises
-    ------
-    UndertowError
-        If the file is not Parquet, holds several vehicles or days, or nothing says the day.
     """
     from undertow.identification.logs.table import is_parquet
 
@@ -180,7 +159,7 @@ def _date_of(path: Path, time: float) -> date:
         ) from error
 
 
-def twins(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]:
+def duplicates(hashes: Iterable[tuple[Partition, str]]) -> dict[Partition, Partition]:
     """Partitions with the content of an earlier one, and that one: the same data would count twice."""
     pairs = sorted(hashes)
     first: dict[str, Partition] = {}
@@ -196,13 +175,7 @@ def digest(content: Any) -> str:
 
 
 def files_digest(vehicle: str, effects: Sequence[str]) -> str:
-    """Hash of the bytes of a vehicle file and of files with effects.
-
-    Raises
-    ------
-    UndertowError
-        If one of them is not there.
-    """
+    """Hash of the bytes of a vehicle file and of files with effects."""
     return digest([sha256_of(resolve_vehicle(vehicle)), *map(sha256_of, effects)])
 
 
@@ -210,7 +183,7 @@ def content_of(model: WeakModel) -> list[Any]:
     """All of a model that its residual, and a step from where it is, follow from; plain data."""
     functions = model.functions
     names = functions.parameter_names
-    limits = (*bounds_of(model), *prior_of(model), reach_of(model))
+    limits = (*bounds_of(model), *prior_of(model), step_limits(model))
     return [
         _equations(functions.vehicle.composition),
         [[n, *_exact([v])] for n, v in zip(names, functions.values(), strict=True)],

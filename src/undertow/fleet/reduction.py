@@ -19,11 +19,11 @@ from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import (
-    disturbed,
     first_guess,
     free_parameters,
     matched_disturbance,
-    opened,
+    start_fit,
+    with_process_noise,
 )
 from undertow.identification.logs.chunks import LongLog, hash_of
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
@@ -47,20 +47,6 @@ class Panel:
     The model is linearised where its file has it, with every effect of the catalogue at the value at which
     it changes nothing. The columns are those of the effects that differ from day to day, then the free
     parameters of the model, then what other effects would add: their score test needs no fit.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    known : mapping
-        Effects by id.
-    daily : sequence of str
-        Ids of the effects that every log has a value of its own for.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is to be estimated, or `daily` names what cannot have a value for each log.
     """
 
     def __init__(self, vehicle: Vehicle, known: Catalogue, daily: Sequence[str] = DAILY) -> None:
@@ -120,13 +106,7 @@ class Panel:
         return (self.base, *self._extended)
 
     def table(self, run: Run) -> Linearised:
-        """Rows of a log in units of their noise; the columns that differ from day to day come first.
-
-        Raises
-        ------
-        UndertowError
-            If a channel is missing, or no stretch is long enough.
-        """
+        """Rows of a log in units of their noise; the columns that differ from day to day come first."""
         data = prepare([run], self.vehicle)
         p = _values(self.base)
         noise = self._noise(data, p)
@@ -139,8 +119,8 @@ class Panel:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
         first = first_guess(self.base, data, p)
         quiet = self.base.whitening(data, p)
-        fit = opened(self.base, data, {}, disturbed(quiet, first, data), first, steps=1)
-        return disturbed(quiet, matched_disturbance(fit, quiet), data)
+        fit = start_fit(self.base, data, {}, with_process_noise(quiet, first, data), first, steps=1)
+        return with_process_noise(quiet, matched_disturbance(fit, quiet), data)
 
     def _columns(self, data: WeakData) -> list[Array]:
         found: list[dict[str, Array]] = [{} for _ in data.segments]
@@ -194,39 +174,18 @@ _LOOSE = 1e-6
 
 @dataclass(frozen=True)
 class Job:
-    """What is done with every log of a vehicle; plain data, so that it can be sent to any machine.
+    """What is done with every log of a vehicle; plain data, so that it can be sent to any machine."""
 
-    Attributes
-    ----------
-    vehicle : str
-        Path of the vehicle file as workers see it, or name of a bundled vehicle.
-    effects : tuple of str
-        Paths of files with effects of the user.
-    mapping : str
-        The mapping file's content as JSON.
-    values : tuple of (str, float)
-        Values of parameters that differ from the file's, SI and SNAME signs.
-    daily : tuple of str
-        Effects that every log has a value of its own for.
-    rows : int
-        Rows that are read at a time.
-    fill : str, optional
-        What to do where a command has no sample.
-    trust_log : bool
-        Whether logs count that cannot be.
-    fingerprint : str
-        Hash of all that decides what comes out; empty where it is not known yet.
-    """
-
-    vehicle: str
-    effects: tuple[str, ...] = ()
-    mapping: str = "{}"
+    vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
+    effects: tuple[str, ...] = ()  # paths of files with effects of the user
+    mapping: str = "{}"  # the mapping file's content as JSON
+    # values of parameters that differ from the file's, SI and SNAME signs
     values: tuple[tuple[str, float], ...] = ()
-    daily: tuple[str, ...] = DAILY
-    rows: int = ROWS
-    fill: CommandPolicy | None = None
-    trust_log: bool = False
-    fingerprint: str = ""
+    daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
+    rows: int = ROWS  # rows that are read at a time
+    fill: CommandPolicy | None = None  # what to do where a command has no sample
+    trust_log: bool = False  # whether logs count that cannot be
+    fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
 
     @cached_property
     def log_mapping(self) -> LogMapping:
@@ -236,38 +195,19 @@ class Job:
 
 @dataclass(frozen=True)
 class Reduced:
-    """All that is kept of a partition.
+    """All that is kept of a partition."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Columns of the panel.
-    factor : (k + 1, k + 1) array
-        Upper triangular factor of the whitened rows; the last column is what the stated model leaves. What
-        differs from day to day is projected out.
-    samples : int
-        Rows of the log that were read.
-    seconds : float
-        Time that they cover, s.
-    entries : int
-        Rows of the regression.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # columns of the panel
+    # (k + 1, k + 1): upper triangular factor of the whitened rows; the last column is what the stated model
+    # leaves. What differs from day to day is projected out
     factor: Array
-    samples: int
-    seconds: float
-    entries: int
+    samples: int  # rows of the log that were read
+    seconds: float  # time that they cover, s
+    entries: int  # rows of the regression
 
 
 def panel_of(job: Job) -> Panel:
-    """The columns of a job; the same object for all logs that one process reduces.
-
-    Raises
-    ------
-    UndertowError
-        If this machine has another vehicle file or another version of undertow than the one that asks.
-    """
+    """The columns of a job; the same object for all logs that one process reduces."""
     key = job.fingerprint
     if key not in _PANELS:
         panel = _made(job)
@@ -289,7 +229,7 @@ def _keep(key: str, panel: Panel) -> None:
     _PANELS[key] = panel
 
 
-def marked(job: Job) -> tuple[Job, Panel]:
+def with_fingerprint(job: Job) -> tuple[Job, Panel]:
     """A job with its fingerprint, and its columns."""
     panel = _made(job)
     done = replace(job, fingerprint=fingerprint(job, panel))
@@ -319,14 +259,8 @@ def fingerprint(job: Job, panel: Panel) -> str:
     return digest(content)
 
 
-def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
-    """Whose and which day's log a file is, and the SHA-256 of its bytes.
-
-    Raises
-    ------
-    UndertowError
-        If it cannot be read, or does not say whose and which day's log it is.
-    """
+def identify_log(path: str, mapping: str) -> tuple[Partition, str]:
+    """Whose and which day's log a file is, and the SHA-256 of its bytes."""
     try:
         sha256 = hash_of(Path(path))
     except OSError as error:
@@ -337,20 +271,7 @@ def looked_at(path: str, mapping: str) -> tuple[Partition, str]:
 def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
     """Reduce a log, some rows at a time.
 
-    Parameters
-    ----------
-    job : Job
-        What is done.
-    path : str
-        Parquet file.
-    sha256 : str
-        Of its bytes, where it is known.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is another by now, does not fit the vehicle, or has no stretch that is
-        long enough.
+    `sha256`: of its bytes, where it is known.
     """
     panel = panel_of(job)
     log = LongLog(Path(path), job.log_mapping, panel.vehicle.command_names, (None, None), job.fill)

@@ -35,40 +35,19 @@ _REFUSED = 0.5
 
 
 @dataclass(frozen=True)
-class Flights:
-    """What is simulated; plain data, so that it can be sent to any machine.
+class RolloutJob:
+    """What is simulated; plain data, so that it can be sent to any machine."""
 
-    Attributes
-    ----------
-    vehicle : str
-        Path of the vehicle file as workers see it, or name of a bundled vehicle.
-    effects : tuple of str
-        Paths of files with effects of the user.
-    mapping : str
-        The mapping file's content as JSON.
-    fill : str, optional
-        What to do where a command has no sample.
-    horizon : float
-        Length of a window, s.
-    coverage : float
-        Share of the rollouts within the band.
-    seed : int
-        Of all that is drawn.
-    trust_log : bool
-        Whether logs count that cannot be.
-    files : str
-        Hash of the vehicle file and the effects, by which workers see that they have the same; empty where
-        it is not known yet.
-    """
-
-    vehicle: str
-    effects: tuple[str, ...] = ()
-    mapping: str = "{}"
-    fill: CommandPolicy | None = None
-    horizon: float = 10.0
-    coverage: float = 0.9
-    seed: int = 0
-    trust_log: bool = False
+    vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
+    effects: tuple[str, ...] = ()  # paths of files with effects of the user
+    mapping: str = "{}"  # the mapping file's content as JSON
+    fill: CommandPolicy | None = None  # what to do where a command has no sample
+    horizon: float = 10.0  # length of a window, s
+    coverage: float = 0.9  # share of the rollouts within the band
+    seed: int = 0  # of all that is drawn
+    trust_log: bool = False  # whether logs count that cannot be
+    # hash of the vehicle file and the effects, by which workers see that they have the same; empty where it
+    # is not known yet
     files: str = ""
 
 
@@ -82,44 +61,25 @@ class Source:
 
 @dataclass(frozen=True)
 class Band:
-    """The rollouts of one window.
+    """The rollouts of one window."""
 
-    Attributes
-    ----------
-    log : str
-        Path of the log.
-    window : int
-        Its place in the log.
-    names : tuple of str
-        Channels.
-    t : (k,) array
-        Time, s.
-    measured, low, median, high : (k, c) array
-        Measurement and quantiles of the rollouts, the noise of the sensors included; SI.
-    diverged : int
-        Rollouts that are left out since they diverged: they are no numbers any more, or none that a vehicle
-        in water can have.
-    """
-
-    log: str
-    window: int
+    log: str  # path of the log
+    window: int  # its place in the log
     names: tuple[str, ...]
-    t: Array
+    t: Array  # (k,): time, s
+    # measured, low, median, high: (k, c), measurement and quantiles of the rollouts, the noise of the sensors
+    # included; SI
     measured: Array
     low: Array
     median: Array
     high: Array
+    # rollouts that are left out since they diverged: they are no numbers any more, or none that a vehicle in
+    # water can have
     diverged: int
 
 
-def drawn(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
-    """Parameters of vehicles that a fit does not rule out, shape (count, n_parameters), and where from.
-
-    Raises
-    ------
-    UndertowError
-        If the file states no uncertainty, or most draws are no vehicle.
-    """
+def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
+    """Parameters of vehicles that a fit does not rule out, shape (count, n_parameters), and where from."""
     from undertow.codegen.functions import Functions
     from undertow.control.linear.family import spread_of
 
@@ -152,39 +112,28 @@ def _inside(vehicle: Vehicle, name: str, value: float) -> float:
     return float(min(max(value, low), high))
 
 
-def windows_of(flights: Flights, source: Source) -> int:
+def windows_of(job: RolloutJob, source: Source) -> int:
     """How many windows a log has."""
-    return len(_cut(flights, source))
+    return len(_cut(job, source))
 
 
-def rolled_out(flights: Flights, source: Source, window: int, place: int, p: Array) -> Band:
+def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p: Array) -> Band:
     """The band of one window.
 
-    Parameters
-    ----------
-    flights : Flights
-        What is simulated.
-    source : Source
-        The log.
-    window : int
-        Place of the window in the log.
-    place : int
-        Place of the window among all: the seed of its noise.
-    p : (count, n_parameters) array
-        Parameters of the rollouts.
+    `p` (count, n_parameters): parameters of the rollouts.
     """
-    chosen = _cut(flights, source).take(np.array([window]), np.iinfo(np.int64).max)
+    chosen = _cut(job, source).take(np.array([window]), np.iinfo(np.int64).max)
     count, samples = len(p), int(chosen.count[0])
-    predictor = _predictor(flights.vehicle, flights.effects, flights.files)
+    predictor = _predictor(job.vehicle, job.effects, job.files)
     _refuse_large(count, samples, len(predictor.functions.state_names))
-    random = np.random.default_rng([flights.seed, place])
+    random = np.random.default_rng([job.seed, place])
     sigma = chosen.sigma
     paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
     good = _credible(paths, chosen.t[0])
     if not good.any():
         raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")
     noisy = paths[good] + sigma * random.standard_normal(paths[good].shape)
-    tail = (1 - flights.coverage) / 2
+    tail = (1 - job.coverage) / 2
     low, median, high = np.quantile(noisy, [tail, 0.5, 1 - tail], axis=0)
     t, measured = chosen.t[0], chosen.measured[0]
     return Band(source.log, window, chosen.names, t, measured, low, median, high, int(np.sum(~good)))
@@ -201,7 +150,7 @@ def _credible(paths: Array, t: Array) -> NDArray[np.bool_]:
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
     """Reported trajectories, shape (count, k, 2n)."""
-    prompt = not predictor.lateness.present and predictor.sensors_are_true
+    prompt = not predictor.sensor_delay.present and predictor.sensors_are_true
     if not prompt or len(predictor.functions.state_names) > len(window.names):
         return np.concatenate([_path(predictor, window, one, by) for one, by in zip(p, shift, strict=True)])
     start, drive = predictor.start_and_drive(window, p[0])
@@ -237,48 +186,43 @@ def _predictor(vehicle: str, effects: tuple[str, ...], files: str) -> Predictor:
 
 
 @lru_cache(maxsize=4)
-def _cut(flights: Flights, source: Source) -> Windows:
-    vehicle = _predictor(flights.vehicle, flights.effects, flights.files).functions.vehicle
-    mapping = LogMapping.model_validate_json(flights.mapping)
-    run = read_log(source.log, mapping, vehicle.command_names, missing_commands=flights.fill)
+def _cut(job: RolloutJob, source: Source) -> Windows:
+    vehicle = _predictor(job.vehicle, job.effects, job.files).functions.vehicle
+    mapping = LogMapping.model_validate_json(job.mapping)
+    run = read_log(source.log, mapping, vehicle.command_names, missing_commands=job.fill)
     if run.sha256 != source.sha256:
         raise UndertowError(
             f"{source.log} is another file for this worker, or was changed meanwhile: try again"
         )
     run = velocities_from_pose(run, vehicle.degrees_of_freedom)
-    refuse_impossible(vehicle, [run], trust_log=flights.trust_log)
-    return cut([run], vehicle, flights.horizon)
+    refuse_impossible(vehicle, [run], trust_log=job.trust_log)
+    return cut([run], vehicle, job.horizon)
 
 
 def rollouts(
-    flights: Flights,
+    job: RolloutJob,
     logs: Sequence[str],
     count: int,
     engine: Engine,
-    tell: Progress = lambda done, words: None,
+    report: Progress = lambda done, words: None,
 ) -> tuple[list[Band], dict[str, str], str]:
     """Bands of all windows of all logs in order, what failed and why, and where the uncertainty is from.
 
     The same numbers come out for any engine and any number of workers.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle file states no uncertainty, or no log can be used.
     """
-    flights = replace(flights, files=files_digest(flights.vehicle, flights.effects))
-    p, source = drawn(flights.vehicle, flights.effects, count, flights.seed)
+    job = replace(job, files=files_digest(job.vehicle, job.effects))
+    p, source = draw_parameters(job.vehicle, job.effects, count, job.seed)
     sources = [Source(log, sha256_of(log)) for log in logs]
-    found = dict(engine.results(windows_of, [(flights, one) for one in sources]))
+    found = dict(engine.results(windows_of, [(job, one) for one in sources]))
     failed = {log: found[i].words for i, log in enumerate(logs) if isinstance(found[i], Failure)}
     if len(failed) == len(logs):
         raise UndertowError(next(iter(failed.values())))
     items = [(s, w) for i, s in enumerate(sources) if s.log not in failed for w in range(found[i])]
-    work = [(flights, one, window, place, p) for place, (one, window) in enumerate(items)]
+    work = [(job, one, window, place, p) for place, (one, window) in enumerate(items)]
     bands: dict[int, Band] = {}
-    for done, (place, answer) in enumerate(engine.results(rolled_out, work), start=1):
+    for done, (place, answer) in enumerate(engine.results(simulate_window, work), start=1):
         log, window = items[place][0].log, items[place][1]
-        tell(done / len(work), f"{Path(log).name}, window {window}")
+        report(done / len(work), f"{Path(log).name}, window {window}")
         if isinstance(answer, Failure):
             failed[f"{log}, window {window}"] = answer.words
         else:

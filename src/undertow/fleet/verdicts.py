@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from .changes import FEWEST_DAYS, KINDS, Change, Changes, Span
+from .changes import FEWEST_DAYS, KINDS, Change, ChangeTests, Span
 
 #: Chance of a single false statement in a whole report.
 ALPHA = 0.01
@@ -25,34 +25,25 @@ Answer = Literal["grew", "none seen", "cannot tell"]
 
 @dataclass(frozen=True)
 class Statement:
-    """What the days say.
+    """What the days say."""
 
-    Attributes
-    ----------
-    answer : str
-        "grew" (something changed, and which is told), "none seen" or "cannot tell".
-    effects : tuple of str
-        What changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot
-        be told which, all that it may be.
-    words : str
-        One line.
-    """
-
-    answer: Answer
+    answer: Answer  # "grew" (something changed, and it is known what), "none seen" or "cannot tell"
+    # what changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot be
+    # text which, all that it may be
     effects: tuple[str, ...]
-    words: str
+    words: str  # one line
 
 
 @dataclass(frozen=True)
-class Asked:
+class SpanTest:
     """A span with its changes."""
 
-    of: Changes
+    of: ChangeTests
     span: Span
     changes: tuple[Change, ...]
 
 
-def statements(asked: Sequence[Asked]) -> list[Statement]:
+def statements(asked: Sequence[SpanTest]) -> list[Statement]:
     """A statement for every span; all of them together are wrong in one report of a hundred.
 
     Chances are held against each other by Holm's rule over all that was looked for in all spans, beside
@@ -75,7 +66,7 @@ def holm(chances: Sequence[float], alpha: float) -> float:
     return float(bounds[passed]) if passed < len(ordered) else alpha
 
 
-def _statement(asked: Asked, limit: float) -> Statement:
+def _statement(asked: SpanTest, limit: float) -> Statement:
     if not asked.span.enough:
         return Statement("cannot tell", (), f"cannot tell: {_lacking(asked.span)}")
     found = [c for c in asked.changes if c.alone <= limit]
@@ -87,25 +78,25 @@ def _statement(asked: Asked, limit: float) -> Statement:
     common = tuple(name for name in causes[0] if all(name in cause for cause in causes))
     if not common:
         return _open(causes)
-    said = _named(common, asked, limit)
+    text = _named(common, asked, limit)
     rest = [tuple(n for n in cause if n not in common) for cause in causes]
     if not all(rest):
-        return said
-    return replace(said, words=f"{said.words}; beside it {_listed(rest)}: cannot tell which")
+        return text
+    return replace(text, words=f"{text.words}; beside it {_listed(rest)}: cannot tell which")
 
 
 def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
-    names = tuple(dict.fromkeys(_READING.get(name, name) for cause in causes for name in cause))
+    names = tuple(dict.fromkeys(_CAUSES.get(name, name) for cause in causes for name in cause))
     return Statement("cannot tell", names, f"something changed; cannot tell which: {_listed(causes)}")
 
 
 def _listed(causes: Sequence[tuple[str, ...]]) -> str:
-    told = [" with ".join(_READING.get(n, n) for n in cause) for cause in causes]
-    more = [f"{len(told) - _SHOWN} more"] if len(told) > _SHOWN else []
-    return " or ".join([*told[:_SHOWN], *more])
+    text = [" with ".join(_CAUSES.get(n, n) for n in cause) for cause in causes]
+    more = [f"{len(text) - _SHOWN} more"] if len(text) > _SHOWN else []
+    return " or ".join([*text[:_SHOWN], *more])
 
 
-def _causes(asked: Asked, limit: float) -> list[tuple[str, ...]]:
+def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
     """The fewest kinds, or the effects of the catalogue, whose change explains all; all that do so.
 
     A single cause that explains all goes before two that happened to come together. A cause is out when
@@ -113,49 +104,49 @@ def _causes(asked: Asked, limit: float) -> list[tuple[str, ...]]:
     """
     of, span, out = asked.of, asked.span, ALPHA / max(len(asked.changes), 1)
     kinds = [k for k in KINDS if any(c.alone <= limit for c in asked.changes if c.direction.kind == k)]
-    single: list[tuple[str, ...]] = [(k,) for k in kinds if of.suffices(span, of.of(k), "", out)]
-    single += [(e,) for e in of.rivals() if of.suffices(span, [], e, out)]
+    single: list[tuple[str, ...]] = [(k,) for k in kinds if of.explains_all(span, of.of(k), "", out)]
+    single += [(e,) for e in of.rivals() if of.explains_all(span, [], e, out)]
     if single:
         return single
     pairs = list(combinations(KINDS, 2))
-    return [pair for pair in pairs if of.suffices(span, of.of(*pair), "", out)]
+    return [pair for pair in pairs if of.explains_all(span, of.of(*pair), "", out)]
 
 
 def _lacking(span: Span) -> str:
     first, last = span.groups
-    told = f"{first} days" if not last else f"{first} days before and {last} in it"
-    return f"{told}, at least {FEWEST_DAYS} are needed to know the scatter from day to day"
+    text = f"{first} days" if not last else f"{first} days before and {last} in it"
+    return f"{text}, at least {FEWEST_DAYS} are needed to know the scatter from day to day"
 
 
-def _nothing(asked: Asked, limit: float) -> Statement:
+def _nothing(asked: SpanTest, limit: float) -> Statement:
     """Nothing stands out: because nothing changed, or because it would not have shown."""
     kinds = [k for k in KINDS if k != "inertia" and any(c.direction.kind == k for c in asked.changes)]
-    halves = {k: _halves(asked, k, limit) for k in kinds}
+    halves = {k: _half_widths(asked, k, limit) for k in kinds}
     seen = {n: v for own in halves.values() for n, v in own.items() if v <= _WORTH}
-    told = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
+    text = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
     open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > _WORTH]
     likely = [c for c in asked.changes if min(c.p_value, c.alone) <= ALPHA]
     if seen and not open_ and not likely:
-        return Statement("none seen", (), f"no change seen; would have shown from, %: {told}")
-    words = _perhaps(likely) + open_
+        return Statement("none seen", (), f"no change seen; would have shown from, %: {text}")
+    words = _possible(likely) + open_
     if not words:
         return Statement("cannot tell", (), "cannot tell: these days determine neither drag nor thrust")
-    rest = f"; otherwise no change seen; would have shown from, %: {told}" if seen else ""
+    rest = f"; otherwise no change seen; would have shown from, %: {text}" if seen else ""
     return Statement("cannot tell", (), f"cannot tell: {'; '.join(words)}{rest}")
 
 
-def _perhaps(likely: Sequence[Change]) -> list[str]:
+def _possible(likely: Sequence[Change]) -> list[str]:
     """What may have changed: what stands out beside the other kinds, else what would if it were alone."""
     beside = [c for c in likely if c.p_value <= ALPHA]
     if beside or not likely:
-        return [f"{_told(c)} may be a change, but is not sure enough" for c in beside]
+        return [f"{_with_error(c)} may be a change, but is not sure enough" for c in beside]
     names = " or ".join(c.direction.name for c in likely)
     return [f"something may have changed ({names}), but is not sure enough"]
 
 
-def _halves(asked: Asked, kind: str, limit: float) -> dict[str, float]:
+def _half_widths(asked: SpanTest, kind: str, limit: float) -> dict[str, float]:
     """From which size a change of each direction of a kind would have been seen."""
-    return {c.direction.name: _half(c, limit) for c in asked.changes if c.direction.kind == kind}
+    return {c.direction.name: _half_width(c, limit) for c in asked.changes if c.direction.kind == kind}
 
 
 def _unseen(kind: str, halves: dict[str, float]) -> str:
@@ -165,10 +156,10 @@ def _unseen(kind: str, halves: dict[str, float]) -> str:
     return f"a change of {name} below {least:.0%} would not show"
 
 
-_READING = {"drag": "fouling", "thrust": "thruster wear", "inertia": "added mass"}
+_CAUSES = {"drag": "fouling", "thrust": "thruster wear", "inertia": "added mass"}
 
 
-def _named(cause: tuple[str, ...], asked: Asked, limit: float) -> Statement:
+def _named(cause: tuple[str, ...], asked: SpanTest, limit: float) -> Statement:
     names, words = [], []
     for name in cause:
         every = [c for c in asked.changes if c.direction.kind == name]
@@ -177,48 +168,48 @@ def _named(cause: tuple[str, ...], asked: Asked, limit: float) -> Statement:
             names.append(name)
             words.append(f"a change of {name} explains all, and none of drag, thrust or added mass does")
         elif not sure:
-            told = f"something changed; {_READING[name]} would explain it, but no single motion is sure"
-            return Statement("cannot tell", (_READING[name],), told)
+            text = f"something changed; {_CAUSES[name]} would explain it, but no single motion is sure"
+            return Statement("cannot tell", (_CAUSES[name],), text)
         else:
-            found, told = _SAID[name](sure, every, limit)
+            found, text = _WORDING[name](sure, every, limit)
             names.append(found)
-            words.append(told)
+            words.append(text)
     return Statement("grew", tuple(names), "; ".join(words))
 
 
 def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
-    told = ", ".join(map(_told, sure))
+    text = ", ".join(map(_with_error, sure))
     if any(c.value < 0 for c in sure):
-        return "drag", f"drag changed: {told}; less of it is no fouling (cleaned? another trim?)"
+        return "drag", f"drag changed: {text}; less of it is no fouling (cleaned? another trim?)"
     least = _CONTRADICTS * min(c.value for c in sure)
-    against = [c.direction.of for c in every if c.value + _half(c, limit) < least]
+    against = [c.direction.of for c in every if c.value + _half_width(c, limit) < least]
     if against:
-        return "drag", f"drag grew: {told}, not in {', '.join(against)}, which fouling would have raised, too"
+        return "drag", f"drag grew: {text}, not in {', '.join(against)}, which fouling would have raised, too"
     if len(sure) == 1 and len(every) > 1:
-        return "drag", f"drag grew: {told}; that of other motions is not known well enough to call it fouling"
-    return "fouling", f"fouling: {told}"
+        return "drag", f"drag grew: {text}; that of other motions is not known well enough to call it fouling"
+    return "fouling", f"fouling: {text}"
 
 
 def _thrust(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
-    told = ", ".join(map(_told, sure))
+    text = ", ".join(map(_with_error, sure))
     if any(c.value > 0 for c in sure):
-        return "thrust", f"thrust changed: {told}; more of it is no wear (another propeller, another supply?)"
-    return "thruster wear", f"thruster wear: {told}"
+        return "thrust", f"thrust changed: {text}; more of it is no wear (another propeller, another supply?)"
+    return "thruster wear", f"thruster wear: {text}"
 
 
 def _inertia(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
-    return "added mass", f"added mass changed: {', '.join(map(_told, sure))}"
+    return "added mass", f"added mass changed: {', '.join(map(_with_error, sure))}"
 
 
-def _told(change: Change) -> str:
+def _with_error(change: Change) -> str:
     error = f"{100 * change.error:.2g}"
     return f"{change.direction.name} {100 * change.value:+.3g} ± {error} %"
 
 
-_SAID = {"drag": _drag, "thrust": _thrust, "inertia": _inertia}
+_WORDING = {"drag": _drag, "thrust": _thrust, "inertia": _inertia}
 
 
-def _half(change: Change, limit: float) -> float:
+def _half_width(change: Change, limit: float) -> float:
     """Half the width of the interval that goes with a chance."""
     if not (np.isfinite(change.error) and change.freedom > 0):
         return np.inf
@@ -244,128 +235,66 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Shift:
-    """How much something changed against the first month, or over all days.
+    """How much something changed against the first month, or over all days."""
 
-    Attributes
-    ----------
-    of : str
-        "drag in surge", "thrust of f1" ...
-    percent, error : float or None
-        Change and standard error, %; None where the days do not determine it.
-    p_value : float
-        Chance of so much by the scatter of the days, before what many tests ask for.
-    """
-
-    of: str
+    of: str  # "drag in surge", "thrust of f1"
+    # percent, error: change and standard error, %; None where the days do not determine it
     percent: float | None
     error: float | None
-    p_value: float
+    p_value: float  # chance of so much by the scatter of the days, before what many tests ask for
 
 
 @dataclass(frozen=True)
 class Period:
-    """A month of one vehicle, or all its days.
+    """A month of one vehicle, or all its days."""
 
-    Attributes
-    ----------
-    name : str
-        Month, or "all".
-    days, samples : int
-        How many.
-    seconds : float
-        Time that the logs cover, s.
-    misfit : float
-        Root mean square of what the parameters of these days leave, in units of what was counted as noise.
-    parameters : tuple of Parameter
-        Estimates.
-    changes : tuple of Shift
-        Against the first month; over all days for "all".
-    statement : Statement, optional
-        What is said of the changes; None for the first month.
-    """
-
-    name: str
+    name: str  # month, or "all"
+    # days, samples: how many
     days: int
     samples: int
-    seconds: float
+    seconds: float  # time that the logs cover, s
+    # root mean square of what the parameters of these days leave, in units of what was counted as noise
     misfit: float
     parameters: tuple[Parameter, ...]
-    changes: tuple[Shift, ...]
-    statement: Statement | None
+    changes: tuple[Shift, ...]  # against the first month; over all days for "all"
+    statement: Statement | None  # what is said of the changes; None for the first month
 
 
 @dataclass(frozen=True)
 class Score:
-    """What one linear step of an effect that the model lacks would take off what the model leaves.
-
-    Attributes
-    ----------
-    effect : str
-        Id.
-    share : float
-        Share of the squares.
-    p_value : float
-        Chance of its most certain parameter by the scatter of the days, times the number of parameters that
-        were looked at.
-    """
+    """What one linear step of an effect that the model lacks would take off what the model leaves."""
 
     effect: str
-    share: float
+    share: float  # share of the squares
+    # chance of its most certain parameter by the scatter of the days, times the number of parameters that
+    # were looked at
     p_value: float
 
 
 @dataclass(frozen=True)
-class Of:
-    """All that is said of one vehicle.
-
-    Attributes
-    ----------
-    vehicle : str
-        Name.
-    whole : Period
-        All its days.
-    months : tuple of Period
-        Its months.
-    scores : tuple of Score
-        What its model lacks, the best first.
-    remarks : tuple of str
-        What speaks against the numbers.
-    """
+class VehicleReport:
+    """All that is said of one vehicle."""
 
     vehicle: str
-    whole: Period
+    whole: Period  # all its days
     months: tuple[Period, ...]
-    scores: tuple[Score, ...]
-    remarks: tuple[str, ...]
+    scores: tuple[Score, ...]  # what its model lacks, the best first
+    remarks: tuple[str, ...]  # what speaks against the numbers
 
 
 @dataclass(frozen=True)
-class Fleet:
-    """The report of a fleet.
+class FleetReport:
+    """The report of a fleet."""
 
-    Attributes
-    ----------
-    vehicles : tuple of Of
-        By name.
-    failed : dict of str
-        Files that nothing is known of, and why.
-    twins : dict of str
-        Files that were left out because another one has the same content, and that one.
-    done, found : int
-        Partitions that the report stands on, and that there are.
-    worked : int
-        Partitions that were worked out in this run; the others were known.
-    unscored : tuple of str
-        Effects that one linear step says nothing of.
-    """
-
-    vehicles: tuple[Of, ...]
-    failed: dict[str, str] = field(default_factory=dict)
+    vehicles: tuple[VehicleReport, ...]  # by name
+    failed: dict[str, str] = field(default_factory=dict)  # files that nothing is known of, and why
+    # files that were left out because another one has the same content, and that one
     twins: dict[str, str] = field(default_factory=dict)
+    # done, found: partitions that the report stands on, and that there are
     done: int = 0
     found: int = 0
-    worked: int = 0
-    unscored: tuple[str, ...] = ()
+    worked: int = 0  # partitions that were worked out in this run; the others were known
+    unscored: tuple[str, ...] = ()  # effects that one linear step says nothing of
 
     @property
     def whole(self) -> bool:

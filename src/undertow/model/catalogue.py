@@ -26,10 +26,21 @@ Catalogue = Mapping[str, type[Effect]]
 def catalogue() -> Catalogue:
     """All effects that the program knows, by id: its own, then those that installed packages add.
 
+    Returns
+    -------
+    mapping
+        Effect classes by id, read-only.
+
     Raises
     ------
     UndertowError
         If two effects have the same id.
+
+    Examples
+    --------
+    >>> import undertow as ut
+    >>> print(ut.catalogue()["ocean_current"].about())
+    Water that moves steadily and uniformly over ground.
     """
     modules = (
         importlib.import_module(f"{effects.__name__}.{m.name}")
@@ -82,11 +93,6 @@ def load_effects(path: Path) -> list[type[Effect]]:
     """Run a user's effect file and return the effect classes in it.
 
     The file is Python and is executed: call this only for a file that the user has named on purpose.
-
-    Raises
-    ------
-    UndertowError
-        If the file is missing, cannot be run, or holds no effect.
     """
     if not path.is_file():
         raise UndertowError(f"effect file '{path}' does not exist: check the path")
@@ -110,13 +116,7 @@ def load_effects(path: Path) -> list[type[Effect]]:
 
 
 def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
-    """The effect class of this id.
-
-    Raises
-    ------
-    UndertowError
-        If there is none; the nearest known id is named.
-    """
+    """The effect class of this id."""
     if effect_id not in known:
         raise UndertowError(
             f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"

@@ -65,18 +65,7 @@ def _reduced(effect: Wrench, setting: _Setting) -> sm.ImmutableMatrix:
 class Composition:
     """The equations of a set of effects in the chosen degrees of freedom.
 
-    Parameters
-    ----------
-    effects : tuple of Effect
-        All effects, those of the hardware included.
-    dofs : tuple of int
-        Degrees of freedom, indices among the six.
-    thrusters : tuple of str
-        Names of the thrusters.
-    forces : tuple of str
-        Force symbols that the log holds (tau_X ...).
-    split : mapping
-        Parameters with different values forward and backward: name to the two symbols.
+    `dofs`: degrees of freedom, indices among the six; `thrusters`: names of the thrusters.
     """
 
     def __init__(
@@ -272,55 +261,28 @@ _NED = ("north", "east", "down")
 
 @dataclass(frozen=True)
 class Part:
-    """One column of an effect's statement.
+    """One column of an effect's statement."""
 
-    Attributes
-    ----------
-    name : str
-        The method it comes from.
-    matrix : Matrix, shape (n, 1)
-        What the method returned, spelled out.
-    rows : tuple of str
-        What each row is called, for instance "X" or "d(lagged_port)/dt".
-    units : tuple of str
-        Unit that each row must have.
-    absent : Matrix, shape (n, 1), or None
-        What the rows would be without the effect; None where that question has no meaning (rates of states).
-    usable : frozenset of Symbol
-        Signals that the part may be stated in.
-    written : Matrix, optional
-        What the method returned, where abbreviations in it have been spelled out in `matrix`.
-    """
-
-    name: str
-    matrix: sm.Matrix
-    rows: tuple[str, ...]
-    units: tuple[str, ...]
+    name: str  # the method it comes from
+    matrix: sm.Matrix  # (n, 1): what the method returned, spelled out
+    rows: tuple[str, ...]  # what each row is called, for instance "X" or "d(lagged_port)/dt"
+    units: tuple[str, ...]  # unit that each row must have
+    # (n, 1): what the rows would be without the effect; None where that question has no meaning (rates of
+    # states)
     absent: sm.Matrix | None
-    usable: frozenset[sm.Symbol]
+    usable: frozenset[sm.Symbol]  # signals that the part may be stated in
+    # what the method returned, where abbreviations in it have been spelled out in `matrix`
     written: sm.Matrix | None = None
 
 
 @dataclass(frozen=True)
 class Statement:
-    """An effect's parts together with the symbols that they may contain.
+    """An effect's parts together with the symbols that they may contain."""
 
-    Attributes
-    ----------
-    effect : Effect
-        The effect, as on a vehicle with two thrusters.
-    signals : Signals
-        Signals of that vehicle.
-    parts : tuple of Part
-        What the effect states.
-    shared : tuple of Parameter
-        Parameters of the effects that it requires or shares with.
-    """
-
-    effect: Effect
-    signals: Signals
-    parts: tuple[Part, ...]
-    shared: tuple[Parameter, ...]
+    effect: Effect  # the effect, as on a vehicle with two thrusters
+    signals: Signals  # signals of that vehicle
+    parts: tuple[Part, ...]  # what the effect states
+    shared: tuple[Parameter, ...]  # parameters of the effects that it requires or shares with
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -367,13 +329,7 @@ class Statement:
 
 
 def statement_of(effect: Effect, known: Catalogue) -> Statement:
-    """Ask an effect for everything that it states.
-
-    Raises
-    ------
-    UndertowError
-        If the effect cannot state it, or a part is no column of the right length.
-    """
+    """Ask an effect for everything that it states."""
     signal_set = signals(effect.thrusters)
     beside = (*effect.requires, *effect.shares)
     shared = tuple(p for r in beside for p in lookup(r, known)(effect.thrusters).parameters)
@@ -490,22 +446,7 @@ __all__ = ["function_of"]
 def function_of(
     names: Sequence[sm.Symbol], expressions: Any, functions: str | Mapping[str, Callable[..., Any]] = "math"
 ) -> Callable[..., Any]:
-    """A function of the named symbols that returns the values of expressions, nested as they are.
-
-    Parameters
-    ----------
-    names : sequence of sympy.Symbol
-        Arguments of the function, in order.
-    expressions : sympy.Expr, or lists of them to any depth
-        What it returns. Text is refused: it would be run.
-    functions : str or mapping, default "math"
-        "math" for floats, "numpy" for arrays, or what stands for sin, cos, tan.
-
-    Raises
-    ------
-    TypeError
-        Something is not an expression of SymPy.
-    """
+    """A function of the named symbols that returns the values of expressions, nested as they are."""
     _check([*names, expressions])
     modules = functions if isinstance(functions, str) else [dict(functions)]
     found: Callable[..., Any] = sm.lambdify(list(names), expressions, modules, cse=modules == "math")

@@ -30,15 +30,7 @@ _PARAMETER_DECADES = (-2.0, 2.0)
 
 
 class Probe:
-    """Draws points for the symbols of a statement: signals of every size, parameters within their bounds.
-
-    Parameters
-    ----------
-    statement : Statement
-        Whose symbols to draw.
-    seed : int
-        The same seed draws the same points.
-    """
+    """Draws points for the symbols of a statement: signals of every size, parameters within their bounds."""
 
     def __init__(self, statement: Statement, seed: int = _SEED) -> None:
         self._random = Random(seed)
@@ -412,21 +404,11 @@ _SOMEWHERE = {"x": (90.0, 130.0), "y": (-60.0, -40.0), "z": (7.0, 9.0), "psi": (
 
 @dataclass(frozen=True)
 class ContractCheck:
-    """Result of one check.
+    """Result of one check."""
 
-    Attributes
-    ----------
-    check : str
-        Id of the check.
-    ok : bool
-        Whether the effect passes.
-    message : str
-        What holds, or what does not and how to mend it; one line.
-    """
-
-    check: str
-    ok: bool
-    message: str
+    check: str  # id of the check
+    ok: bool  # whether the effect passes
+    message: str  # what holds, or what does not and how to mend it; one line
 
 
 @dataclass(frozen=True)

@@ -24,50 +24,25 @@ _GREEK = ("phi", "theta", "psi", "tau", "rho", "eta", "nu")
 
 @dataclass(frozen=True)
 class Equation:
-    """One row of an effect's statement.
+    """One row of an effect's statement."""
 
-    Attributes
-    ----------
-    left : str
-        What it gives: "X" for the surge force, "d(lagged_port)/dt" for the rate of a state.
-    plain : str
-        Right-hand side as SymPy text, with ``|u|`` for the magnitude.
-    latex : str
-        The whole equation for LaTeX.
-    """
-
-    left: str
-    plain: str
-    latex: str
+    left: str  # what it gives: "X" for the surge force, "d(lagged_port)/dt" for the rate of a state
+    plain: str  # right-hand side as SymPy text, with ``|u|`` for the magnitude
+    latex: str  # the whole equation for LaTeX
 
 
 @dataclass(frozen=True)
 class ParameterNote:
-    """A parameter as a reader wants to know it; limits are None where there are none.
+    """A parameter as a reader wants to know it; limits are None where there are none."""
 
-    Attributes
-    ----------
-    name : str
-        Id in vehicle files; ``<thruster>`` stands for the name of a thruster.
-    unit : str
-        SI unit.
-    low, high : float or None
-        Bounds in SNAME signs.
-    linear : bool
-        Whether a regression gives it, or a search.
-    default : float or None
-        Value where a vehicle file is silent.
-    about : str
-        Meaning.
-    """
-
-    name: str
-    unit: str
+    name: str  # id in vehicle files; ``<thruster>`` stands for the name of a thruster
+    unit: str  # SI unit
+    # low, high: bounds in SNAME signs
     low: float | None
     high: float | None
-    linear: bool
+    linear: bool  # whether a regression gives it, or a search
     required: bool
-    default: float | None
+    default: float | None  # value where a vehicle file is silent
     directional: bool
     about: str
 
@@ -98,15 +73,7 @@ class Description:
 
 
 def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
-    """Describe an effect; equations are as on a vehicle with two thrusters called port and starboard.
-
-    Parameters
-    ----------
-    cls : type of Effect
-        The effect.
-    known : mapping, optional
-        Where the effects are looked up that it requires; the catalogue when not given.
-    """
+    """Describe an effect; equations are as on a vehicle with two thrusters called port and starboard."""
     statement = statement_of(cls.specimen(), catalogue() if known is None else known)
     about, _, details = inspect.cleandoc(cls.__doc__ or "").partition("\n")
     return Description(

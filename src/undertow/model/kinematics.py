@@ -19,19 +19,7 @@ def rotation(angles: sm.Matrix) -> sm.Matrix:
     Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 2 (zyx order).
     """
     phi, theta, psi = angles
-    return _about_z(psi) * _about_y(theta) * _about_x(phi)
-
-
-def _about_x(a: sm.Expr) -> sm.Matrix:
-    return sm.Matrix([[1, 0, 0], [0, sm.cos(a), -sm.sin(a)], [0, sm.sin(a), sm.cos(a)]])
-
-
-def _about_y(a: sm.Expr) -> sm.Matrix:
-    return sm.Matrix([[sm.cos(a), 0, sm.sin(a)], [0, 1, 0], [-sm.sin(a), 0, sm.cos(a)]])
-
-
-def _about_z(a: sm.Expr) -> sm.Matrix:
-    return sm.Matrix([[sm.cos(a), -sm.sin(a), 0], [sm.sin(a), sm.cos(a), 0], [0, 0, 1]])
+    return sm.rot_ccw_axis3(psi) * sm.rot_ccw_axis2(theta) * sm.rot_ccw_axis1(phi)
 
 
 def body_rates(angles: sm.Matrix) -> sm.Matrix:
@@ -79,14 +67,8 @@ def inertia_tensor(
 def inertia_matrix(mass: sm.Expr, moments: sm.Matrix, tensor: sm.Matrix) -> sm.Matrix:
     """Inertia matrix of a body about the origin from its base parameters, shape (6, 6).
 
-    Parameters
-    ----------
-    mass : Expr
-        Mass, kg.
-    moments : Matrix, shape (3, 1)
-        Static moments, mass times place of the centre of gravity, kg m.
-    tensor : Matrix, shape (3, 3)
-        Inertia tensor about the origin, kg m^2.
+    `mass`: mass, kg; `moments` (3, 1): static moments, mass times place of the centre of gravity, kg m;
+    `tensor` (3, 3): inertia tensor about the origin, kg m^2.
     """
     arm = skew(moments)
     upper = sm.Matrix.hstack(mass * sm.eye(3), -arm)

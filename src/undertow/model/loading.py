@@ -121,33 +121,12 @@ _NO_QUANTITY = ("float_type", "int_type", "string_type", "model_type", "float_pa
 
 
 def read_vehicle_table(path: Path) -> VehicleTable:
-    """Read and validate a vehicle file.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
-    """
+    """Read and validate a vehicle file."""
     return read_table(path, VehicleTable, "vehicle file")
 
 
 def read_table(path: Path, model: type[Content], kind: str) -> Content:
-    """Read a TOML file of a given kind and validate it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    model : type of BaseModel
-        What it has to hold.
-    kind : str
-        What it is called in messages, such as "vehicle file".
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, is too large, is no TOML, or has unknown keys or wrong types.
-    """
+    """Read a TOML file of a given kind and validate it."""
     content = read_toml(path, kind)
     try:
         return model.model_validate(content)
@@ -209,24 +188,12 @@ _NOTHING = 1e-9
 
 @dataclass(frozen=True)
 class Statements:
-    """The numbers that the effect tables of a vehicle file state.
+    """The numbers that the effect tables of a vehicle file state."""
 
-    Attributes
-    ----------
-    effects : sequence of Effect
-        The effects of the file.
-    tables : mapping
-        Their tables by id, as they stand in the file.
-    environment : mapping
-        `rho`, kg/m^3, and `g`, m/s^2.
-    signs : str
-        Convention of the file.
-    """
-
-    effects: Sequence[Effect]
-    tables: Mapping[str, Mapping[str, Any]]
-    environment: Mapping[str, float]
-    signs: str
+    effects: Sequence[Effect]  # the effects of the file
+    tables: Mapping[str, Mapping[str, Any]]  # their tables by id, as they stand in the file
+    environment: Mapping[str, float]  # `rho`, kg/m^3, and `g`, m/s^2
+    signs: str  # convention of the file
 
     @cached_property
     def _own(self) -> dict[str, dict[str, float]]:
@@ -272,13 +239,7 @@ class Statements:
         return None
 
     def differing(self) -> Iterator[str]:
-        """One line for every value that another table tells otherwise, unless it says that it overrides.
-
-        Raises
-        ------
-        UndertowError
-            If two differ by more than can be, or an override has nothing to override.
-        """
+        """One line for every value that another table tells otherwise, unless it says that it overrides."""
         for effect in self.effects:
             for key, entry in self.tables[effect.id].items():
                 yield from self._difference(effect, key, entry)
@@ -347,10 +308,15 @@ def load_vehicle(
     trust_effects : bool
         Execute the files that the vehicle file names in `effects_from`, too.
 
+    Returns
+    -------
+    Vehicle
+        Values are in SI and SNAME signs, whatever the convention of the file.
+
     Raises
     ------
     UndertowError
-        If the file is missing, is not a valid vehicle file, or holds a value that cannot be.
+        If the file is missing, is not a valid vehicle file, or holds an impossible value.
 
     Examples
     --------
@@ -405,13 +371,7 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
 
 
 def vehicle_from_table(table: VehicleTable, known: Catalogue) -> Vehicle:
-    """Build the vehicle that a validated file describes.
-
-    Raises
-    ------
-    UndertowError
-        If it holds a value that cannot be.
-    """
+    """Build the vehicle that a validated file describes."""
     return _vehicle_and_remarks(table, known)[0]
 
 

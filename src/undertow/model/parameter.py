@@ -82,7 +82,7 @@ class Parameter:
     starts : tuple of float
         Where a search over a shape parameter begins.
     required : bool
-        True where a vehicle file must give the value, since no vehicle has none.
+        True where a vehicle file must give the value, since every vehicle has one.
     motion : int, optional
         Velocity whose sign selects the forward or the backward value, where the two may differ.
     neutral : float, optional
@@ -91,7 +91,7 @@ class Parameter:
     on_left_side : bool
         True for a derivative that tables print as a positive magnitude (added mass and damping).
     alone : bool
-        False for a parameter that is no sign of the effect without the others (a constant part).
+        False for a parameter that is no evidence of the effect without the others (a constant part).
     arm_of : str
         For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
         force where it is that times a length; empty for all others.
@@ -129,7 +129,7 @@ class Parameter:
 
     @property
     def must_be_given(self) -> bool:
-        """Whether a vehicle file has to state it: nothing that could stand in for it is a possible value."""
+        """Whether a vehicle file has to state it: neither its default nor its neutral value is possible."""
         low, high = self.bounds
         return self.required or not low <= self.unsaid <= high
 
@@ -273,38 +273,19 @@ Declaration = Parameter | DerivativeMatrix | Place
 
 @dataclass(frozen=True)
 class Taken:
-    """A quantity that another effect's table tells as well, so that a file need not say it twice.
+    """A quantity that another effect's table tells as well, so that a file need not say it twice."""
 
-    Attributes
-    ----------
-    key : str
-        The quantity in the effect's own table.
-    owner : str
-        Id of the other effect.
-    formulas : tuple of Expr
-        The quantity in keys of the owner's table, `rho` and `g`; the first counts whose keys are all stated.
-    unit : str
-        SI unit of the quantity.
-    unless : tuple of str
-        Keys of the effect's own table that say all that this one would.
-    rounding : float
-        Relative difference up to which a value of the effect's own is the same one, rounded.
-    most : float
-        Largest ratio of the two, either way, unless the file says ``override = true``.
-    words : str
-        The formula as people write it; the key where it is empty.
-    only_where_silent : bool
-        True for the way back: the owner has the first word, and is asked only about what it leaves open.
-    """
-
-    key: str
-    owner: str
+    key: str  # the quantity in the effect's own table
+    owner: str  # id of the other effect
+    # the quantity in keys of the owner's table, `rho` and `g`; the first counts whose keys are all stated
     formulas: tuple[sm.Expr, ...]
-    unit: str
-    unless: tuple[str, ...] = ()
+    unit: str  # SI unit of the quantity
+    unless: tuple[str, ...] = ()  # keys of the effect's own table that say all that this one would
+    # relative difference up to which a value of the effect's own is the same one, rounded
     rounding: float = 1e-3
-    most: float = inf
-    words: str = ""
+    most: float = inf  # largest ratio of the two, either way, unless the file says ``override = true``
+    words: str = ""  # the formula as people write it; the key where it is empty
+    # true for the way back: the owner has the first word, and is asked only about what it leaves open
     only_where_silent: bool = False
 
 
@@ -319,14 +300,7 @@ def declared(owner: type) -> Iterable[Declaration]:
 def printed(parameter: Parameter, value: float, signs: str) -> float:
     """A value in SNAME signs as a file or a table of the convention `signs` has it, and the way back as well.
 
-    Parameters
-    ----------
-    parameter : Parameter
-        What the value belongs to.
-    value : float
-        The number, SI; under "magnitudes" a derivative on the left-hand side changes its sign.
-    signs : str
-        "sname" or "magnitudes".
+    `value`: the number, SI; under "magnitudes" a derivative on the left-hand side changes its sign.
     """
     # A difference, because -value would turn zero into -0.0.
     return 0.0 - value if signs == "magnitudes" and parameter.on_left_side else value

@@ -19,23 +19,7 @@ _ROUNDING = 1e-12
 
 
 def check_vehicle(vehicle: Vehicle, limits: Limits | None = None) -> None:
-    """Refuse a vehicle that cannot be.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        From a file or made in a program.
-    limits : Limits, optional
-        What its numbers can be.
-
-    Raises
-    ------
-    UndertowError
-        If a known force acts on a motion that the vehicle does not have, a value is missing that no vehicle
-        lacks, a number is beyond what is found in water, a place is far off the vehicle, an effect finds its
-        own values impossible, equations have no finite value, or the mass matrix is not positive definite at
-        the values of the file.
-    """
+    """Refuse a vehicle that cannot be."""
     chosen = limits or Limits()
     _check_environment(vehicle, chosen)
     _check_forces(vehicle)
@@ -250,20 +234,7 @@ def _check_inertia(vehicle: Vehicle) -> None:
 
 
 def mass_matrix_at(vehicle: Vehicle, direction: int = 1) -> list[list[float]]:
-    """Mass matrix at the vehicle's values, upright, moving at `direction` m/s (rad/s) along every axis.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    direction : int
-        1 for forward, -1 for backward values of coefficients that differ.
-
-    Returns
-    -------
-    list of list of float, shape (n, n)
-        kg, kg m and kg m^2.
-    """
+    """Mass matrix (kg, kg m, kg m^2) at the values, upright, moving at `direction` m/s, rad/s on all axes."""
     matrix = vehicle.mass_matrix
     values = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
     values |= dict.fromkeys(vehicle.composition.nu, sm.Integer(direction))
@@ -274,15 +245,7 @@ def mass_matrix_at(vehicle: Vehicle, direction: int = 1) -> list[list[float]]:
 def hints(vehicle: Vehicle) -> list[str]:
     """One line for everything that a reader of the vehicle should know is not there.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle as its file has it.
-
-    Returns
-    -------
-    list of str
-        For instance "added_mass has no Y_vdot although sway is a degree of freedom: it counts as zero".
+    For instance "added_mass has no Y_vdot although sway is a degree of freedom: it counts as zero".
     """
     sources = (_missing_entries, _undamped, _absent_companions, _without_influence, _assumed)
     return [line for source in sources for line in source(vehicle)]

@@ -98,26 +98,14 @@ _QUANTITIES = ("value", "forward", "backward", "sigma", "sigma_forward", "sigma_
 
 @dataclass(frozen=True)
 class Wanted:
-    """What an entry is to say, SI and in the signs of the file.
+    """What an entry is to say, SI and in the signs of the file."""
 
-    Attributes
-    ----------
-    numbers : mapping
-        The value by its key: "value", or "forward" and "backward".
-    sigmas : mapping
-        Standard deviations by the same keys.
-    unit : str
-        SI unit of the parameter.
-    override : bool
-        Whether it has to say that another table tells something else.
-    """
-
-    numbers: Mapping[str, float]
-    sigmas: Mapping[str, float]
-    unit: str
+    numbers: Mapping[str, float]  # the value by its key: "value", or "forward" and "backward"
+    sigmas: Mapping[str, float]  # standard deviations by the same keys
+    unit: str  # SI unit of the parameter
     estimate: bool = False
     assumed: bool = False
-    override: bool = False
+    override: bool = False  # whether it has to say that another table tells something else
     source: str = ""
 
     def fitted(self, source: str) -> Wanted:
@@ -195,17 +183,7 @@ def _like(old: Mapping[str, Any], unit: str) -> Any:
 
 
 def stated(number: float, unit: str, like: Any) -> str | float:
-    """A number in the SI unit `unit` with ten digits, as the quantity `like` is written.
-
-    Parameters
-    ----------
-    number : float
-        The value in `unit`.
-    unit : str
-        Unit of the parameter.
-    like : str or float
-        ``"120 g"`` asks for grams and for text, a plain number for a plain number in `unit`.
-    """
+    """A number in the SI unit `unit` with ten digits, as the quantity `like` is written."""
     if not isinstance(like, str):
         return float(f"{number:.10g}")
     found = unit_of(like)
@@ -336,22 +314,7 @@ def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
 def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:
     """Parameters of the last covariance that a file's history holds, and the matrix, SI and SNAME signs.
 
-    Parameters
-    ----------
-    history : sequence of mapping
-        The ``[[history]]`` tables.
-    vehicle : Vehicle
-        The vehicle of the file.
-
-    Returns
-    -------
-    list of str, list of list of float
-        Empty where the file has none.
-
-    Raises
-    ------
-    UndertowError
-        If it is no square matrix of finite numbers for parameters that the vehicle has.
+    Empty where the file has none.
     """
     told = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
     if told is None:

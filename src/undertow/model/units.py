@@ -40,25 +40,7 @@ def registry() -> UnitRegistry:
 
 
 def to_si(value: str | float, unit: str) -> float:
-    """Convert a value from a file to a number in the SI unit wanted.
-
-    Parameters
-    ----------
-    value : str or float
-        ``"7.5 kg"``, or a plain number, which is taken to be in `unit` already.
-    unit : str
-        The SI unit wanted, such as ``"kg m^2"``; ``"1"`` for a pure number.
-
-    Returns
-    -------
-    float
-        The value in `unit`.
-
-    Raises
-    ------
-    UndertowError
-        If the text is not a finite number with a unit, or the unit has another dimension than `unit`.
-    """
+    """A value from a file (``"7.5 kg"``, or a number in `unit` already) as a number in the SI unit `unit`."""
     if isinstance(value, str):
         number, found = _split(value, unit)
         scale, offset = scale_offset(found, unit, of=f"{value!r}")
@@ -85,31 +67,12 @@ def _without_command(unit: str) -> str:
 
 
 def unit_of(value: str) -> str:
-    """Return the unit text of a quantity as it is written: ``"7.5 kg"`` gives ``" kg"``.
-
-    Raises
-    ------
-    UndertowError
-        If the text does not begin with a number.
-    """
+    """Return the unit text of a quantity as it is written: ``"7.5 kg"`` gives ``" kg"``."""
     return _split(value, "m")[1].rstrip()
 
 
 def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, float]:
-    """Return `scale` and `offset` such that ``in_unit_to = scale * in_unit_from + offset``.
-
-    Parameters
-    ----------
-    unit_from, unit_to : str
-        Unit texts, such as ``"deg"`` and ``"rad"``.
-    of : str
-        What the unit was found in, for the error message.
-
-    Raises
-    ------
-    UndertowError
-        If a unit is not understood, or the two have different dimensions.
-    """
+    """Return `scale` and `offset` such that ``in_unit_to = scale * in_unit_from + offset``."""
     if unit_from.strip() == unit_to.strip():
         return 1.0, 0.0
     source, target = _unit(unit_from), _unit(unit_to)
@@ -123,25 +86,13 @@ def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, flo
 
 
 def si_unit(unit: str) -> str:
-    """Return the SI base unit that a unit converts to: ``"rpm"`` gives ``"rad/s"``, ``"%"`` gives ``"1"``.
-
-    Raises
-    ------
-    UndertowError
-        If the unit is not understood.
-    """
+    """Return the SI base unit that a unit converts to: ``"rpm"`` gives ``"rad/s"``, ``"%"`` gives ``"1"``."""
     base = registry().Quantity(1.0, _unit(unit)).to_base_units().units
     return f"{base:~C}".replace("**", "^") or "1"
 
 
 def dimensionality(unit: str) -> UnitsContainer:
-    """Return the dimension of a unit text, with `*`, `/`, `**` like a unit; a pure number has an empty one.
-
-    Raises
-    ------
-    UndertowError
-        If the unit is not understood.
-    """
+    """Return the dimension of a unit text, with `*`, `/`, `**` like a unit; empty for a pure number."""
     return _unit(unit).dimensionality
 
 
@@ -208,13 +159,7 @@ _LONGEST_TERM = 70
 
 @cache
 def dimension(unit: str) -> Dimension:
-    """Dimension of a unit text such as ``N/(m/s)^2``; angles are pure numbers, ``command`` stands for itself.
-
-    Raises
-    ------
-    UndertowError
-        If the unit is not understood.
-    """
+    """Dimension of a unit text such as ``N/(m/s)^2``; angles are pure numbers, ``command`` is its own."""
     return dimensionality(unit)
 
 
@@ -246,37 +191,12 @@ def _factor(name: str, power: float) -> str:
 
 
 def dimension_of(expression: sm.Expr, units: Mapping[sm.Symbol, str]) -> Dimension | None:
-    """Dimension of an expression.
-
-    Parameters
-    ----------
-    expression : Expr
-        Built from sums, products, powers, the elementary functions, Abs, sign, Min, Max and Piecewise.
-    units : mapping
-        Unit text of every symbol in it.
-
-    Returns
-    -------
-    Dimension or None
-        None for zero, which fits any unit.
-
-    Raises
-    ------
-    UndertowError
-        If terms of different units are added or compared, a function that needs a pure number gets another
-        unit, or something in the expression has no rule or no unit; the term and both units are named.
-    """
+    """Dimension of an expression; None for zero, which fits any unit."""
     return _Analysis(units).of(sm.sympify(expression, strict=True))
 
 
 def require_unit(expression: sm.Expr, unit: str, units: Mapping[sm.Symbol, str]) -> None:
-    """Make sure that an expression is in `unit`.
-
-    Raises
-    ------
-    UndertowError
-        As `dimension_of`, and if the whole has another unit; the first term of it is named.
-    """
+    """Make sure that an expression is in `unit`."""
     for term in sm.Add.make_args(sm.sympify(expression, strict=True)):
         found = dimension_of(term, units)
         if found is not ANY and found != dimension(unit):

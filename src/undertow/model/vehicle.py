@@ -9,6 +9,7 @@ from functools import cached_property
 import sympy as sm
 
 from undertow.errors import UndertowError
+from undertow.notebook import html
 
 from .composition import Composition
 from .effect import Effect
@@ -16,51 +17,28 @@ from .effects.generalised_force import GeneralisedForce
 from .effects.thrusters import Thrusters
 from .parameter import WAYS, Parameter
 from .symbols import CHANNELS, DOFS, POSE, VELOCITY, symbol
+from .units import short_unit
 
 
 @dataclass(frozen=True)
 class Value:
-    """Value of a parameter in SI and SNAME signs, and how far it is known.
-
-    Attributes
-    ----------
-    value : float
-        The number.
-    estimate : bool
-        Whether a fit may change it.
-    sigma : float, optional
-        Standard deviation of the number as stated (prior) or as fitted.
-    source : str
-        Where it comes from.
-    assumed : bool
-        True where no source gives the number.
-    """
+    """Value of a parameter in SI and SNAME signs, and how far it is known."""
 
     value: float
-    estimate: bool = False
-    sigma: float | None = None
-    source: str = ""
-    assumed: bool = False
+    estimate: bool = False  # whether a fit may change it
+    sigma: float | None = None  # standard deviation of the number as stated (prior) or as fitted
+    source: str = ""  # where it comes from
+    assumed: bool = False  # true where no source gives the number
 
 
 @dataclass(frozen=True)
 class Thruster:
-    """One thruster: the log column of its command and the wrench of one newton of its thrust.
-
-    Attributes
-    ----------
-    wrench : tuple of float
-        Force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m).
-    thrust_per_command : Value
-        Thrust per unit of command, N.
-    limit : float, optional
-        Largest magnitude of the command.
-    """
+    """One thruster: the log column of its command and the wrench of one newton of its thrust."""
 
     name: str
-    wrench: tuple[float, ...]
-    thrust_per_command: Value = Value(1.0)
-    limit: float | None = None
+    wrench: tuple[float, ...]  # force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m)
+    thrust_per_command: Value = Value(1.0)  # thrust per unit of command, N
+    limit: float | None = None  # largest magnitude of the command
 
 
 def _refuse_twice(names: Iterable[str], complaint: str) -> None:
@@ -76,7 +54,7 @@ def _table_of(effect_id: str) -> str:
     return {Thrusters.id: "[[thrusters]]"}.get(effect_id, f"[effects.{effect_id}]")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Vehicle:
     """A marine vehicle as a sum of effects, for any subset of the six degrees of freedom.
 
@@ -109,6 +87,21 @@ class Vehicle:
     signs: str = "sname"
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
 
+    def __repr__(self) -> str:
+        parts = {"thrusters": [t.name for t in self.thrusters], "effects": [e.id for e in self.effects]}
+        listed = (f"{what} {', '.join(names)}" for what, names in parts.items() if names)
+        return "; ".join([f"Vehicle {self.name}: {', '.join(self.degrees_of_freedom)}", *listed])
+
+    def _repr_html_(self) -> str:
+        head = ("parameter", "value (SNAME signs)", "unit", "std. deviation", "estimated", "source")
+        return html(repr(self), head, (self._shown(name) for name in self.values))
+
+    def _shown(self, name: str) -> tuple[object, ...]:
+        """Row of a parameter for a notebook."""
+        value, parameter = self.values[name], self.parameter_of(name)
+        unit = short_unit(parameter.unit) if parameter else ""
+        return name, value.value, unit, value.sigma, "yes" if value.estimate else "", value.source
+
     def __post_init__(self) -> None:
         self._check_names()
         self._check_requirements()
@@ -139,7 +132,7 @@ class Vehicle:
                 )
 
     def lacks(self, effect: Effect | type[Effect]) -> list[str]:
-        """Ids of the effects that `effect` requires and that the vehicle has not; thrusters count as one."""
+        """Ids of the effects that `effect` requires and the vehicle does not have; thrusters count as one."""
         present = {e.id for e in self.all_effects}
         return [r for r in effect.requires if r not in present]
 
@@ -231,7 +224,7 @@ class Vehicle:
         return {key: self.values[name] for name, key in named.items() if name in self.values}
 
     def value_of(self, name: str) -> Value:
-        """Value of a parameter; thrust per command is its thruster's, what is unsaid the effect's."""
+        """Value of a parameter: as stated, or for thrust its thruster's, or the default of the effect."""
         if name in self.values:
             return self.values[name]
         for thruster in self.thrusters:

@@ -27,24 +27,12 @@ from undertow.typing import Array
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Something that does not fit, or that is left open.
+    """Something that does not fit, or that is left open."""
 
-    Attributes
-    ----------
-    kind : str
-        "wrong", or "open" for what is missing or only assumed.
-    where : str
-        Equation, matrix or effect.
-    text : str
-        What it is.
-    evidence : str
-        The computation that shows it.
-    """
-
-    kind: str
-    where: str
-    text: str
-    evidence: str
+    kind: str  # "wrong", or "open" for what is missing or only assumed
+    where: str  # equation, matrix or effect
+    text: str  # what it is
+    evidence: str  # the computation that shows it
 
 
 WRONG, OPEN = "wrong", "open"
@@ -242,18 +230,7 @@ _TRIALS, _SEED, _ROUNDING = 200, 20210405, 1e-9
 
 
 def audit_vehicle(vehicle: Vehicle) -> list[Discrepancy]:
-    """Everything that does not fit in the equations of a vehicle, and what its file leaves open.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        A vehicle as its file has it.
-
-    Raises
-    ------
-    UndertowError
-        If its mass matrix is not positive definite.
-    """
+    """Everything that does not fit in the equations of a vehicle, and what its file leaves open."""
     plant = Plant(vehicle)
     return [
         *_symmetry(plant),

@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.fitted import Triangle, base_parameters, undetermined
 from undertow.identification.estimation.step import estimated
-from undertow.identification.logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
+from undertow.identification.logs.chunks import LogPart, LongLog, NeedsWhole, hash_of, outline
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -26,17 +26,9 @@ _CONDITION = 1e7
 
 @dataclass(frozen=True)
 class Experiment:
-    """Logs of one motion in one direction.
+    """Logs of one motion in one direction."""
 
-    Attributes
-    ----------
-    regression : Regression
-        Its regressor, generated from the model.
-    runs : tuple of Run
-        The logs.
-    """
-
-    regression: Regression
+    regression: Regression  # its regressor, generated from the model
     runs: tuple[Run, ...]
 
     @property
@@ -47,43 +39,22 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Estimation:
-    """Least squares after one case of smoothing.
+    """Least squares after one case of smoothing."""
 
-    Attributes
-    ----------
-    case : Case
-        How the motion was smoothed.
-    names : tuple of str
-        Parameters.
-    theta : (k,) array
-        Their estimates, SI and SNAME signs; (16) of the paper.
-    covariance : (k, k) array
-        Residual variance times the inverse of H'H; (17) of the paper. It takes samples as independent, which
-        smoothed ones are not: the errors it gives are too small.
-    residual_variance : float
-        Sum of squares of the residual over samples less parameters, N^2 or (N m)^2; (17) of the paper, which
-        calls it a standard deviation.
-    samples : int
-        Rows of the regression.
-    condition : float
-        Condition number of H with its columns scaled to unit length.
-    inertia : (float, float)
-        Mass with added mass, and its standard error.
-    inertial : tuple of str
-        Parameters that are part of it.
-    impossible : tuple of str
-        Parameters that lie outside what is physical: added mass or damping of the wrong sign.
-    """
-
-    case: Case
+    case: Case  # how the motion was smoothed
     names: tuple[str, ...]
-    theta: Array
+    theta: Array  # (k,): their estimates, SI and SNAME signs; (16) of the paper
+    # (k, k): residual variance times the inverse of H'H; (17) of the paper. It takes samples as independent,
+    # which smoothed ones are not: the errors it gives are too small
     covariance: Array
+    # sum of squares of the residual over samples less parameters, N^2 or (N m)^2; (17) of the paper, which
+    # calls it a standard deviation
     residual_variance: float
-    samples: int
-    condition: float
-    inertia: tuple[float, float]
-    inertial: tuple[str, ...]
+    samples: int  # rows of the regression
+    condition: float  # condition number of H with its columns scaled to unit length
+    inertia: tuple[float, float]  # mass with added mass, and its standard error
+    inertial: tuple[str, ...]  # parameters that are part of it
+    # parameters that lie outside what is physical: added mass or damping of the wrong sign
     impossible: tuple[str, ...]
 
     @property
@@ -103,22 +74,7 @@ class Estimation:
 
 
 def experiments(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> list[Experiment]:
-    """Sort logs by the motion and the direction that they hold.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs of one motion each.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If a log holds no motion of the vehicle with its force, or more than one, or cannot be.
-    """
+    """Sort logs by the motion and the direction that they hold."""
     found: dict[tuple[str, str, tuple[str, ...]], Experiment] = {}
     for run in runs:
         axis = axis_of(vehicle, _motion(vehicle, run), run)
@@ -149,22 +105,7 @@ def _motion(vehicle: Vehicle, run: Run) -> str:
 
 
 def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Estimation:
-    """Estimates of one motion after one case of smoothing.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Motion and logs.
-    case : Case
-        How velocity and acceleration are smoothed; the force is left as it is, as in the paper.
-    edges : str
-        What the filters do at the ends of a log.
-
-    Raises
-    ------
-    UndertowError
-        If there are fewer samples than parameters, or the samples leave a combination of them open.
-    """
+    """Estimates of one motion after one case of smoothing."""
     triangle = Triangle(len(experiment.regression.free))
     for run in experiment.runs:
         experiment.regression.take(triangle, run, case, edges)
@@ -172,13 +113,7 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
 
 
 def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Estimation:
-    """Estimates from the rows of one case that a triangle holds.
-
-    Raises
-    ------
-    UndertowError
-        As for `estimate`.
-    """
+    """Estimates from the rows of one case that a triangle holds."""
     regression = experiment.regression
     H, target = triangle.split()
     size = np.linalg.norm(H, axis=0)
@@ -251,23 +186,12 @@ _APART = 3.0
 
 @dataclass(frozen=True)
 class Chosen:
-    """Values for a vehicle file.
+    """Values for a vehicle file."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters of the whole vehicle.
-    values : (k,) array
-        SI and SNAME signs.
-    covariance : (k, k) array
-        Of the values; zero between motions, which were logged apart.
-    contradictions : tuple of str
-        What motions or directions say differently of a parameter that they share, one line each.
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
+    names: tuple[str, ...]  # parameters of the whole vehicle
+    values: Array  # (k,): SI and SNAME signs
+    covariance: Array  # (k, k): of the values; zero between motions, which were logged apart
+    # what motions or directions say differently of a parameter that they share, one line each
     contradictions: tuple[str, ...]
 
     def vehicle(self, stated: Vehicle) -> Vehicle:
@@ -284,13 +208,6 @@ def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> C
     """Put the estimates of several motions together.
 
     What several motions or directions share is weighted by the inverse of its variances.
-
-    Parameters
-    ----------
-    stated : Vehicle
-        The whole vehicle.
-    found : sequence of (Experiment, Estimation)
-        The chosen estimate of each motion and direction.
     """
     labels = [_whole_name(stated, e.axis, n) for e, estimation in found for n in estimation.names]
     theta = np.concatenate([estimation.theta for _, estimation in found])
@@ -347,30 +264,6 @@ def estimate_streaming(
     Every log is read twice: to see what moves in it, then for the rows of the regression. Parts overlap by
     more than the filters reach, and what a filter makes of the samples at the border of a part is dropped, so
     that the answer is that of the log in one piece. (What a gap is, is told by the median step of a part.)
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    logs : sequence of LongLog
-        Logs of forced motion, one motion each.
-    cases : sequence of Case
-        Ways of smoothing.
-    edges : str
-        What the filters do at the ends of a log.
-    rows : int
-        Rows that are read at a time.
-    progress : callable
-        Told what share is done, and what is being done.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    NeedsWhole
-        If the model depends on the time itself, or a log cannot be read in parts.
-    UndertowError
-        As for `experiments` and `estimate`.
     """
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
@@ -409,7 +302,7 @@ def _overlap(cases: Sequence[Case], edges: Edges) -> int:
 
 def _reduce(
     experiment: Experiment,
-    parts: Iterator[Part],
+    parts: Iterator[LogPart],
     cases: Sequence[Case],
     edges: Edges,
     triangles: Mapping[str, Triangle],

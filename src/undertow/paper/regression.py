@@ -31,21 +31,11 @@ _BOTH_WAYS = 0.05
 
 @dataclass(frozen=True)
 class Axis:
-    """One motion in one direction.
+    """One motion in one direction."""
 
-    Attributes
-    ----------
-    motion : str
-        Degree of freedom.
-    direction : str
-        ``forward``, ``backward``, or ``both`` where the vehicle does not tell them apart.
-    vehicle : Vehicle
-        The vehicle with this motion only, and the values of this direction.
-    """
-
-    motion: str
-    direction: Direction
-    vehicle: Vehicle
+    motion: str  # degree of freedom
+    direction: Direction  # ``forward``, ``backward``, or ``both`` where the vehicle does not tell them apart
+    vehicle: Vehicle  # the vehicle with this motion only, and the values of this direction
 
     @property
     def place(self) -> int:
@@ -92,11 +82,6 @@ def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
     """One motion of a vehicle, in the direction in which a run goes.
 
     The log's own force `tau_X` ... is used where it has one; else the thrusters push.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle has a value for each direction, and the run goes in both.
     """
     place = DOFS.index(motion)
     own = f"tau_{FORCE[place]}"
@@ -144,13 +129,7 @@ def _one_way(vehicle: Vehicle, direction: str) -> Vehicle:
 
 
 def known_states(vehicle: Vehicle, states: Iterable[str], whole: Sequence[str]) -> None:
-    """Refuse a model with states that no sample holds.
-
-    Raises
-    ------
-    UndertowError
-        If an effect owns states.
-    """
+    """Refuse a model with states that no sample holds."""
     hidden = [s for s in states if s not in whole]
     if hidden:
         raise UndertowError(
@@ -164,34 +143,15 @@ Edges = Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"]
 
 @dataclass(frozen=True)
 class Smoother:
-    """One Savitzky–Golay filter.
+    """One Savitzky–Golay filter."""
 
-    Attributes
-    ----------
-    order : int
-        Degree of the polynomials (k of the paper's tables, N in Table 3).
-    frame : int
-        Samples that each is fitted to, odd (f, F in Table 3).
-    """
-
-    order: int
-    frame: int
+    order: int  # degree of the polynomials (k of the paper's tables, N in Table 3)
+    frame: int  # samples that each is fitted to, odd (f, F in Table 3)
 
     def __call__(self, signal: Array, edges: Edges, derivative: int = 0, step: float = 1.0) -> Array:
         """Smooth an evenly sampled signal, or differentiate it.
 
-        Parameters
-        ----------
-        signal : (n,) array
-            Samples.
-        edges : str
-            ``interp`` fits the last polynomial up to the edge, as MATLAB's `sgolayfilt` does; ``drop`` gives
-            NaN for half a frame, which the example of MATLAB's `sgolay` leaves out; the others extend the
-            signal.
-        derivative : int
-            Order of the derivative.
-        step : float
-            Sampling interval, s.
+        `signal` (n,): samples; `step`: sampling interval, s.
         """
         mode = "interp" if edges == "drop" else edges
         smooth = savgol_filter(signal, self.frame, self.order, deriv=derivative, delta=step, mode=mode)
@@ -206,27 +166,14 @@ class Smoother:
 
 @dataclass(frozen=True)
 class Case:
-    """One way to get velocity and acceleration from what was logged.
+    """One way to get velocity and acceleration from what was logged."""
 
-    Attributes
-    ----------
-    name : str
-        Number in the paper.
-    velocity : Smoother or None
-        For the velocity.
-    acceleration : tuple of Smoother
-        For the acceleration, one after the other.
-    differentiated : bool
-        Whether the acceleration is the derivative of the velocity by its filter, not the one that was logged.
-    source : str
-        Where it is stated.
-    """
-
-    name: str
-    velocity: Smoother | None
-    acceleration: tuple[Smoother, ...]
+    name: str  # number in the paper
+    velocity: Smoother | None  # for the velocity
+    acceleration: tuple[Smoother, ...]  # for the acceleration, one after the other
+    # whether the acceleration is the derivative of the velocity by its filter, not the one that was logged
     differentiated: bool
-    source: str
+    source: str  # where it is stated
 
     def needs(self, edges: Edges) -> int:
         """Samples without a gap that the filters need; with dropped edges each leaves the next one fewer."""
@@ -251,16 +198,8 @@ class Case:
     ) -> tuple[Array, Array]:
         """Velocity and acceleration of one motion after the filters, (n,) each.
 
-        Parameters
-        ----------
-        velocity : (n,) array
-            As logged, evenly sampled.
-        acceleration : (n,) array or None
-            As logged; central differences of the velocity where the log has none.
-        step : float
-            Sampling interval, s.
-        edges : str
-            What the filters do at the ends.
+        `velocity` (n,): as logged, evenly sampled; `acceleration` (n,): as logged; central differences of the
+        velocity where the log has none; `step`: sampling interval, s.
         """
         if self.differentiated:
             assert self.velocity is not None
@@ -295,13 +234,7 @@ CASES: dict[str, Case] = {
 
 
 def chosen_cases(words: str) -> list[Case]:
-    """The cases that a list such as ``all`` or ``2,8,11`` names.
-
-    Raises
-    ------
-    UndertowError
-        If a name is no case.
-    """
+    """The cases that a list such as ``all`` or ``2,8,11`` names."""
     if words == "all":
         return list(CASES.values())
     names = [word.strip() for word in words.split(",")]
@@ -319,19 +252,7 @@ _EVEN = 0.02
 
 
 class Regression:
-    """The regressor of one motion.
-
-    Parameters
-    ----------
-    axis : Axis
-        The motion.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is to be estimated, a parameter is not linear, an effect has states of its own, or the
-        thrust comes late.
-    """
+    """The regressor of one motion."""
 
     def __init__(self, axis: Axis) -> None:
         self.axis = axis

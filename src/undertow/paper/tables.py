@@ -23,30 +23,16 @@ _FREE_SIGN = ("Z_g",)
 
 @dataclass(frozen=True)
 class PublishedTable:
-    """One table: a column for each case.
+    """One table: a column for each case."""
 
-    Attributes
-    ----------
-    name : str
-        Its number in the paper.
-    motion, direction : str
-        What was estimated.
-    samples : int
-        Rows of the regression.
-    selected : str
-        Case that the paper takes for this motion.
-    adopted : str or None
-        Which set of Table 4 came out of it; None where no set did.
-    printed : mapping
-        Text of every cell by quantity and case; quantities are parameters, ``variance`` and ``sd_`` of each.
-    """
-
-    name: str
+    name: str  # its number in the paper
+    # motion, direction: what was estimated
     motion: str
     direction: str
-    samples: int
-    selected: str
-    adopted: str | None
+    samples: int  # rows of the regression
+    selected: str  # case that the paper takes for this motion
+    adopted: str | None  # which set of Table 4 came out of it; None where no set did
+    # text of every cell by quantity and case; quantities are parameters, ``variance`` and ``sd_`` of each
     printed: Mapping[str, Mapping[str, str]]
 
     @property
@@ -79,21 +65,13 @@ Adopted = Mapping[str, Mapping[str, str]]
 
 @dataclass(frozen=True)
 class Appendix:
-    """Tables that belong together.
+    """Tables that belong together."""
 
-    Attributes
-    ----------
-    tables : tuple of PublishedTable
-        In their order.
-    body : mapping
-        What is known of the body: its own part of each inertia, kg or kg m^2; volume, m^3; water density,
-        kg/m^3; gravity, m/s^2.
-    adopted : mapping
-        What the paper took over into Table 4, as printed: added inertia, damping, force by direction.
-    """
-
-    tables: tuple[PublishedTable, ...]
+    tables: tuple[PublishedTable, ...]  # in their order
+    # what is known of the body: its own part of each inertia, kg or kg m^2; volume, m^3; water density,
+    # kg/m^3; gravity, m/s^2
     body: Mapping[str, float]
+    # what the paper took over into Table 4, as printed: added inertia, damping, force by direction
     adopted: Adopted
 
 
@@ -149,21 +127,11 @@ _ROUNDING = 1e-4
 
 @dataclass(frozen=True)
 class Remark:
-    """One thing that does not fit.
+    """One thing that does not fit."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    where : str
-        Tables, cases and quantities.
-    text : str
-        The numbers, and what is wrong about them.
-    """
-
-    kind: str
-    where: str
-    text: str
+    kind: str  # one of `KINDS`
+    where: str  # tables, cases and quantities
+    text: str  # the numbers, and what is wrong about them
 
 
 def audit(tables: Appendix) -> list[Remark]:

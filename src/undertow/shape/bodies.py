@@ -20,17 +20,8 @@ from .mesh import Mesh
 def turned(matrix: Array, rotation: ArrayLike) -> Array:
     """A 6 × 6 inertia or added-mass matrix in other axes with the same origin.
 
-    Parameters
-    ----------
-    matrix : (6, 6) array
-        In the axes of the body; forces and moments per linear and angular acceleration.
-    rotation : (3, 3) array
-        Takes components along the axes of the body into components along the new ones.
-
-    Raises
-    ------
-    UndertowError
-        If `rotation` is none.
+    `matrix` (6, 6): in the axes of the body; forces and moments per linear and angular acceleration;
+    `rotation` (3, 3): takes components along the axes of the body into components along the new ones.
     """
     both = transformation(rotation, np.zeros(3))
     return both @ matrix @ both.T
@@ -39,12 +30,7 @@ def turned(matrix: Array, rotation: ArrayLike) -> Array:
 def moved(matrix: Array, offset: ArrayLike) -> Array:
     """A 6 × 6 inertia or added-mass matrix about an origin from which its own lies at `offset`.
 
-    Parameters
-    ----------
-    matrix : (6, 6) array
-        About its own origin.
-    offset : (3,) array
-        Where that origin lies, m, along the same axes.
+    `matrix` (6, 6): about its own origin; `offset` (3,): where that origin lies, m, along the same axes.
     """
     arm = transformation(np.eye(3), offset)
     return arm @ matrix @ arm.T
@@ -55,20 +41,9 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
 
     A matrix M of forces per motion becomes T M T^T, and its errors E at most |T| E |T|^T.
 
-    Parameters
-    ----------
-    rotation : (3, 3) array
-        Takes components along the axes of the body into components along the new ones.
-    offset : (3,) array
-        Where the body's origin lies from the new one, m, along the new axes.
+    `rotation` (3, 3): takes components along the axes of the body into components along the new ones;
+    `offset` (3,): where the body's origin lies from the new one, m, along the new axes.
 
-    Raises
-    ------
-    UndertowError
-        If `rotation` is none, or `offset` no place.
-
-    Notes
-    -----
     The velocity of the old origin is nu_1 + nu_2 × offset: M' = H^T M H with H = [[I, S(offset)^T], [0, I]]
     (Fossen 2021, chapter 3, transformation between points).
     """
@@ -92,24 +67,14 @@ _ENDS_ACROSS, _ENDS_ABOUT, _ENDS_ALONG = 0.7, 2.0, 0.5
 
 @dataclass(frozen=True)
 class AddedMass:
-    """Added mass of a body about its centre, far from bottom, walls and surface.
+    """Added mass of a body about its centre, far from bottom, walls and surface."""
 
-    Attributes
-    ----------
-    matrix : (6, 6) array
-        kg, kg m and kg m^2 along the axes of the body; positive, so that X_udot of SNAME is minus its first
-        entry.
-    source : str
-        Where the formula is from.
-    limits : str
-        Up to where it holds.
-    error : (6, 6) array
-        How far the numbers may be off in ideal fluid; zero for an exact formula.
-    """
-
+    # (6, 6): kg, kg m and kg m^2 along the axes of the body; positive, so that X_udot of SNAME is minus its
+    # first entry
     matrix: Array
-    source: str
-    limits: str
+    source: str  # where the formula is from
+    limits: str  # up to where it holds
+    # (6, 6): how far the numbers may be off in ideal fluid; zero for an exact formula
     error: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     def placed(self, rotation: ArrayLike, offset: ArrayLike) -> AddedMass:
@@ -121,20 +86,8 @@ class AddedMass:
 def ellipsoid(a: float, b: float, c: float, density: float = 1000.0) -> AddedMass:
     """Added mass of an ellipsoid.
 
-    Parameters
-    ----------
-    a, b, c : float
-        Semi-axes along x, y and z, m.
-    density : float
-        Of the fluid, kg/m^3.
+    `a`, `b`, `c`: semi-axes along x, y and z, m; `density`: of the fluid, kg/m^3.
 
-    Raises
-    ------
-    UndertowError
-        If a length or the density is not positive.
-
-    Notes
-    -----
     Lamb's integrals alpha_0, beta_0, gamma_0 are Carlson's R_D:
     alpha_0 = a b c ∫ dλ / ((a² + λ) Δ) = (2/3) a b c R_D(b², c², a²), and so on; their sum is 2.
     """
@@ -164,20 +117,8 @@ def prolate_spheroid(length: float, diameter: float, density: float = 1000.0) ->
 def cylinder(length: float, diameter: float, density: float = 1000.0) -> AddedMass:
     """Added mass of a slender circular cylinder along x, by strips: what the flow across it does.
 
-    Parameters
-    ----------
-    length, diameter : float
-        m; at least five diameters long.
-    density : float
-        Of the fluid, kg/m^3.
+    `length`, `diameter`: m; at least five diameters long; `density`: of the fluid, kg/m^3.
 
-    Raises
-    ------
-    UndertowError
-        If it is shorter, or a number is not positive.
-
-    Notes
-    -----
     Across, every slice of length dx carries density π d²/4 dx (Lamb 1932, chapter IV). Along its
     axis it is taken as zero: that depends on the ends, which strips do not see.
     """
@@ -239,20 +180,8 @@ _LIMITS = (
 def box(length: float, beam: float, height: float, density: float = 1000.0) -> AddedMass:
     """Added mass of a rectangular box about its centre.
 
-    Parameters
-    ----------
-    length, beam, height : float
-        Sides along x, y and z, m.
-    density : float
-        Of the fluid, kg/m^3.
+    `length`, `beam`, `height`: sides along x, y and z, m; `density`: of the fluid, kg/m^3.
 
-    Raises
-    ------
-    UndertowError
-        If a number is not positive, or a side is so much longer than the next one that the table ends before.
-
-    Notes
-    -----
     Cubic splines of the logarithms of the coefficients over the logarithms of both ratios of sides.
     """
     positive(length=length, beam=beam, height=height, density=density)
@@ -306,19 +235,7 @@ _BODY_LIMITS = "simple bodies of the same extents in place of the hull, in ideal
 def equivalent(mesh: Mesh, density: float = 1000.0, form: str | None = None) -> AddedMass:
     """Added mass of a box or an ellipsoid with the extents of a hull, about the origin of its mesh.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The hull.
-    density : float
-        Of the water, kg/m^3.
-    form : {"box", "ellipsoid"}, optional
-        By default between both, by how much of its bounding box the hull fills: an ellipsoid 52 %, a box all.
-
-    Raises
-    ------
-    UndertowError
-        If a box is asked for and the table does not have it.
+    `density`: of the water, kg/m^3.
     """
     length, beam, height = mesh.extents.tolist()
     fill = mesh.volume / (length * beam * height)

@@ -47,21 +47,11 @@ _CLASSES = {
 
 @dataclass(frozen=True)
 class Drag:
-    """Quadratic drag of a hull about an origin.
+    """Quadratic drag of a hull about an origin."""
 
-    Attributes
-    ----------
-    coefficients : (6,) array
-        Force per speed squared, kg/m, and moment per rate squared, kg m^2; positive.
-    sigma : (6,) array
-        How far to trust them.
-    sources : tuple of str
-        Where each is from.
-    """
-
-    coefficients: Array
-    sigma: Array
-    sources: tuple[str, ...]
+    coefficients: Array  # (6,): force per speed squared, kg/m, and moment per rate squared, kg m^2; positive
+    sigma: Array  # (6,): how far to trust them
+    sources: tuple[str, ...]  # where each is from
 
 
 def drag_of_hull(
@@ -72,24 +62,9 @@ def drag_of_hull(
 ) -> Drag:
     """Drag by silhouettes in translation, and by the speeds of all strips of the surface in rotation.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The hull.
-    density : float
-        Of the water, kg/m^3.
-    origin : (3,) sequence of float
-        What rotation is about, m.
-    cd : (3,) sequence of float, optional
-        Drag coefficients on the silhouettes seen along x, y and z; by the form of the hull if None.
+    `density`: of the water, kg/m^3; `origin` (3,): what rotation is about, m; `cd` (3,): drag coefficients on
+    the silhouettes seen along x, y and z; by the form of the hull if None.
 
-    Raises
-    ------
-    UndertowError
-        If a coefficient is negative.
-
-    Notes
-    -----
     Force: density/2 C_d times silhouette. Moment: every strip of surface gives half of that for its own
     normal velocity, so that a box gets what strip theory gives its sides, and a hull that turns about its
     axis of revolution gets friction only.
@@ -185,17 +160,7 @@ def derivative(i: int, j: int) -> str:
 
 
 def with_added_mass(vehicle: Vehicle, added: AddedMass, *, floor: float = FLOOR) -> Vehicle:
-    """The vehicle with this added mass as prior: `X_udot` and so on to be estimated, with their sigma.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What it had before for these is replaced, also where that differed forward and backward.
-    added : AddedMass
-        About the origin of the vehicle.
-    floor : float
-        Share of the values by which the prior may be off at least.
-    """
+    """The vehicle with this added mass as prior: `X_udot` and so on to be estimated, with their sigma."""
     sigma, own = sigma_of(added, floor), vehicle.dof_indices
     diagonal = {derivative(i, i): (i, i) for i in own}
     pairs = {(i, j) for i, j in coupled(added.matrix) if i in own and j in own}
@@ -253,45 +218,21 @@ _UNITS = {"m": ("kg", "kg m^2"), "d": ("kg/s", "kg m^2/s"), "q": ("kg/m", "kg m^
 
 @dataclass(frozen=True)
 class Wish:
-    """What a first vehicle is to be.
-
-    Attributes
-    ----------
-    name : str
-        Of the vehicle.
-    mesh : str
-        File of the hull, for the record.
-    sha256 : str
-        Of that file.
-    mass : float
-        kg.
-    density : float
-        Of the water, kg/m^3.
-    cg : (3,) tuple of float
-        Centre of gravity from the origin, m, body axes.
-    degrees_of_freedom : tuple of str
-        Motions that the model has.
-    origin : (3,) array
-        Origin of the vehicle in the coordinates of the mesh, m.
-    cd : (3,) tuple of float, optional
-        Drag coefficients along x, y and z; by the form of the hull if None.
-    volume : float, optional
-        What the hull displaces if water gets into it, m^3; what it encloses if None.
-    remarks : tuple of str
-        What else a reader of the file should know.
-    """
+    """What a first vehicle is to be."""
 
     name: str
-    mesh: str
-    sha256: str
-    mass: float
-    density: float
-    cg: tuple[float, float, float]
-    degrees_of_freedom: tuple[str, ...]
-    origin: Array
+    mesh: str  # file of the hull, for the record
+    sha256: str  # of that file
+    mass: float  # kg
+    density: float  # of the water, kg/m^3
+    cg: tuple[float, float, float]  # (3,): centre of gravity from the origin, m, body axes
+    degrees_of_freedom: tuple[str, ...]  # motions that the model has
+    origin: Array  # (3,): origin of the vehicle in the coordinates of the mesh, m
+    # (3,): drag coefficients along x, y and z; by the form of the hull if None
     cd: tuple[float, float, float] | None = None
+    # what the hull displaces if water gets into it, m^3; what it encloses if None
     volume: float | None = None
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # what else a reader of the file should know
 
     @property
     def own(self) -> list[int]:
@@ -309,23 +250,7 @@ class EffectTable:
 
 
 def first_vehicle(hull: Mesh, added: AddedMass, wish: Wish) -> str:
-    """The text of a vehicle file for a hull.
-
-    Parameters
-    ----------
-    hull : Mesh
-        In body axes, with the origin of the file of the hull.
-    added : AddedMass
-        Of the hull, about the same origin.
-    wish : Wish
-        What else is known.
-
-    Raises
-    ------
-    UndertowError
-        If mass, density or volume are not positive, the hull displaces more than it encloses, or no vehicle
-        can be made of it all.
-    """
+    """The text of a vehicle file for a hull."""
     _check(hull, wish)
     mesh, added = hull.moved(-wish.origin), added.placed(np.eye(3), -wish.origin)
     drag = drag_of_hull(mesh, wish.density, cd=wish.cd)
@@ -519,13 +444,7 @@ def _plain(text: str) -> str:
 
 
 def motions(names: Sequence[str]) -> tuple[str, ...]:
-    """Degrees of freedom in their order.
-
-    Raises
-    ------
-    UndertowError
-        If one is not known, or there is none.
-    """
+    """Degrees of freedom in their order."""
     wrong = [n for n in names if n not in DOFS]
     if wrong or not names:
         found = f"'{wrong[0]}'" if wrong else "nothing"

@@ -28,18 +28,10 @@ _STATIONS = 100
 
 @dataclass(frozen=True)
 class Mesh:
-    """A closed surface of triangles that are seen counter-clockwise from outside.
+    """A closed surface of triangles that are seen counter-clockwise from outside."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) array
-        m, body axes (x forward, y to starboard, z down).
-    faces : (k, 3) array of int
-        Places of the corners among the vertices.
-    """
-
-    vertices: Array
-    faces: Faces
+    vertices: Array  # (n, 3): m, body axes (x forward, y to starboard, z down)
+    faces: Faces  # (k, 3): places of the corners among the vertices
 
     @cached_property
     def corners(self) -> Array:
@@ -102,17 +94,8 @@ class Mesh:
     def widths(self, along: int, across: int) -> tuple[Array, Array]:
         """How wide the hull is at stations along an axis, seen along the third.
 
-        Parameters
-        ----------
-        along, across : int
-            Axis of the stations, and that of the width: 0, 1, 2 for x, y, z.
-
-        Returns
-        -------
-        widths : (n,) array
-            m; gaps between parts of a section are not counted.
-        steps : (n,) array
-            Length that each station stands for, m; stations are closer at the ends.
+        Axes `along` and `across` are 0, 1, 2 for x, y, z. Widths (n,), m, leave out gaps between parts of a
+        section; steps (n,), m, are what each station stands for: stations are closer at the ends.
         """
         low, high = self.bounds[:, along]
         angles = (np.arange(_STATIONS) + 0.5) / _STATIONS * np.pi - np.pi / 2
@@ -163,20 +146,7 @@ _SAME = 1e-6
 
 
 def mended(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
-    """One closed body whose triangles all look outward, and what was done for it.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Triangles as a file has them; corners that coincide need not be the same vertex.
-    name : str
-        What to call it in messages.
-
-    Raises
-    ------
-    UndertowError
-        If the surface is open, branches, or encloses several bodies.
-    """
+    """One closed body whose triangles all look outward, and what was done for it."""
     joined = _joined(mesh)
     if not len(joined.faces):
         raise UndertowError(f"{name}: every triangle has no area: export the surface of the hull as STL")
@@ -274,13 +244,7 @@ def has_capytaine() -> bool:
 
 
 def quiet_capytaine() -> Any:
-    """The package capytaine, which speaks up for errors only.
-
-    Raises
-    ------
-    UndertowError
-        If it is not installed.
-    """
+    """The package capytaine, which speaks up for errors only."""
     root, silent = logging.getLogger(), logging.NullHandler()
     # On import it gives the root logger a handler to stdout, unless there is one.
     root.addHandler(silent)
@@ -305,18 +269,10 @@ _STL_HEAD, _STL_FACET = 84, np.dtype([("floats", "<f4", 12), ("attribute", "<u2"
 
 @dataclass(frozen=True)
 class Hull:
-    """A hull out of a file.
+    """A hull out of a file."""
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Its surface in body axes.
-    remarks : tuple of str
-        What was mended, one line each.
-    """
-
-    mesh: Mesh
-    remarks: tuple[str, ...]
+    mesh: Mesh  # its surface in body axes
+    remarks: tuple[str, ...]  # what was mended, one line each
 
 
 def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") -> Hull:
@@ -480,13 +436,7 @@ _PART = 0.33
 
 
 def base_mesh(mesh: Mesh, count: int) -> Mesh:
-    """A mesh of at most some `count` triangles of similar size: simplified, or cut at the longest edges.
-
-    Raises
-    ------
-    UndertowError
-        If a simplified surface is no closed body any more, or the package for it is missing.
-    """
+    """A mesh of at most some `count` triangles of similar size: simplified, or cut at the longest edges."""
     found = _simplified(mesh, round(count * _PART)) if len(mesh.faces) > count else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:

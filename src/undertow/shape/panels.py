@@ -27,19 +27,7 @@ _MISSED = 0.05
 def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh, Mesh]:
     """A hull in triangles of three sizes, each half of the one before.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The hull as it was drawn.
-    finest : int
-        Most triangles of the finest.
-    crease : float
-        Degrees. Edges at which the surface bends by less are taken for a curve, drawn coarsely.
-
-    Raises
-    ------
-    UndertowError
-        If the hull has too many triangles and cannot be simplified, or so few panels miss its shape.
+    `crease`: degrees. Edges at which the surface bends by less are taken for a curve, drawn coarsely.
     """
     coarse = base_mesh(mesh, finest // 16)
     smooth = mesh
@@ -117,15 +105,8 @@ def _cosine(degrees: float) -> float:
 def curved(mesh: Mesh, crease: float = CREASE) -> Mesh:
     """Four triangles for each; new vertices lie on the curve that the normals at both ends of an edge tell.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The coarser mesh.
-    crease : float
-        Degrees. An edge at which the surface bends by more, or not at all, stays straight.
+    `crease`: degrees. An edge at which the surface bends by more, or not at all, stays straight.
 
-    Notes
-    -----
     The middle of an edge from a to b with normals n_a and n_b is that of the cubic of a PN triangle
     (Vlachos, Peters, Boyd and Mitchell 2001, Curved PN triangles).
     """
@@ -196,21 +177,11 @@ _LIMITS = (
 
 @dataclass(frozen=True)
 class Radiation:
-    """What a hull radiates at one frequency, about the origin of its mesh.
+    """What a hull radiates at one frequency, about the origin of its mesh."""
 
-    Attributes
-    ----------
-    omega : float
-        rad/s.
-    damping : (6, 6) array
-        Force per velocity, N/(m/s) and so on, positive.
-    error : (6, 6) array
-        How far it may be off.
-    """
-
-    omega: float
-    damping: Array
-    error: Array
+    omega: float  # rad/s
+    damping: Array  # (6, 6): force per velocity, N/(m/s) and so on, positive
+    error: Array  # (6, 6): how far it may be off
 
     def placed(self, rotation: ArrayLike, offset: ArrayLike) -> Radiation:
         """The same hull turned by `rotation` and with its origin at `offset`; see `transformation`."""
@@ -220,21 +191,11 @@ class Radiation:
 
 @dataclass(frozen=True)
 class PanelResult:
-    """What a panel method says of a hull.
+    """What a panel method says of a hull."""
 
-    Attributes
-    ----------
-    added : AddedMass
-        At infinite frequency, about the origin of the mesh.
-    radiation : tuple of Radiation
-        Damping at the frequencies asked for.
-    panels : tuple of int
-        Sizes of the three meshes.
-    """
-
-    added: AddedMass
-    radiation: tuple[Radiation, ...]
-    panels: tuple[int, ...]
+    added: AddedMass  # at infinite frequency, about the origin of the mesh
+    radiation: tuple[Radiation, ...]  # damping at the frequencies asked for
+    panels: tuple[int, ...]  # sizes of the three meshes
 
     def placed(self, rotation: ArrayLike, offset: ArrayLike) -> PanelResult:
         """The same hull turned by `rotation` and with its origin at `offset`; see `transformation`."""
@@ -254,31 +215,11 @@ def added_mass_of_hull(
 ) -> PanelResult:
     """Added mass of a hull by panels of three sizes, extrapolated to endlessly small ones.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The hull, m, body axes.
-    density : float
-        Of the water, kg/m^3.
-    depth : float, optional
-        Depth of the centre of volume under the free surface, m; endlessly deep by default.
-    omegas : sequence of float
-        Frequencies of radiation damping, rad/s; they need a depth.
-    finest : int
-        Most panels of the finest mesh; the others have a quarter and a sixteenth.
-    crease : float
-        Degrees, 0 to 180; edges at which the surface bends by less are taken for a curve, drawn coarsely.
-    report : callable
-        Is told how much is done, and what is being done.
+    `mesh`: the hull, m, body axes; `density`: of the water, kg/m^3; `depth`: depth of the centre of volume
+    under the free surface, m; endlessly deep by default; `omegas`: frequencies of radiation damping, rad/s;
+    they need a depth; `crease`: degrees, 0 to 180; edges at which the surface bends by less are taken for a
+    curve, drawn coarsely.
 
-    Raises
-    ------
-    UndertowError
-        If capytaine is not installed, the hull reaches out of the water, so few panels miss its shape, or a
-        number cannot be.
-
-    Notes
-    -----
     Direct boundary-integral equation. Of the three results the order of convergence is observed, from one
     (sharp edges) to two (smooth hulls); the error is half of what the extrapolation adds, more where two
     extrapolations or the two triangles of the matrix differ more, or the panels miss some of the volume.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from html import escape
+
+from undertow.notebook import html
 
 from .problem import Range, Span
 
@@ -230,4 +231,5 @@ class Report:
         return f"{self.gains} on {self.vehicle}: {verdict}; {held} of {len(self.rows)} conditions hold"
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>"
+        head = ("form", "statement", "scope", "signs", "left", "right", "margin", "verdict")
+        return html(repr(self), head, ([getattr(row, name) for name in head] for row in self.rows))

@@ -209,9 +209,8 @@ def _with_offset(found: WholeLoop, loop: LinearLoop) -> WholeLoop:
 # --- tried by simulation --------------------------------------------------------------------------
 def _simulated(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, float]) -> WholeLoop:
     """The verdict after simulations of the whole loop; a start that it does not come back from refutes it."""
-    from undertow.control.closed_loop.many import Runs
     from undertow.control.closed_loop.scenario import Scenario
-    from undertow.control.closed_loop.simulate import ClosedLoop
+    from undertow.control.closed_loop.simulate import ClosedLoop, Runs
 
     starts = _starts(gains, region)
     slowest = -found.pole.real if found.pole is not None else 1.0
