@@ -43,14 +43,14 @@ def design(
 ) -> None:
     from undertow.control.conditions.check import derived_conditions_hold
     from undertow.control.linear.design import lqr
-    from undertow.control.linear.numeric import told
+    from undertow.control.linear.numeric import as_input_error
     from undertow.control.linear.trim import find_trim
     from undertow.files import check_writable, write_whole
     from undertow.model.loading import load_vehicle
     from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, POSE_UNITS
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
-    with told():
+    with as_input_error():
         model = load_vehicle(vehicle, effect_files=effects or [])
         done = lqr(
             model,

@@ -84,11 +84,11 @@ def linearize(
     json: JsonOption = False,
     effects: EffectsOption = None,
 ) -> None:
-    from undertow.control.linear.numeric import told
+    from undertow.control.linear.numeric import as_input_error
     from undertow.control.linear.report import analyse
 
     _check_picture(plot, out, vehicle, gains)
-    with progress("linearising") as report, told():
+    with progress("linearising") as report, as_input_error():
         found = analyse(
             _in_current(vehicle, current, effects or []),
             held(at or []),

@@ -183,7 +183,7 @@ def update(
     """
     from undertow.figures import save_png
 
-    from .linear.numeric import told as failures_told
+    from .linear.numeric import as_input_error as failures_told
     from .linear.report import snapshot
 
     export = Export(vehicle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from importlib.resources import files
@@ -31,11 +30,10 @@ from .gains import GainSet
 class ControllerSettings:
     """The numbers of allocation with limits and of anti-windup."""
 
+    # Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too
+    # few for all directions, then least squares is meant.
     damping: float = 1e-8
-    """Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too
-    few for all directions, then least squares is meant."""
-    rounding: float = 1e-9
-    """Part of the wanted force that counts as rounding and not as a limit."""
+    rounding: float = 1e-9  # part of the wanted force that counts as rounding and not as a limit
 
 
 SETTINGS = ControllerSettings()
@@ -230,8 +228,8 @@ class Controller:
         rows = list(allocation.rows)
         lacking = (force - _constant(allocation.matrix) @ commands)[rows]
         short = ca.sumsqr(lacking) > SETTINGS.rounding**2 * ca.sumsqr(force[rows])
-        asked = convert.matrix(self.gains.law.force(signals).jacobian(signals.states))[rows, :]
-        pushes = (asked.T @ lacking) * rates > 0
+        slope = convert.matrix(self.gains.law.force(signals).jacobian(signals.states))[rows, :]
+        pushes = (slope.T @ lacking) * rates > 0
         return rates * (1 - short * pushes)
 
     def _converter(self, error: ca.SX, states: ca.SX, gate: ca.SX) -> Converter:
@@ -272,14 +270,8 @@ def _wrapped(angle: ca.SX) -> ca.SX:
 
 
 PICTURES = "figures"
-_POSE_UNITS = ("m",) * 3 + ("rad",) * 3
-_UNITS = dict(
-    zip(
-        (*POSE, *VELOCITY, *(f"tau_{f}" for f in FORCE)),
-        (*_POSE_UNITS, *VELOCITY_UNITS, *FORCE_UNITS),
-        strict=True,
-    )
-)
+_NAMES = (*POSE, *VELOCITY, *(f"tau_{f}" for f in FORCE))
+_UNITS = dict(zip(_NAMES, (*("m",) * 3, *("rad",) * 3, *VELOCITY_UNITS, *FORCE_UNITS), strict=True))
 _HEADING = """\
 /* Desired heading from where the vehicle begins to the set-point, rad. */
 double @LOWER@_heading(double x_0, double y_0, double x_d, double y_d)"""
@@ -371,7 +363,8 @@ class ControllerExport:
         named = ("report", "state", "gain", "command")
         lines = [head, '#include "controller.h"', "", "#include <math.h>", ""]
         lines += [strings(f"{name}_{what}_names", entries[what]) for what in named]
-        lines += [f"const double {name}_gains[] = {{{_numbers(self._controller.gain_values())}}};", ""]
+        values = ", ".join(map(repr, self._controller.gain_values()))
+        lines += [f"const double {name}_gains[] = {{{values}}};", ""]
         lines += [plain_c(self._controller.sampled, f"{name}_sample", prefix="static "), self._functions()]
         return "\n".join(lines)
 
@@ -389,10 +382,6 @@ class ControllerExport:
             rule = _RULES[self._controller.gains.schedule.heading]
             parts.append(f"{filled(_HEADING, {'LOWER': name})} {{\n{rule}\n}}")
         return "\n\n".join(parts) + "\n"
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return ", ".join(map(repr, values))
 
 
 def _text(path: Path) -> str:

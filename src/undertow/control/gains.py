@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,53 +28,27 @@ Diagonal = dict[Coordinate, Quantity] | list[Quantity] | Quantity
 
 
 class ScheduleTable(FileTable):
-    """In which order the coordinates are driven to their set-points.
+    """In which order the coordinates are driven to their set-points."""
 
-    Attributes
-    ----------
-    order : str
-        "together", or "yaw-first": x and y wait until the heading has come within `gate` once.
-    gate : quantity
-        Error of the heading that opens the gate, rad.
-    heading : str
-        How the heading to a set-point without psi is worked out: by "atan2", or by "atan" as (42) of the
-        mini-AUV paper prints it, which drives backwards to what lies behind.
-    integrators : str
-        When the integrals of x and y begin: at the "gate", or at the "start".
-    """
-
+    # With "yaw-first" x and y wait until the heading has come within `gate`, rad, once.
     order: Literal["together", "yaw-first"] = "together"
     gate: Quantity = "1 deg"
+    # How the heading to a set-point without psi is worked out; "atan", as (42) of the mini-AUV paper prints
+    # it, drives backwards to what lies behind.
     heading: Literal["atan2", "atan"] = "atan2"
-    integrators: Literal["gate", "start"] = "gate"
+    integrators: Literal["gate", "start"] = "gate"  # when the integrals of x and y begin
 
 
 class AllocationTable(FileTable):
-    """How a wanted force is shared among the thrusters.
+    """How a wanted force is shared among the thrusters."""
 
-    Attributes
-    ----------
-    weights : dict of str
-        Price of the squared command of a thruster beside the others, 1 unless stated.
-    limits : dict of str
-        Largest magnitude of a thruster's command; the vehicle file's unless stated.
-    anti_windup : str
-        "hold" stops an integral that pushes further into a limit; "none" lets it run.
-    """
-
-    weights: dict[Identifier, float] = Field(default_factory=dict)
-    limits: dict[Identifier, Quantity] = Field(default_factory=dict)
-    anti_windup: Literal["hold", "none"] = "hold"
+    weights: dict[Identifier, float] = Field(default_factory=dict)  # price of the squared command, else 1
+    limits: dict[Identifier, Quantity] = Field(default_factory=dict)  # of a command, else the vehicle file's
+    anti_windup: Literal["hold", "none"] = "hold"  # stop an integral that pushes further into a limit
 
 
 class GainTable(FileTable):
-    """The whole file.
-
-    Attributes
-    ----------
-    unactuated : list of str
-        Degrees of freedom whose force, if the law wants one, is knowingly left out for want of a thruster.
-    """
+    """The whole file."""
 
     schema_: Annotated[Literal["undertow/gains/1"], Field(alias="schema")]
     name: Annotated[StrictStr, Field(min_length=1, max_length=80)]
@@ -81,14 +56,21 @@ class GainTable(FileTable):
     source: StrictStr = ""
     law: StrictStr
     gains: dict[Identifier, Diagonal]
+    # Degrees of freedom whose force, if the law wants one, is knowingly left out for want of a thruster.
     unactuated: list[Literal[DOFS]] = Field(default_factory=list)  # type: ignore[valid-type]
     schedule: ScheduleTable = Field(default_factory=ScheduleTable)
     allocation: AllocationTable = Field(default_factory=AllocationTable)
 
 
-# Beyond these, SI, numbers are slips of a unit or a power of ten, and sums of their products lose all digits.
-_GAINS = (1e-12, 1e12)
-_WEIGHTS = (1e-9, 1e9)
+@dataclass(frozen=True)
+class GainLimits:
+    """Beyond these numbers are slips of a unit or a power of ten, and sums of their products lose digits."""
+
+    gains: tuple[float, float] = (1e-12, 1e12)  # SI
+    weights: tuple[float, float] = (1e-9, 1e9)
+
+
+LIMITS = GainLimits()
 
 
 @dataclass(frozen=True)
@@ -260,7 +242,7 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
             f"gain {gain.name} for {coordinate} is {stated}, not above zero: gains are positive, the law "
             "itself has the signs"
         )
-    low, high = _GAINS
+    low, high = LIMITS.gains
     if not low <= value <= high:
         raise UndertowError(
             f"gain {gain.name} for {coordinate} is {stated}: give one from {low:g} to {high:g} "
@@ -273,13 +255,13 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
 def _check_axes(table: GainTable, plant: Plant) -> None:
     """Refuse a law that asks for forces which no thruster gives, unless the file says that it knows."""
     vehicle = plant.vehicle
-    silent = [d for d, row in zip(vehicle.degrees_of_freedom, plant.B.tolist(), strict=True) if not any(row)]
+    silent = [vehicle.degrees_of_freedom[i] for i in plant.unactuated]
     missing = [d for d in silent if d not in table.unactuated]
     if missing:
         raise UndertowError(
             f"law '{table.law}' asks for a force in {', '.join(missing)}, which no thruster of "
-            f"'{vehicle.name}' gives: add a thruster, or write unactuated = {_quoted(silent)} if that force "
-            "is to be left out"
+            f"'{vehicle.name}' gives: add a thruster, or write unactuated = {json.dumps(silent)} if that "
+            "force is to be left out"
         )
     odd = [d for d in table.unactuated if d not in silent and not _dependent(d, table, plant)]
     if odd:
@@ -299,10 +281,6 @@ def _dependent(dof: str, table: GainTable, plant: Plant) -> bool:
     return bool(both) and rows.extract(both, columns).rank() == rows.extract(kept, columns).rank()
 
 
-def _quoted(names: list[str]) -> str:
-    return "[" + ", ".join(f'"{n}"' for n in names) + "]"
-
-
 def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
     known = [t.name for t in vehicle.thrusters]
     for key in (*allocation.weights, *allocation.limits):
@@ -311,7 +289,7 @@ def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
                 f"[allocation] names thruster '{key}'{nearest(key, known)}: the vehicle has "
                 f"{', '.join(known) or 'none'}"
             )
-    low, high = _WEIGHTS
+    low, high = LIMITS.weights
     odd = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
     if odd:
         name, weight = odd[0]

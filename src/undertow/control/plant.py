@@ -104,6 +104,11 @@ class Plant:
         return self._inputs
 
     @property
+    def unactuated(self) -> list[int]:
+        """Places of the degrees of freedom that no thruster pushes in."""
+        return [i for i, row in enumerate(self.B.tolist()) if not any(row)]
+
+    @property
     def thrust_matrix(self) -> np.ndarray:
         """B in numbers, shape (n, n_inputs)."""
         return np.array(self.B.xreplace(self.numbers).tolist(), dtype=float).reshape(self.B.shape)

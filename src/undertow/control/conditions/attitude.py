@@ -197,14 +197,11 @@ ANGLES = ("phi", "theta", "psi")
 class BoundSettings:
     """How finely attitudes are sampled and cut into boxes."""
 
+    # A bound that is not positive by then counts as not proved; it limits time and memory.
     most_boxes: int = 40_000
-    """A bound that is not positive by then counts as not proved; it limits time and memory."""
-    grid: int = 9
-    """Points for each angle from which the least margin is searched for."""
-    heading_cuts: int = 36
-    """Boxes of a whole turn where a bound is not refined."""
-    tilt_cuts: int = 8
-    """The same of roll and of pitch."""
+    grid: int = 9  # points for each angle from which the least margin is searched for
+    heading_cuts: int = 36  # boxes of a whole turn where a bound is not refined
+    tilt_cuts: int = 8  # the same of roll and of pitch
 
 
 BOUNDS = BoundSettings()

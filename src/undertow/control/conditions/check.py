@@ -263,7 +263,7 @@ class _Evaluation:
         )
 
     def _as_sampled(self, found: Range) -> Range:
-        """What holds at some attitudes only is not settled for all."""
+        """What holds at the sampled attitudes is not proved for all of them."""
         sampled = self.channel is None and len(self.problem.few_attitudes) > 1
         return replace(found, verdict=SAMPLED) if sampled and found.verdict == ALL else found
 

@@ -27,10 +27,8 @@ class ComparisonSettings:
     """How the stated derivative of a candidate is compared with the one worked out from the model."""
 
     seed: int = 20210405
-    points: int = 3
-    """At least so many random points, and one for each set of signs."""
-    tolerance: float = 1e-9
-    """Relative difference that counts as rounding."""
+    points: int = 3  # at least so many random points, and one for each set of signs
+    tolerance: float = 1e-9  # relative difference that counts as rounding
 
 
 COMPARISON = ComparisonSettings()
@@ -254,15 +252,14 @@ def equilibria_without_thrust(plant: Plant, law: Law) -> str:
     At rest the force beyond weight is J' w with w = K_P q~ (and K_I phi); it is zero in every pushed axis for
     w along J^-T times the axes that nothing pushes.
     """
-    silent = [i for i, row in enumerate(plant.B.tolist()) if not any(row)]
-    if not silent:
+    if not plant.unactuated:
         return ""
     dofs, coordinates = plant.vehicle.degrees_of_freedom, plant.vehicle.pose_names
-    lacking = ", ".join(dofs[i] for i in silent)
+    lacking = ", ".join(dofs[i] for i in plant.unactuated)
     if "K_P" not in [g.name for g in type(law).gains]:
         return f"not only S = 0: nothing drives S to zero along {lacking}, which no thruster pushes"
     lines = []
-    for column in (plant.J_inverse.T[:, i] for i in silent):
+    for column in (plant.J_inverse.T[:, i] for i in plant.unactuated):
         parts = ", ".join(f"{c}: {v}" for c, v in zip(coordinates, column, strict=True) if v != 0)
         lines.append(f"({parts})")
     return (

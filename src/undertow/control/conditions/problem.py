@@ -29,20 +29,13 @@ from .by_law import CONDITIONS, Condition, Quantities
 class SearchSettings:
     """How finely conditions are searched through and sampled."""
 
-    low: float = 1e-9
-    """Least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero."""
-    high: float = 1e9
-    """Largest one; what holds there holds without end."""
-    points: int = 181
-    """Points in between, ten for each power of ten, before the search is refined."""
-    headings: int = 13
-    """Samples of a whole turn: every 30 degrees."""
-    tilts: int = 7
-    """Samples of roll and of pitch: every 20 degrees at the range of conditions unless stated."""
-    most_corners: int = 12
-    """Of more parameters than this the corners (two to this power) are not tried."""
-    sides: int = 96
-    """Sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse."""
+    low: float = 1e-9  # least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero
+    high: float = 1e9  # largest one; what holds there holds without end
+    points: int = 181  # points in between, ten for each power of ten, before the search is refined
+    headings: int = 13  # samples of a whole turn: every 30 degrees
+    tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
+    most_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
+    sides: int = 96  # sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse
 
 
 SEARCH = SearchSettings()

@@ -162,8 +162,8 @@ def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
     reach = _starts(problem, level)
     speeds = _by_velocity(problem, _pd_speeds(problem, level))
     text = f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})"
-    asked = commands.result(_pd_bounds(commands, level))
-    return _bounded(problem, Region("level", text, level, reach, speeds, commands=asked))
+    largest = commands.result(_pd_bounds(commands, level))
+    return _bounded(problem, Region("level", text, level, reach, speeds, commands=largest))
 
 
 def _bounded(problem: Problem, found: Region) -> Region:
@@ -220,9 +220,9 @@ def _estimate(places: _Places, level: float, ends: str) -> Region:
         f"{places.proviso(level)}; motions that begin with V < {level:.4g} stay there and come to rest "
         f"({_BEYOND} {ends})"
     )
-    asked = places.commands.result(places.bounds(level))
+    largest = places.commands.result(places.bounds(level))
     errors, speeds = places.reach(level), places.fastest(level)
-    found = Region("level", claim, level, errors, speeds, commands=asked, iota=places.iota, proved=False)
+    found = Region("level", claim, level, errors, speeds, commands=largest, iota=places.iota, proved=False)
     return _bounded(problem, found)
 
 

@@ -29,14 +29,12 @@ from .problem import Problem, SignSet, where_positive
 class RepairSettings:
     """How repairs are searched for."""
 
-    rounds: int = 80
-    """Most rounds of cutting planes."""
-    least_gain: float = 1e-3
-    """Every gain keeps at least this part of itself."""
+    rounds: int = 80  # most rounds of cutting planes
+    least_gain: float = 1e-3  # every gain keeps at least this part of itself
+    # Distances inside every demand, tried until the gains hold in the six digits that are printed.
     slacks: tuple[float, ...] = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-    """Distances inside every demand, tried until the gains hold in the six digits that are printed."""
+    # Powers of ten of iota, 1/s, and points between which its best value is searched for.
     iota_grid: tuple[float, float, int] = (-4, 1, 26)
-    """Powers of ten of iota, 1/s, and points between which its best value is searched for."""
 
 
 SETTINGS = RepairSettings()

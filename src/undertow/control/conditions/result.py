@@ -19,38 +19,32 @@ NO_IOTA = "no iota"
 class CertificateSettings:
     """The numbers that decide what counts as certified."""
 
+    # Part of each thruster's limit that holding the set-point has to leave for control: what voltage and
+    # propeller tolerances of small thrusters take between dives.
     thrust_reserve: float = 0.1
-    """Part of each thruster's limit that holding the set-point has to leave for control: what voltage and
-    propeller tolerances of small thrusters take between dives."""
+    # A region that ends at a smaller error of some coordinate is none, m and rad: sensors aboard do not
+    # resolve it.
     smallest_error: float = 1e-2
-    """A region that ends at a smaller error of some coordinate is none, m and rad: sensors aboard do not
-    resolve it."""
-    largest_error: float = 1e4
-    """Errors beyond it are not looked at where thrusters have limits, m."""
+    largest_error: float = 1e4  # errors beyond it are not looked at where thrusters have limits, m
+    # Error of the reported pose, m and rad, with which a loop may come to rest and still hold its set-point:
+    # the accuracy of acoustic positioning and magnetic compasses.
     largest_offset: float = 0.1
-    """Error of the reported pose, m and rad, with which a loop may come to rest and still hold its set-point:
-    the accuracy of acoustic positioning and magnetic compasses."""
+    # A motion that decays more slowly does not count as decaying, 1/s: its time constant is over a week.
     slowest: float = 1e-6
-    """A motion that decays more slowly does not count as decaying, 1/s: its time constant is over a week."""
+    # At how many headings the whole loop is linearised where its motion depends on the heading.
     headings: int = 12
-    """At how many headings the whole loop is linearised where its motion depends on the heading."""
-    pade: int = 4
-    """Order of the approximation of dead times there."""
+    pade: int = 4  # order of the approximation of dead times there
+    # How much faster a law that jumps leaves the layer that stands for the jump than its surface leads to the
+    # set-point.
     layer_speed: float = 20.0
-    """How much faster a law that jumps leaves the layer that stands for the jump than its surface leads to
-    the set-point."""
-    starts: int = 8
-    """How many starts are simulated where effects or axes are outside the certificate."""
-    lasts: float = 20.0
-    """Length of these simulations in slowest time constants."""
+    starts: int = 8  # how many starts are simulated where effects or axes are outside the certificate
+    lasts: float = 20.0  # length of these simulations in slowest time constants
+    # Its limits, s: what takes longer than a quarter of an hour is judged by that.
     durations: tuple[float, float] = (30.0, 900.0)
-    """Its limits, s: what takes longer than a quarter of an hour is judged by that."""
-    dt: float = 0.01
-    """Sampling interval there, s; a tenth of it where the law needs that."""
-    comes_back: float = 0.25
-    """Part of the error of the start that may be left at the end."""
+    dt: float = 0.01  # sampling interval there, s; a tenth of it where the law needs that
+    comes_back: float = 0.25  # part of the error of the start that may be left at the end
+    # Factor on what the slowest pole leaves of it, where that is more: poles are those near rest only.
     slack: float = 1.2
-    """Factor on what the slowest pole leaves of it, where that is more: poles are those near rest only."""
 
 
 SETTINGS = CertificateSettings()
@@ -128,14 +122,14 @@ class Region:
 
     kind: str  # "everywhere"; "level", a bounded region that no motion leaves; or "none"
     text: str
-    level: float | None = None  # V is below it in the region, J; None for a box of errors and surfaces
+    level: float | None = None  # v is below it in the region, J; None for a box of errors and surfaces
     errors: dict[str, float] = field(default_factory=dict)  # largest of each coordinate, m and rad
     speeds: dict[str, float] = field(default_factory=dict)  # largest body velocities, m/s and rad/s
     # Largest error of each coordinate to begin with: at rest, the others and integrals zero.
     starts: dict[str, float] = field(default_factory=dict)
     commands: tuple[Command, ...] = ()
     iota: float | None = None  # that it is stated for; PID only
-    proved: bool = True  # False for an estimate at sampled attitudes
+    proved: bool = True  # false for an estimate at sampled attitudes
 
 
 @dataclass(frozen=True)

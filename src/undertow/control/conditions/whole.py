@@ -163,12 +163,12 @@ def _linear_verdict(case: _Case, loop: LinearLoop) -> WholeLoop:
     worst = complex(max(poles, key=lambda p: (p.real, p.imag)))
     if worst.real > SETTINGS.slowest:
         return WholeLoop("unstable", worst, case.where)
-    standing = int(np.sum(poles.real >= -SETTINGS.slowest))
+    constant = int(np.sum(poles.real >= -SETTINGS.slowest))
     places = len(matrix) - _rank(matrix)
-    if case.idle and standing > places:
+    if case.idle and constant > places:
         text = f"what nothing pushes runs away, or an integral of its error does ({case.where or 'at rest'})"
         return WholeLoop("unstable", worst, text)
-    if standing > case.idle:
+    if constant > case.idle:
         text = f"not judged: a motion neither decays nor grows ({case.where or 'at rest'}); a dead band, say"
         return WholeLoop("not judged", worst, text)
     moving = [complex(p) for p in poles if p.real < -SETTINGS.slowest]

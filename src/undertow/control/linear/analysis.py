@@ -12,26 +12,33 @@ from scipy.linalg import expm
 
 from undertow.typing import Array
 
-_RANK = 1e-9
-_SEEN = 1e-6
-_SHARE = 0.1
-_AT_ZERO = 1e-10
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """What counts as zero in linear systems, and what curves show."""
+
+    rank: float = 1e-9  # singular values below this part of the largest are rounding
+    reached: float = 1e-6  # a state with a smaller part in what is reached is not reached at all
+    # Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
+    share: float = 0.1
+    at_zero: float = 1e-10  # real parts up to this do not grow, 1/s
+    # Gain margins beyond these are at the ends of the frequency axis, from rounding.
+    factors: tuple[float, float] = (1e-6, 1e6)
+    points: int = 600  # of a curve
+    decades: float = 1.5  # that a frequency response goes beyond the slowest and the fastest pole
+    time_constants: float = 5.0  # of the slowest mode that a step response shows
+    longest: float = 600.0  # longest step response, s
+
+
+SETTINGS = AnalysisSettings()
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A pole, with how its motion looks.
+    """A pole, with how its motion looks."""
 
-    Attributes
-    ----------
-    pole : complex
-        rad/s; of a pair the one with the positive imaginary part.
-    states : tuple of str
-        States that take part, the most first.
-    """
-
-    pole: complex
-    states: tuple[str, ...]
+    pole: complex  # rad/s; of a pair the one with the positive imaginary part
+    states: tuple[str, ...]  # that take part, the most first
 
     @property
     def frequency(self) -> float:
@@ -45,13 +52,13 @@ class Mode:
 
     @property
     def time_constant(self) -> float:
-        """Time in which the motion falls (or, if negative, rises) by e, s; endless at zero."""
+        """Time in which the motion falls (or, if negative, rises) by e, s; infinite at zero."""
         return -1 / self.pole.real if self.pole.real else inf
 
     @property
     def stable(self) -> bool:
         """Whether it does not grow; a pole at zero is a place or heading that nothing holds."""
-        return self.pole.real <= _AT_ZERO
+        return self.pole.real <= SETTINGS.at_zero
 
 
 def modes(system: ct.StateSpace) -> list[Mode]:
@@ -75,49 +82,35 @@ def _modes(a: Array, names: list[str]) -> list[Mode]:
         return []
     poles, right = np.linalg.eig(a)
     part = np.abs(right * np.linalg.pinv(right).T)
-    part = part / part.max(axis=0, initial=_RANK)
+    part = part / part.max(axis=0, initial=SETTINGS.rank)
     scale = float(np.max(np.abs(poles)))
     result = []
     for k, pole in enumerate(poles):
-        if pole.imag < -_RANK * scale:
+        if pole.imag < -SETTINGS.rank * scale:
             continue
         taking = sorted(range(len(names)), key=lambda i: -part[i, k])
-        own = tuple(names[i] for i in taking if part[i, k] > _SHARE)
+        own = tuple(names[i] for i in taking if part[i, k] > SETTINGS.share)
         result.append(Mode(_clean(complex(pole), scale), own))
     return result
 
 
 def _clean(pole: complex, scale: float) -> complex:
     """A pole without the noise of rounding."""
-    real, imaginary = (0.0 if abs(v) < _RANK * scale / 10 else v for v in (pole.real, pole.imag))
+    real, imaginary = (0.0 if abs(v) < SETTINGS.rank * scale / 10 else v for v in (pole.real, pole.imag))
     return complex(real, imaginary)
 
 
 # --- what can be moved and seen --------------------------------------------------------------
 @dataclass(frozen=True)
 class Reach:
-    """What inputs can move, or, of the transposed system, what outputs show.
+    """What inputs can move, or, of the transposed system, what outputs show."""
 
-    Attributes
-    ----------
-    rank, of : int
-        Dimension of what can be reached, and number of states.
-    missing : tuple of str
-        States that are not reached at all.
-    mixed : tuple of str
-        States that are reached only together with others.
-    horizon : float
-        Time over which `singular` is taken, s.
-    singular : tuple of float
-        Singular values of the Gramian over that time, the largest first, SI.
-    """
-
-    rank: int
-    of: int
-    missing: tuple[str, ...]
-    mixed: tuple[str, ...]
-    horizon: float
-    singular: tuple[float, ...]
+    rank: int  # dimension of what can be reached
+    of: int  # number of states
+    missing: tuple[str, ...]  # states that are not reached at all
+    mixed: tuple[str, ...]  # states that are reached only together with others
+    horizon: float  # time over which `singular` is taken, s
+    singular: tuple[float, ...]  # singular values of the Gramian over that time, the largest first, SI
 
 
 def controllability(system: ct.StateSpace) -> Reach:
@@ -133,8 +126,8 @@ def observability(system: ct.StateSpace) -> Reach:
 def _reach(a: Array, b: Array, names: list[str]) -> Reach:
     basis = reached(a, b)
     others = np.eye(len(names)) - basis @ basis.T
-    missing = [n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < _SEEN]
-    lost = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > _SHARE]
+    missing = [n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reached]
+    lost = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
     horizon = _horizon(a)
     singular = np.linalg.svd(gramian(a, b, horizon), compute_uv=False)
     mixed = tuple(n for n in lost if n not in missing)
@@ -156,7 +149,7 @@ def reached(a: Array, b: Array) -> Array:
 
 def _independent(columns: Array) -> Array:
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, singular > _RANK]
+    return left[:, singular > SETTINGS.rank]
 
 
 def _horizon(a: Array) -> float:
@@ -206,35 +199,17 @@ def zeros_of(system: ct.StateSpace) -> list[complex]:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop that is closed by negative feedback is from the border of stability.
+    """How far a loop that is closed by negative feedback is from the border of stability."""
 
-    Attributes
-    ----------
-    stable : bool
-        Whether the closed loop is stable now; if not, the margins say what would have to change.
-    gain : float
-        Factor on the loop gain, the nearest to one, that leads to the border; endless where none does.
-    phase : float
-        Phase that leads to the border, degrees: the least by magnitude.
-    delay : float
-        Dead time that may be added, s; zero where the loop is unstable.
-    distance : float
-        Least distance of the Nyquist curve from -1.
-    crossover : float
-        Highest frequency at which the loop gain is one, rad/s; nan where it never is.
-    """
-
-    stable: bool
-    gain: float
-    phase: float
-    delay: float
-    distance: float
-    crossover: float
+    stable: bool  # whether the closed loop is; if not, the margins say what would have to change
+    gain: float  # factor on the loop gain, the nearest to one, that leads to the border; infinite without
+    phase: float  # that leads to the border, degrees: the least by magnitude
+    delay: float  # dead time that may be added, s; zero where the loop is unstable
+    distance: float  # least one of the Nyquist curve from -1
+    crossover: float  # highest frequency at which the loop gain is one, rad/s; nan where it never is
 
 
 _NO_LOOP = Margins(True, inf, inf, inf, 1.0, float("nan"))
-# Crossings at the ends of the frequency axis are rounding.
-_FACTORS = (1e-6, 1e6)
 
 
 def margins(loop: ct.StateSpace) -> Margins:
@@ -242,8 +217,9 @@ def margins(loop: ct.StateSpace) -> Margins:
     if not loop.nstates or not np.any(loop.B):
         return _NO_LOOP
     gains, phases, distances, _, crossings, _ = ct.stability_margins(loop, returnall=True)
-    stable = bool(np.all(ct.feedback(loop, 1).poles().real <= _AT_ZERO))
-    factors = [float(g) for g in gains if _FACTORS[0] < abs(g) < _FACTORS[1]]
+    stable = bool(np.all(ct.feedback(loop, 1).poles().real <= SETTINGS.at_zero))
+    low, high = SETTINGS.factors
+    factors = [float(g) for g in gains if low < abs(g) < high]
     delays = [np.radians(p % 360.0) / w for p, w in zip(phases, crossings, strict=True) if w > 0]
     return Margins(
         stable,
@@ -255,34 +231,20 @@ def margins(loop: ct.StateSpace) -> Margins:
     )
 
 
-_POINTS = 600
-_DECADES = 1.5
-_CONSTANTS = 5.0
-_LONGEST = 600.0
-
-
 @dataclass(frozen=True)
 class Line:
-    """One curve.
-
-    Attributes
-    ----------
-    name : str
-        What it is.
-    x, y : ndarray, shape (n,)
-        rad/s and complex values, or s and values.
-    """
+    """One curve, of shape (n,)."""
 
     name: str
-    x: Array
-    y: NDArray[np.complex128]
+    x: Array  # rad/s, or s
+    y: NDArray[np.complex128]  # complex values, or values
 
 
 def frequencies(systems: list[ct.StateSpace]) -> Array:
     """Frequencies around the poles of systems, rad/s, shape (n,)."""
     sizes = [abs(p) for s in systems for p in s.poles() if abs(p) > 1e-4]
     low, high = min(sizes, default=0.1), max(sizes, default=10.0)
-    return np.geomspace(low * 10**-_DECADES, high * 10**_DECADES, _POINTS)
+    return np.geomspace(low * 10**-SETTINGS.decades, high * 10**SETTINGS.decades, SETTINGS.points)
 
 
 def response(name: str, system: ct.StateSpace, omega: Array) -> Line:
@@ -293,17 +255,17 @@ def response(name: str, system: ct.StateSpace, omega: Array) -> Line:
 def duration(systems: list[ct.StateSpace]) -> float:
     """How long a step is worth looking at: some of the slowest time constants, s."""
     reals = [abs(m.pole.real) for s in systems for m in modes(s) if abs(m.pole.real) > 1e-6]
-    return float(min(_CONSTANTS / min(reals, default=1.0), _LONGEST))
+    return float(min(SETTINGS.time_constants / min(reals, default=1.0), SETTINGS.longest))
 
 
 def step(name: str, system: ct.StateSpace, seconds: float) -> Line:
     """The answer of a system with one input and one output to a step of one."""
-    t, y = ct.step_response(system, np.linspace(0.0, seconds, _POINTS), squeeze=True)
+    t, y = ct.step_response(system, np.linspace(0.0, seconds, SETTINGS.points), squeeze=True)
     return Line(name, np.asarray(t), np.asarray(y).ravel())
 
 
 def locus(system: ct.StateSpace) -> tuple[Array, NDArray[np.complex128]]:
     """Poles of a loop closed with a gain times the system: gains (n,), and poles (n, order)."""
-    gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * _POINTS)])
+    gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * SETTINGS.points)])
     found = ct.root_locus_map(system, gains=gains)
     return np.asarray(found.gains), np.asarray(found.loci)

@@ -18,46 +18,41 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .analysis import Mode, controllability, modes, observability
-from .numeric import told, with_ideal_thrust
-from .systems import LinearLoop, close_loop, linearize, named, with_forces
+from .numeric import as_input_error, with_ideal_thrust
+from .systems import LinearLoop, close_loop, forces_of, linearize, named, with_forces
 from .trim import Trim, find_trim
 
-# Time over which an integral is to remove an error, beside the time constant of the loop without it.
-_PATIENCE = 5.0
-_FASTER = 2.0
-_ROUNDS = 12
-_HORIZONTAL = ("x", "y")
-_SETTLED = -1e-9
-# Riccati equations lose their digits far beyond what these weights, SI, span.
-_LEAST, _MOST = 1e-9, 1e9
 DESIGNED = ("pd", "pid")
+_HORIZONTAL = ("x", "y")
+
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """The numbers of a quadratic design."""
+
+    # Time, s, over which an integral is to remove an error, beside the time constant of the loop without.
+    integral_time: float = 5.0
+    longer: float = 2.0  # factor on this time as often as the conditions on gains fail
+    rounds: int = 12  # most trials
+    # Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span.
+    weights: tuple[float, float] = (1e-9, 1e9)
+    decays: float = -1e-9  # real part, 1/s, above which a state left to itself does not come to rest
+
+
+SETTINGS = DesignSettings()
 
 Verdict = Callable[[GainSet], bool]
 
 
 @dataclass(frozen=True)
 class Design:
-    """Gains that come out of a quadratic design.
-
-    Attributes
-    ----------
-    gains : GainSet
-        The law with its numbers.
-    loop : LinearLoop
-        The loop that it closes.
-    coupling : float
-        Largest part of the full optimal gain that the diagonal law leaves out, as a share.
-    slowed : int
-        How often the integral was given more time until the conditions held.
-    certified : bool or None
-        What the conditions say; None where none were asked.
-    """
+    """Gains that come out of a quadratic design."""
 
     gains: GainSet
-    loop: LinearLoop
-    coupling: float
-    slowed: int
-    certified: bool | None
+    loop: LinearLoop  # that they close
+    coupling: float  # largest part of the full optimal gain that the diagonal law leaves out, as a share
+    slowed: int  # how often the integral was given more time until the conditions held
+    certified: bool | None  # what the conditions say; None where there are none
 
     @property
     def modes(self) -> list[Mode]:
@@ -138,9 +133,9 @@ def lqr(
         raise UndertowError(f"law '{law}' has no quadratic design: {' and '.join(DESIGNED)} do")
     found = trim or find_trim(vehicle)
     channels = _Channels(vehicle, found, error, force)
-    for slowed in range(_ROUNDS):
-        patience = _PATIENCE * _FASTER**slowed
-        gains, coupling = channels.gains(law, patience, name)
+    for slowed in range(SETTINGS.rounds):
+        integral_time = SETTINGS.integral_time * SETTINGS.longer**slowed
+        gains, coupling = channels.gains(law, integral_time, name)
         certified = None if conditions is None else conditions(gains)
         if certified is not False or law == "pd":
             break
@@ -170,7 +165,7 @@ class _Channels:
         self, vehicle: Vehicle, trim: Trim, error: Mapping[str, float], force: Mapping[str, float]
     ) -> None:
         self.vehicle, self.trim = vehicle, trim
-        plant = with_forces(vehicle, _ideal_plant(vehicle, trim))
+        plant = with_forces(_ideal_plant(vehicle, trim), forces_of(vehicle))
         pushed = [name.removeprefix("force_") for name in plant.input_labels]
         if not pushed:
             raise UndertowError(f"'{vehicle.name}' has no thruster: state one, there is nothing to design")
@@ -186,9 +181,9 @@ class _Channels:
     def _velocities(self) -> list[str]:
         return [self.vehicle.velocity_names[i] for i in self.rows]
 
-    def gains(self, law: str, patience: float, name: str) -> tuple[GainSet, float]:
+    def gains(self, law: str, integral_time: float, name: str) -> tuple[GainSet, float]:
         """The diagonal of the optimal gain as a gain set, and the share of what is left out."""
-        optimal = self._optimal(1 / patience if law == "pid" else None)
+        optimal = self._optimal(1 / integral_time if law == "pid" else None)
         n = len(self.rows)
         parts = [optimal[:, i * n : (i + 1) * n] for i in range(optimal.shape[1] // n)]
         largest = max(_coupling(part) for part in parts)
@@ -212,7 +207,7 @@ class _Channels:
             b = np.vstack([b, np.zeros((n, n))])
             cost = np.r_[cost, (rate / self._error) ** 2]
         remedy = "give errors and forces that are nearer to each other"
-        with told("no design with these errors and forces", remedy, ValueError):
+        with as_input_error("no design with these errors and forces", remedy, ValueError):
             gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
         return np.asarray(gain, dtype=float)
 
@@ -247,8 +242,9 @@ def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
         if value is None or not 0 < value < np.inf:
             shown = "missing" if value is None else f"{value:g}"
             raise UndertowError(f"{what} of {name} is {shown}: give a positive one for {', '.join(names)}")
-        if not _LEAST <= value <= _MOST:
-            raise UndertowError(f"{what} of {name} is {value:g}: give one from {_LEAST:g} to {_MOST:g} (SI)")
+        least, most = SETTINGS.weights
+        if not least <= value <= most:
+            raise UndertowError(f"{what} of {name} is {value:g}: give one from {least:g} to {most:g} (SI)")
     return np.array([float(given[n]) for n in names])
 
 
@@ -293,7 +289,7 @@ def lqg(
     r = np.diag(1 / _positive("command", force, plant.input_labels) ** 2)
     v = np.diag([disturbance.get(n, 0.0) ** 2 for n in names])
     w = np.diag(_positive("noise", noise, list(noise)) ** 2)
-    with told("no LQG design", "give weights and disturbances to more states", ValueError):
+    with as_input_error("no LQG design", "give weights and disturbances to more states", ValueError):
         gain = np.asarray(ct.lqr(a, b, q, r)[0])
         observer = np.asarray(ct.lqe(a, np.eye(len(kept)), c, v, w)[0])
     system = ct.ss(a - b @ gain - observer @ c, observer, -gain, np.zeros((len(r), len(w))))
@@ -314,7 +310,7 @@ def _kept(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
     lost = {*controllability(plant).missing, *observability(named_shown).missing}
     left = [i for i, n in enumerate(plant.state_labels) if n in lost]
     poles = np.linalg.eigvals(plant.A[np.ix_(left, left)]) if left else np.empty(0)
-    if np.any(poles.real > _SETTLED):
+    if np.any(poles.real > SETTINGS.decays):
         names = ", ".join(plant.state_labels[i] for i in left)
         raise UndertowError(
             f"no LQG design: {names} cannot be moved by commands or seen by sensors, and do not settle by "

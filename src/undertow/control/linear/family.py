@@ -24,52 +24,28 @@ from .trim import Balance, Trim, at_parameters, find_trim
 
 CORNER = 2.0
 """Standard deviations that a corner is away from the stated values."""
-_MOST_REFUSED = 50
-_SMALL = 1e-3
+_MOST_REFUSED = 50  # draws for each one that is a vehicle
+_STEP = 1e-3  # of finite differences, standard deviations
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How far parameters are known.
+    """How far parameters are known."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters, in the order of the covariance.
-    covariance : ndarray, shape (k, k)
-        SI and SNAME signs.
-    source : str
-        Where the covariance comes from.
-    """
-
-    names: tuple[str, ...]
-    covariance: Array
-    source: str
+    names: tuple[str, ...]  # parameters, in the order of the covariance
+    covariance: Array  # SI and SNAME signs, shape (k, k)
+    source: str  # where the covariance comes from
 
 
 @dataclass(frozen=True)
 class Member:
-    """One system of a family.
+    """One system of a family."""
 
-    Attributes
-    ----------
-    name : str
-        "stated", "draw 7" or "X_u + 2 sigma".
-    values : mapping
-        Parameters that differ from the stated ones, SI and SNAME signs.
-    modes : tuple of Mode
-        Its poles.
-    system : StateSpace
-        The linear system.
-    loop : LinearLoop or None
-        Where a law closes the loop.
-    """
-
-    name: str
-    values: Mapping[str, float]
+    name: str  # "stated", "draw 7" or "X_u + 2 sigma"
+    values: Mapping[str, float]  # parameters that differ from the stated ones, SI and SNAME signs
     modes: tuple[Mode, ...]
     system: ct.StateSpace
-    loop: LinearLoop | None = None
+    loop: LinearLoop | None = None  # where a law closes the loop
 
     @property
     def stable(self) -> bool:
@@ -79,21 +55,11 @@ class Member:
 
 @dataclass(frozen=True)
 class Family:
-    """The systems that an identification leaves open.
+    """The systems that an identification leaves open."""
 
-    Attributes
-    ----------
-    spread : Spread
-        What they are drawn from.
-    members : tuple of Member
-        The stated one, then corners, then draws.
-    refused : int
-        Draws that no vehicle can have (such as a negative mass) or that have no such trim; they were redrawn.
-    """
-
-    spread: Spread
-    members: tuple[Member, ...]
-    refused: int
+    spread: Spread  # what they are drawn from
+    members: tuple[Member, ...]  # the stated one, then corners, then draws
+    refused: int  # draws that no vehicle can have (a negative mass, say) or without such a trim; redrawn
 
     @property
     def unstable(self) -> list[Member]:
@@ -104,17 +70,8 @@ class Family:
 def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
     """How far the parameters of a vehicle are known.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Its stated standard deviations (sigma) count as independent.
-    source : str or Path, optional
-        Its file: the covariance of the last fit in its history replaces them for what was fitted.
-
-    Raises
-    ------
-    UndertowError
-        If nothing has a standard deviation.
+    Its stated standard deviations (sigma) count as independent. The covariance of the last fit in the history
+    of its file, `source`, replaces them for what was fitted.
     """
     names, matrix = ((), np.zeros((0, 0))) if source is None else _last_covariance(vehicle, source)
     stated = {n: v.sigma for n, v in vehicle.values.items() if v.sigma and n not in names}
@@ -169,29 +126,31 @@ def family(
         Of the draws.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    maker, spread = _Maker(vehicle, found, gains), spread_of(vehicle, source)
-    stated = maker.member("stated", np.array([]), ())
+    factory, spread = _MemberFactory(vehicle, found, gains), spread_of(vehicle, source)
+    stated = factory.member("stated", np.array([]), ())
     if stated is None:  # no parameter differs, so the trim holds
         raise UndertowError(f"'{vehicle.name}' has no such trim as stated: find it again for this vehicle")
-    corners = [maker.member(name, shift, spread.names) for name, shift in _corners(spread, maker, stated)]
+    corners = [factory.member(name, shift, spread.names) for name, shift in _corners(spread, factory, stated)]
     made = [m for m in corners if m is not None and not _same(m, stated)]
-    draws, refused = _draws(spread, maker, size, np.random.default_rng(seed))
+    draws, refused = _draws(spread, factory, size, np.random.default_rng(seed))
     return Family(spread, (stated, *made, *draws), refused)
 
 
-def _draws(spread: Spread, maker: _Maker, size: int, random: np.random.Generator) -> tuple[list[Member], int]:
+def _draws(
+    spread: Spread, factory: _MemberFactory, size: int, random: np.random.Generator
+) -> tuple[list[Member], int]:
     draws: list[Member] = []
     refused = 0
     while len(draws) < size:
         shift = random.multivariate_normal(np.zeros(len(spread.names)), spread.covariance, method="eigh")
-        member = maker.member(f"draw {len(draws) + 1}", shift, spread.names, clip=False)
+        member = factory.member(f"draw {len(draws) + 1}", shift, spread.names, clip=False)
         if member is not None:
             draws.append(member)
             continue
         refused += 1
         if refused > _MOST_REFUSED * size:
             raise UndertowError(
-                f"hardly any draw of the parameters of '{maker.vehicle.name}' is a vehicle: the standard "
+                f"hardly any draw of the parameters of '{factory.vehicle.name}' is a vehicle: the standard "
                 "deviations are too large beside the values; fit them to logs, or state smaller ones"
             )
     return draws, refused
@@ -203,27 +162,27 @@ def _same(member: Member, stated: Member) -> bool:
     return all(np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
 
 
-def _corners(spread: Spread, maker: _Maker, stated: Member) -> Iterator[tuple[str, Array]]:
+def _corners(spread: Spread, factory: _MemberFactory, stated: Member) -> Iterator[tuple[str, Array]]:
     sigmas = np.sqrt(np.diag(spread.covariance))
     for i, name in enumerate(spread.names):
         for sign, word in ((1, "+"), (-1, "-")):
             shift = np.zeros(len(sigmas))
             shift[i] = sign * CORNER * sigmas[i]
             yield f"{name} {word} {CORNER:g} sigma", shift
-    slope = _slope_of_slowest(spread, maker, stated, sigmas)
+    slope = _slope_of_slowest(spread, factory, stated, sigmas)
     for sign, word in ((1, "slowest"), (-1, "quickest")):
         if np.any(slope):
             yield f"all together, {word}", sign * CORNER * sigmas * np.sign(slope)
 
 
-def _slope_of_slowest(spread: Spread, maker: _Maker, stated: Member, sigmas: Array) -> Array:
+def _slope_of_slowest(spread: Spread, factory: _MemberFactory, stated: Member, sigmas: Array) -> Array:
     """Change of the real part of the slowest mode that is not at zero, per standard deviation."""
     slope = np.zeros(len(sigmas))
     for i in range(len(sigmas)):
         small = np.zeros(len(sigmas))
-        small[i] = _SMALL * sigmas[i]
-        member = maker.member("", small, spread.names)
-        slope[i] = 0.0 if member is None else (_slowest(member) - _slowest(stated)) / _SMALL
+        small[i] = _STEP * sigmas[i]
+        member = factory.member("", small, spread.names)
+        slope[i] = 0.0 if member is None else (_slowest(member) - _slowest(stated)) / _STEP
     return slope
 
 
@@ -231,17 +190,10 @@ def _slowest(member: Member) -> float:
     return max((m.pole.real for m in member.modes if m.pole), default=0.0)
 
 
-class _Maker:
-    """Makes members of a family around a trim.
+class _MemberFactory:
+    """Makes members of a family around a trim: what it holds by name is held for every member.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The stated one.
-    trim : Trim
-        Its steady motion; what it holds by name is held for every member.
-    gains : GainSet, optional
-        A law, which knows the stated vehicle.
+    The law, if there is one, knows the stated vehicle.
     """
 
     def __init__(self, vehicle: Vehicle, trim: Trim, gains: GainSet | None) -> None:

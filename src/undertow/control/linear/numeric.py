@@ -25,40 +25,23 @@ _WAYS = {1: "forward", -1: "backward"}
 
 
 class Numeric:
-    """The functions of a vehicle and their slopes at a point, from compiled code.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-
-    Attributes
-    ----------
-    states, commands, outputs : tuple of str
-        Names of the entries of x, u and y.
-    p : ndarray, shape (np,)
-        Values of the parameters, SI and SNAME signs.
-    """
+    """The functions of a vehicle and their slopes at a point, from compiled code."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle, self.functions = vehicle, Functions(vehicle)
-        self.states = self.functions.state_names
+        self.states = self.functions.state_names  # of the entries of x; commands those of u, outputs of y
         self.commands = vehicle.command_names
         self.outputs = (*vehicle.pose_names, *vehicle.velocity_names)
-        self.p = np.array(self.functions.values())
+        self.p = np.array(self.functions.values())  # parameters, SI and SNAME signs
         self._compiled = Compiled(self.functions)
 
     @cached_property
     def units(self) -> dict[str, str]:
         """Unit of every state and command by name."""
         manifest = describe(self.functions)
-        return {e.name: e.unit for e in (*manifest.states, *manifest.inputs)} | self._command_units
-
-    @property
-    def _command_units(self) -> dict[str, str]:
-        """A thruster whose command is its thrust is told in newtons."""
-        plain = [t.name for t in self.vehicle.thrusters if t.thrust_per_command.value == 1.0]
-        return dict.fromkeys(plain, "N")
+        thrust = [t.name for t in self.vehicle.thrusters if t.thrust_per_command.value == 1.0]
+        units = {e.name: e.unit for e in (*manifest.states, *manifest.inputs)}
+        return units | dict.fromkeys(thrust, "N")
 
     @property
     def dead_time(self) -> float:
@@ -185,23 +168,10 @@ _LOOK = "look for a value in the vehicle, the gains or the options that is off b
 
 
 @contextmanager
-def told(
+def as_input_error(
     what: str = "linear algebra fails on these numbers", remedy: str = _LOOK, *more: type[Exception]
 ) -> Iterator[None]:
-    """Tell failures of NumPy, SciPy and python-control as one of the input.
-
-    Parameters
-    ----------
-    what, remedy : str
-        Beginning and end of the line.
-    more : type
-        Exceptions that count, too.
-
-    Raises
-    ------
-    UndertowError
-        If something fails.
-    """
+    """Report failures of NumPy, SciPy and python-control (and `more` exceptions) as an error in the input."""
     try:
         yield
     except (np.linalg.LinAlgError, ct.ControlArgument, *more) as failure:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import control as ct
-import numpy as np
 from pydantic import Field, TypeAdapter
 
 from undertow.control.gains import GainSet, load_gains
@@ -34,7 +33,7 @@ from .analysis import (
 )
 from .family import Family, family
 from .numeric import Numeric, reversing
-from .systems import LinearLoop, close_loop, forces_of, linearize, named
+from .systems import LinearLoop, close_loop, forces_of, linearize, named, with_forces
 from .trim import Trim, find_trim
 
 _MOST_DRAWN = 120
@@ -42,15 +41,7 @@ _MOST_DRAWN = 120
 
 @dataclass(frozen=True)
 class Channel:
-    """One input and one output, and the minimal system between them.
-
-    Attributes
-    ----------
-    source, output : str
-        Names.
-    system : StateSpace
-        From one to the other.
-    """
+    """One input and one output, and the minimal system between them."""
 
     source: str
     output: str
@@ -69,28 +60,14 @@ class Channel:
 
 @dataclass
 class Analysis:
-    """A vehicle at a trim, linear.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model.
-    trim : Trim
-        The steady motion.
-    gains : GainSet, optional
-        The law that closes the loop.
-    pade : int
-        Order of the approximation of a dead time.
-    sensors : sequence of str
-        Outputs that are measured; all if empty.
-    """
+    """A vehicle at a trim, linear."""
 
     vehicle: Vehicle
     trim: Trim
-    gains: GainSet | None = None
-    pade: int = 0
-    sensors: Sequence[str] = ()
-    family: Family | None = field(default=None)
+    gains: GainSet | None = None  # the law that closes the loop
+    pade: int = 0  # order of the approximation of a dead time
+    sensors: Sequence[str] = ()  # outputs that are measured; all if empty
+    family: Family | None = None
 
     @cached_property
     def loop(self) -> LinearLoop | None:
@@ -154,14 +131,7 @@ class Analysis:
         return self.system if self.loop else self._widened(self.plant)
 
     def _widened(self, plant: ct.StateSpace) -> ct.StateSpace:
-        names, by_force = self._forces
-        whole = ct.ss(
-            plant.A,
-            np.hstack([plant.B, plant.B @ by_force]),
-            plant.C,
-            np.hstack([plant.D, plant.D @ by_force]),
-        )
-        return named(whole, plant.state_labels, [*plant.input_labels, *names], plant.output_labels, "wide")
+        return with_forces(plant, self._forces, commands=True)
 
     @cached_property
     def _forces(self) -> tuple[list[str], Array]:
@@ -176,23 +146,14 @@ class Analysis:
         return [channel(s, output, source) for s in systems]
 
     def channel(self, source: str, output: str) -> Channel:
-        """The channel between an input and an output; "surge" is force_surge, "x" is x_ref.
-
-        Raises
-        ------
-        UndertowError
-            If a name is unknown.
-        """
-        inputs, outputs = self._wide.input_labels, self._wide.output_labels
+        """The channel between an input and an output; "surge" is force_surge, "x" is x_ref."""
+        inputs = self._wide.input_labels
         known = [n for n in (source, f"force_{source}", f"{source}_ref") if n in inputs]
         if not known:
             raise UndertowError(
                 f"'{source}' is no input{nearest(source, inputs)}: it has {', '.join(inputs)}"
             )
-        if output not in outputs:
-            raise UndertowError(
-                f"'{output}' is no output{nearest(output, outputs)}: it has {', '.join(outputs)}"
-            )
+        _require_output("", output, self._wide.output_labels)
         return Channel(known[0], output, channel(self._wide, output, known[0]))
 
     @cached_property
@@ -234,12 +195,8 @@ class Analysis:
     def observability(self) -> Reach:
         """What the sensors show."""
         plant = self.plant
-        odd = [n for n in self.sensors if n not in plant.output_labels]
-        if odd:
-            raise UndertowError(
-                f"sensor '{odd[0]}' is no output{nearest(odd[0], plant.output_labels)}: it has "
-                f"{', '.join(plant.output_labels)}"
-            )
+        for sensor in self.sensors:
+            _require_output("sensor ", sensor, plant.output_labels)
         rows = [plant.output_labels.index(n) for n in self.sensors or plant.output_labels]
         seen = ct.ss(plant.A, plant.B, plant.C[rows], plant.D[rows])
         names = [plant.output_labels[i] for i in rows]
@@ -247,23 +204,20 @@ class Analysis:
 
     # --- as plain data --------------------------------------------------------------------------
     def content(self, channels: Sequence[Channel]) -> dict[str, Any]:
-        """Everything as plain data; what is endless or undefined is None."""
+        """Everything as plain data; what is infinite or undefined is None."""
         trim = self.trim
         return _plain(
             {
                 "vehicle": self.vehicle.name,
                 "gains": self.gains.name if self.gains else None,
                 "trim": {
-                    "states": dict(trim.states),
-                    "commands": dict(trim.commands),
-                    "direction": dict(trim.direction),
-                    "turning": trim.turning,
-                    "remarks": list(trim.remarks),
+                    name: getattr(trim, name)
+                    for name in ("states", "commands", "direction", "turning", "remarks")
                 },
-                "units": dict(self.units),
+                "units": self.units,
                 "stable": not self.growing,
                 "modes": [_mode(m) for m in self.modes],
-                "zeros": {c.name: [[z.real, z.imag] for z in c.zeros] for c in channels},
+                "zeros": {c.name: c.zeros for c in channels},
                 "margins": {n: vars(m) for n, m in self.margins(channels).items()},
                 "controllability": vars(self.controllability),
                 "observability": vars(self.observability),
@@ -272,18 +226,20 @@ class Analysis:
         )
 
 
+def _require_output(kind: str, name: str, outputs: Sequence[str]) -> None:
+    if name not in outputs:
+        raise UndertowError(
+            f"{kind}'{name}' is no output{nearest(name, outputs)}: it has {', '.join(outputs)}"
+        )
+
+
 def _short(source: str) -> tuple[str, str]:
     return source.removeprefix("force_"), source.removesuffix("_ref")
 
 
 def _mode(mode: Mode) -> dict[str, Any]:
-    return {
-        "pole": [mode.pole.real, mode.pole.imag],
-        "frequency": mode.frequency,
-        "damping": mode.damping,
-        "time_constant": mode.time_constant,
-        "states": list(mode.states),
-    }
+    numbers = {name: getattr(mode, name) for name in ("frequency", "damping", "time_constant")}
+    return {"pole": mode.pole, **numbers, "states": mode.states}
 
 
 def _family(found: Family) -> dict[str, Any]:
@@ -292,8 +248,7 @@ def _family(found: Family) -> dict[str, Any]:
         "refused": found.refused,
         "unstable": [m.name for m in found.unstable],
         "members": [
-            {"name": m.name, "stable": m.stable, "poles": [[q.pole.real, q.pole.imag] for q in m.modes]}
-            for m in found.members
+            {"name": m.name, "stable": m.stable, "poles": [q.pole for q in m.modes]} for m in found.members
         ],
     }
 
@@ -303,6 +258,8 @@ def _plain(content: Any) -> Any:
         return {str(k): _plain(v) for k, v in content.items()}
     if isinstance(content, list | tuple):
         return [_plain(v) for v in content]
+    if isinstance(content, complex):
+        return [_plain(content.real), _plain(content.imag)]
     if isinstance(content, float):
         return float(content) if isfinite(content) else None
     return content
@@ -355,36 +312,21 @@ _SAME = 1e-9
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Pole = tuple[Number, Number, list[str]]
+"""Real and imaginary part, 1/s and rad/s, and the states that take part."""
 Verdicts = Callable[[GainSet], Mapping[str, tuple[str, float | None]]]
 
 
 @dataclass
 class Snapshot:
-    """A vehicle and its gain sets in numbers.
+    """A vehicle and its gain sets in numbers."""
 
-    Attributes
-    ----------
-    vehicle : str
-        Name.
-    gains, at : list of str
-        Gain files and motion that were asked for.
-    parameters : dict
-        Value and unit by name, in the signs of the file.
-    poles : dict
-        Real and imaginary part, 1/s and rad/s, and states, by what they are poles of.
-    margins : dict
-        Numbers by margin, by loop; endless ones are None.
-    verdicts : dict of str
-        By condition or loop.
-    """
-
-    vehicle: str
-    gains: list[str] = field(default_factory=list)
-    at: list[str] = field(default_factory=list)
-    parameters: dict[str, tuple[Number, str]] = field(default_factory=dict)
-    poles: dict[str, list[Pole]] = field(default_factory=dict)
-    margins: dict[str, dict[str, Number | None]] = field(default_factory=dict)
-    verdicts: dict[str, str] = field(default_factory=dict)
+    vehicle: str  # its name
+    gains: list[str] = field(default_factory=list)  # gain files that were asked for
+    at: list[str] = field(default_factory=list)  # motion that was asked for
+    parameters: dict[str, tuple[Number, str]] = field(default_factory=dict)  # value, unit; signs of the file
+    poles: dict[str, list[Pole]] = field(default_factory=dict)  # by what they are poles of
+    margins: dict[str, dict[str, Number | None]] = field(default_factory=dict)  # by loop; None is infinite
+    verdicts: dict[str, str] = field(default_factory=dict)  # by condition or loop
 
     def to_json(self) -> str:
         """Text of the state file."""
@@ -392,13 +334,7 @@ class Snapshot:
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
-        """The snapshot of a state file.
-
-        Raises
-        ------
-        UndertowError
-            If the text is none.
-        """
+        """The snapshot of a state file."""
         try:
             content = json.loads(text)
             if content.pop("schema") != SCHEMA:
@@ -418,21 +354,10 @@ def snapshot(
 ) -> tuple[Snapshot, dict[str, LinearLoop]]:
     """Everything that is to be compared, and the linear loops by name.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    gains : mapping
-        Gain sets by the names that they were asked for by.
-    motion : mapping, optional
-        What a trim besides hovering holds.
-    at : sequence of str
-        The same in words.
-    conditions : callable, optional
-        Verdicts of the conditions on gains and, where it is of interest, their margins, by condition.
+    `motion` is what a trim besides hovering holds, `at` the same in words. `conditions` gives verdicts of the
+    conditions on gains and, where it is of interest, their margins, by condition.
     """
-    found = Snapshot(vehicle.name, list(gains), list(at))
-    found.parameters = _parameters(vehicle)
+    found = Snapshot(vehicle.name, list(gains), list(at), _parameters(vehicle))
     hovering = _hovering(vehicle)
     for name, trim in hovering.items():
         _add_poles(found, f"vehicle, hovering{name}", modes(linearize(vehicle, trim)))
@@ -489,27 +414,14 @@ def _add_loop(
 
 
 def _numbers(margins: Margins) -> dict[str, float | None]:
-    every = {
-        "gain": margins.gain,
-        "phase": margins.phase,
-        "delay": margins.delay,
-        "distance": margins.distance,
-    }
-    return {k: float(v) if np.isfinite(v) else None for k, v in every.items()}
+    numbers = {kind: float(getattr(margins, kind)) for kind in ("gain", "phase", "delay", "distance")}
+    return {kind: value if isfinite(value) else None for kind, value in numbers.items()}
 
 
 # --- comparing ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Change:
-    """One thing that is not as it was.
-
-    Attributes
-    ----------
-    what : str
-        Its name.
-    old, new : str
-        In words; empty where it was not, or is no more.
-    """
+    """One thing that is not as it was, in words; empty where it was not, or is no more."""
 
     what: str
     old: str
@@ -530,9 +442,9 @@ def changes(old: Snapshot, new: Snapshot) -> dict[str, list[Change]]:
     }
 
 
-def _changed(old: Mapping[str, Any], new: Mapping[str, Any], told: Callable[[Any], str]) -> list[Change]:
+def _changed(old: Mapping[str, Any], new: Mapping[str, Any], shown: Callable[[Any], str]) -> list[Change]:
     names = [n for n in {**old, **new} if not _equal(old.get(n), new.get(n))]
-    return [Change(n, told(old[n]) if n in old else "", told(new[n]) if n in new else "") for n in names]
+    return [Change(n, shown(old[n]) if n in old else "", shown(new[n]) if n in new else "") for n in names]
 
 
 def _equal(a: Any, b: Any) -> bool:

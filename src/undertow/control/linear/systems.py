@@ -65,12 +65,27 @@ def linear_with_delays(numeric: Numeric, trim: Trim, pade: int) -> ct.StateSpace
     if not pade:
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
-            ", ".join(_lateness(numeric.dead_time, late)),
+            ", ".join(_delays_in_words(numeric.dead_time, late)),
             numeric.vehicle.name,
         )
         return system
-    commanded = _late(system, numeric.dead_time, pade) if numeric.dead_time else system
-    return _late_reports(commanded, late, pade) if late else commanded
+    inputs, outputs = system.input_labels, system.output_labels
+    if numeric.dead_time:
+        delays, own = _delays(inputs, dict.fromkeys(inputs, numeric.dead_time), pade)
+        system = named(system * delays, (*own, *system.state_labels), inputs, outputs, system.name)
+    if late:
+        delays, own = _delays(outputs, late, pade)
+        system = named(delays * system, (*system.state_labels, *own), inputs, outputs, system.name)
+    return system
+
+
+def _delays(
+    names: Sequence[str], seconds: Mapping[str, float], order: int
+) -> tuple[ct.StateSpace, list[str]]:
+    """Padé approximations of the delays of signals, those without one straight through, and their states."""
+    straight = ct.ss([], [], [], 1.0)
+    each = [ct.ss(ct.tf(*ct.pade(seconds[n], order))) if n in seconds else straight for n in names]
+    return ct.append(*each), [f"late_{n}_{k}" for n in names if n in seconds for k in range(order)]
 
 
 def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateSpace:
@@ -132,57 +147,25 @@ def _name(vehicle: Vehicle) -> str:
     return vehicle.name.replace(".", "_")
 
 
-def _late(system: ct.StateSpace, seconds: float, order: int) -> ct.StateSpace:
-    """The system behind a Padé approximation of a dead time in each input."""
-    delay = ct.ss(ct.tf(*ct.pade(seconds, order)))
-    names = system.input_labels
-    late = ct.append(*[delay] * len(names))
-    states = [f"late_{name}_{k}" for name in names for k in range(order)]
-    return named(system * late, (*states, *system.state_labels), names, system.output_labels, system.name)
-
-
-def _lateness(commands: float, reports: Mapping[str, float]) -> list[str]:
+def _delays_in_words(commands: float, reports: Mapping[str, float]) -> list[str]:
     """Dead times in words."""
     acting = [f"commands act {commands:g} s late"] if commands else []
     return acting + [f"{name} is reported {late:g} s late" for name, late in reports.items()]
-
-
-def _late_reports(system: ct.StateSpace, late: Mapping[str, float], order: int) -> ct.StateSpace:
-    """The system before a Padé approximation of the age of each report."""
-    names = system.output_labels
-    through = [ct.ss(ct.tf(*ct.pade(late[n], order))) if n in late else ct.ss([], [], [], 1.0) for n in names]
-    states = [f"late_{name}_{k}" for name in names if name in late for k in range(order)]
-    whole = ct.append(*through) * system
-    return named(whole, (*system.state_labels, *states), system.input_labels, names, system.name)
 
 
 def named(
     system: ct.StateSpace, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str], name: str
 ) -> ct.StateSpace:
     """The same system with these names."""
-    return ct.ss(
-        system.A,
-        system.B,
-        system.C,
-        system.D,
-        states=list(states),
-        inputs=list(inputs),
-        outputs=list(outputs),
-        name=name,
-    )
+    labels = {"states": list(states), "inputs": list(inputs), "outputs": list(outputs)}
+    return ct.ss(system.A, system.B, system.C, system.D, name=name, **labels)
 
 
-_ROUNDS = 20
-_OPEN = 1.0
+_GATE_PASSED = 1.0
 
 
 class LawSystem:
     """A gain set as it is in continuous time, its gate passed.
-
-    Parameters
-    ----------
-    gains : GainSet
-        The law with its numbers and the model that it knows.
 
     Attributes
     ----------
@@ -206,16 +189,16 @@ class LawSystem:
         self.share = allocation.share
         self._k = self._controller.gain_values()
 
-    def asked(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+    def outputs(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Commands, rates of the law's states, and the forces it asks for."""
-        u, rates, force = self._controller.continuous(y, ref, [*z, _OPEN], self._k)
+        u, rates, force = self._controller.continuous(y, ref, [*z, _GATE_PASSED], self._k)
         return u.full().ravel(), rates.full().ravel()[:-1], force.full().ravel()
 
     @cached_property
     def _slopes(self) -> ca.Function:
         n = len(self.references)
         ref, y, z = ca.SX.sym("ref", n), ca.SX.sym("y", 2 * n), ca.SX.sym("z", len(self.states))
-        _, rates, force = self._controller.continuous(y, ref, ca.vertcat(z, _OPEN), self._k)
+        _, rates, force = self._controller.continuous(y, ref, ca.vertcat(z, _GATE_PASSED), self._k)
         slope = ca.jacobian(ca.vertcat(force, rates), ca.vertcat(ref, y, z))
         return ca.Function("law_slopes", [ref, y, z], [ca.densify(slope)])
 
@@ -225,10 +208,10 @@ class LawSystem:
         n = len(self.references)
 
         def rate(t: float, z: Array, inputs: Array, params: object) -> Array:
-            return self.asked(inputs[:n], inputs[n:], z)[1]
+            return self.outputs(inputs[:n], inputs[n:], z)[1]
 
         def commands(t: float, z: Array, inputs: Array, params: object) -> Array:
-            return self.asked(inputs[:n], inputs[n:], z)[0]
+            return self.outputs(inputs[:n], inputs[n:], z)[0]
 
         return ct.nlsys(
             rate if self.states else None,
@@ -265,8 +248,8 @@ class LawSystem:
         y = trim.y
         ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.acting)
         target = self._controller.allocation.acting @ trim.u
-        for _ in range(_ROUNDS):
-            lacking = target - self.asked(ref, y, z)[2][rows]
+        for _ in range(20):  # Newton; laws are nearly linear, so that a few would do
+            lacking = target - self.outputs(ref, y, z)[2][rows]
             slope = self._slopes(ref, y, z).full()[rows]
             if self.states:
                 z = z + np.linalg.pinv(slope[:, 3 * n :]) @ lacking
@@ -346,12 +329,8 @@ def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> L
 class LinearLoop:
     """A law that keeps a vehicle at a trim, linear; `close_loop` makes it.
 
-    Attributes
-    ----------
-    trim : Trim
-        The steady motion.
-    plant, law : StateSpace
-        Commands to reported pose and velocity; references, pose and velocity to forces.
+    `plant` leads from commands to reported pose and velocity, `law` from references, pose and velocity to
+    forces.
     """
 
     def __init__(self, plant: ct.StateSpace, system: LawSystem, trim: Trim) -> None:
@@ -359,22 +338,22 @@ class LinearLoop:
         self.law = system.linear(trim)
 
     @cached_property
-    def _kept(self) -> tuple[np.ndarray, np.ndarray]:
-        """The set-point that the law keeps this trim for, and the pose that it is told."""
-        ref, y, _ = self._system.keeping(self.trim)
-        return ref, y[: len(ref)]
+    def _reference(self) -> Array:
+        """The set-point that the law keeps this trim for."""
+        return self._system.keeping(self.trim)[0]
 
     @property
     def offset(self) -> dict[str, float]:
         """Set-point less reported pose at the trim, m and rad: what a law without integrals leaves."""
-        ref, told = self._kept
-        return dict(zip(self._system.measured, map(float, ref - told), strict=False))
+        return self._by_coordinate(self._reference - self.trim.y[: len(self._reference)])
 
     @property
     def rest(self) -> dict[str, float]:
         """True pose at the trim less the set-point, m and rad."""
-        ref, _ = self._kept
-        return dict(zip(self._system.measured, map(float, self.trim.x[: len(ref)] - ref), strict=False))
+        return self._by_coordinate(self.trim.x[: len(self._reference)] - self._reference)
+
+    def _by_coordinate(self, pose: Array) -> dict[str, float]:
+        return dict(zip(self._system.measured, map(float, pose), strict=False))
 
     @property
     def references(self) -> list[str]:
@@ -432,13 +411,12 @@ def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:
     return ct.ss(a, b, c, d)
 
 
-def with_forces(vehicle: Vehicle, plant: ct.StateSpace) -> ct.StateSpace:
-    """The linear vehicle with body-frame forces as inputs, shared among the commands."""
-    inputs, by_force = forces_of(vehicle)
-    return named(
-        ct.ss(plant.A, plant.B @ by_force, plant.C, plant.D @ by_force),
-        plant.state_labels,
-        inputs,
-        plant.output_labels,
-        plant.name,
-    )
+def with_forces(
+    plant: ct.StateSpace, forces: tuple[list[str], Array], commands: bool = False
+) -> ct.StateSpace:
+    """The linear vehicle with the inputs of `forces_of`, on demand beside its commands."""
+    names, by_force = forces
+    b, d = plant.B @ by_force, plant.D @ by_force
+    if commands:
+        b, d, names = np.hstack([plant.B, b]), np.hstack([plant.D, d]), [*plant.input_labels, *names]
+    return named(ct.ss(plant.A, b, plant.C, d), plant.state_labels, names, plant.output_labels, plant.name)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from math import inf, isfinite
 
+import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError, nearest
@@ -23,36 +24,16 @@ _FARTHEST = 1e6
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a trim.
+    """What is wanted of a trim."""
 
-    Attributes
-    ----------
-    held : mapping
-        Values of states and commands that are given, by name.
-    given : tuple of str
-        Names of those that the caller stated.
-    climbs : bool
-        Whether depth may change.
-    """
-
-    held: Mapping[str, float]
-    given: tuple[str, ...]
-    climbs: bool
-
-    def also(self, held: Mapping[str, float]) -> Request:
-        """The request with more values held."""
-        return replace(self, held=dict(self.held) | dict(held))
+    held: Mapping[str, float]  # values of states and commands that are given, by name
+    given: tuple[str, ...]  # names of those that the caller stated
+    climbs: bool  # whether depth may change
 
 
 def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection[str]) -> Request:
-    """A checked request; what neither is held nor may be free by itself is zero.
-
-    Raises
-    ------
-    UndertowError
-        If a name is none of the vehicle, a value is not finite or too large, or a name is both held and free.
-    """
-    given = _hovering(vehicle) if held is None else dict(held)
+    """A checked request; what neither is held nor may be free by itself is zero."""
+    given = {n: v for n, v in _HOVER.items() if n in vehicle.velocity_names} if held is None else dict(held)
     known = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
     for name, value in given.items():
         _check(vehicle, name, value, known)
@@ -63,10 +44,6 @@ def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection
             raise UndertowError(f"{name} is both held and free: name it once")
     resting = {name: 0.0 for name in (*_PLACE, "z", "r") if name in known and name not in free}
     return Request(resting | given, tuple(given), climbs="w" in free)
-
-
-def _hovering(vehicle: Vehicle) -> dict[str, float]:
-    return {name: value for name, value in _HOVER.items() if name in vehicle.velocity_names}
 
 
 def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) -> None:
@@ -84,36 +61,45 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
         raise UndertowError(f"{name} = {value:g} (SI) is too much for a steady motion: stay within {most:g}")
 
 
-# Price of what is found: drift is avoided before tilt, and tilt before command.
-_DRIFT, _TILT, _COMMAND, _OWN = 1e2, 1.0, 1e-4, 1e-6
-_HEADINGS = np.radians([0.0, 90.0, 180.0, -90.0])
-_BALANCED = 1e-9
-_ROUNDS, _HALVINGS = 12, 12
-# Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
-_NEXT_TO_NOTHING = 5e-3
+@dataclass(frozen=True)
+class TrimSettings:
+    """What a trim prefers, and how exactly it is found."""
+
+    # Price of the square of a velocity that is not held, (m/s)^-2: drift is avoided before tilt.
+    drift: float = 1e2
+    tilt: float = 1.0  # the same of a pose coordinate: tilt is avoided before command
+    command: float = 1e-4  # the same of a command
+    effect_state: float = 1e-6  # the same of a state of an effect
+    # Degrees from which the search begins where the heading is to be found.
+    headings: tuple[float, ...] = (0.0, 90.0, 180.0, -90.0)
+    balanced: float = 1e-9  # rates of change below this are none, SI
+    rounds: int = 12  # Newton's steps, and halvings of each
+    # Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
+    negligible: float = 5e-3
+    # Forces of a steady motion may change by this much in a second, m/s^3: far above rounding.
+    steady: float = 1e-7
+    at_rest: float = 1e-9  # speed through the water, m/s, and turning rate, rad/s, that are rounding
+
+
+SETTINGS = TrimSettings()
 
 
 class Balance:
     """Equations F(y) = 0 of a steady motion in the unknowns y among states and commands.
 
-    Parameters
-    ----------
-    numeric : Numeric
-        The vehicle.
-    wanted : Request
-        What is held.
+    With `p` the parameters are others than the stated ones; thrusters can be counted as without limits.
     """
 
-    def __init__(self, numeric: Numeric, wanted: Request) -> None:
-        self.numeric, self.wanted = numeric, wanted
+    def __init__(
+        self, numeric: Numeric, wanted: Request, p: Array | None = None, limited: bool = True
+    ) -> None:
+        self.numeric, self.wanted, self._p, self._limited = numeric, wanted, p, limited
         self.names = (*numeric.states, *numeric.commands)
         self.unknown = [i for i, name in enumerate(self.names) if name not in wanted.held]
-        self._rows = [i for i, name in enumerate(numeric.states) if self._is_steady(name)]
+        # Heading and place may go on changing; velocities and all else may not.
+        free = ("x", "y", "psi", "z") if wanted.climbs else ("x", "y", "psi")
+        self._rows = [i for i, name in enumerate(numeric.states) if name not in free]
         self.start = np.array([wanted.held.get(name, 0.0) for name in self.names])
-
-    def _is_steady(self, name: str) -> bool:
-        """Heading and place may go on changing; velocities and all else may not."""
-        return name not in ("x", "y", "psi") and not (name == "z" and self.wanted.climbs)
 
     @property
     def rows(self) -> list[str]:
@@ -127,12 +113,14 @@ class Balance:
 
     def _price(self, name: str) -> float:
         if name in self.numeric.commands:
-            return _COMMAND
-        return _DRIFT if name in VELOCITY else _TILT if name in POSE else _OWN
+            return SETTINGS.command
+        return (
+            SETTINGS.drift if name in VELOCITY else SETTINGS.tilt if name in POSE else SETTINGS.effect_state
+        )
 
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Limits of each unknown: what thrusters can give."""
-        limits = {t.name: t.limit for t in self.numeric.vehicle.thrusters}
+        limits = {t.name: t.limit for t in self.numeric.vehicle.thrusters} if self._limited else {}
         most = [limits.get(self.names[i]) for i in self.unknown]
         return [(None, None) if m is None else (-m, m) for m in most]
 
@@ -144,33 +132,29 @@ class Balance:
         return every[:n], every[n:]
 
     def __call__(self, y: Array) -> Array:
-        return self.numeric.rate(0.0, *self.split(y))[self._rows]
+        return self.numeric.rate(0.0, *self.split(y), self._p)[self._rows]
 
     def slope(self, y: Array) -> Array:
         """dF/dy."""
-        _, a, b, _ = self.numeric.slopes(*self.split(y))
+        _, a, b, _ = self.numeric.slopes(*self.split(y), self._p)
         return np.hstack([a, b])[np.ix_(self._rows, self.unknown)]
+
+    def residual(self, y: Array) -> float:
+        """How far a motion is from steady; infinite where numbers fail."""
+        largest = float(np.max(np.abs(self(y)), initial=0.0))
+        return largest if np.isfinite(largest) else inf
+
+    def holds(self, y: Array) -> bool:
+        """Whether a motion is steady."""
+        return self.residual(y) < SETTINGS.balanced
 
 
 def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array]:
-    """State and commands of the cheapest steady motion.
-
-    Parameters
-    ----------
-    balance : Balance
-        The equations.
-    commands : ndarray, shape (nu,), optional
-        Where the search begins.
-
-    Raises
-    ------
-    UndertowError
-        If there is none, or none within the limits of the commands.
-    """
+    """State and commands of the cheapest steady motion; the search begins at `commands`, shape (nu,)."""
     found = [_from(balance, y) for y in _starts(balance, commands)]
-    good = [y for y in found if _size(balance, y) < _BALANCED]
+    good = [y for y in found if balance.holds(y)]
     if not good:
-        raise UndertowError(_reason(balance, min(found, key=lambda y: _size(balance, y))))
+        raise UndertowError(_reason(balance, min(found, key=balance.residual)))
     inside = [y for y in good if not _beyond(balance, y)]
     if not inside:
         raise UndertowError(_beyond(balance, good[0]))
@@ -179,15 +163,16 @@ def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array
 
 
 def _tidied(balance: Balance, y: Array) -> tuple[Array, Array]:
-    """The motion with no drift and no tilt at all where they are next to nothing."""
+    """The motion with no drift and no tilt at all where they are negligible."""
     names = [balance.names[i] for i in balance.unknown]
-    faint = [n for n, v in zip(names, y, strict=True) if abs(v) < _NEXT_TO_NOTHING]
+    faint = [n for n, v in zip(names, y, strict=True) if abs(v) < SETTINGS.negligible]
     small = [n for n in faint if n in (*POSE, *VELOCITY)]
-    upright = Balance(balance.numeric, balance.wanted.also(dict.fromkeys(small, 0.0)))
+    held = dict(balance.wanted.held) | dict.fromkeys(small, 0.0)
+    upright = Balance(balance.numeric, replace(balance.wanted, held=held))
     start = np.array([v for n, v in zip(names, y, strict=True) if n not in small])
     again = _polished(upright, start)
-    fine = _size(upright, again) < _BALANCED and not _beyond(upright, again)
-    return upright.split(again) if fine else balance.split(y)
+    better = upright.holds(again) and not _beyond(upright, again)
+    return upright.split(again) if better else balance.split(y)
 
 
 def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
@@ -199,8 +184,8 @@ def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
             begin[places[name]] = value
     if "psi" not in places:
         return [begin]
-    turns = np.tile(begin, (len(_HEADINGS), 1))
-    turns[:, places["psi"]] = _HEADINGS
+    turns = np.tile(begin, (len(SETTINGS.headings), 1))
+    turns[:, places["psi"]] = np.radians(SETTINGS.headings)
     return list(turns)
 
 
@@ -224,12 +209,12 @@ def _from(balance: Balance, y: Array) -> Array:
 
 def _polished(balance: Balance, y: Array) -> Array:
     """The last digits: Newton's steps onto F = 0, then along it to the least price."""
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         y = _nearer(balance, y)
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         inverse, target, scale = _local(balance, y)
         wanted = scale * (inverse @ (target - balance(y)))
-        if not _size(balance, wanted) < _BALANCED / 10:
+        if not balance.residual(wanted) < SETTINGS.balanced / 10:
             break
         y = wanted
     return y
@@ -245,24 +230,18 @@ def _local(balance: Balance, y: Array) -> tuple[Array, Array, Array]:
 
 def _nearer(balance: Balance, y: Array) -> Array:
     """One step of Newton's, halved until it brings the motion nearer to a steady one."""
-    before = _size(balance, y)
+    before = balance.residual(y)
     inverse, _, scale = _local(balance, y)
     step = -scale * (inverse @ balance(y))
-    tries = (y + step / 2**k for k in range(_HALVINGS))
-    return next((t for t in tries if _size(balance, t) < before), y)
-
-
-def _size(balance: Balance, y: Array) -> float:
-    """How far a motion is from steady; endless where numbers fail."""
-    largest = float(np.max(np.abs(balance(y)), initial=0.0))
-    return largest if np.isfinite(largest) else float("inf")
+    tries = (y + step / 2**k for k in range(SETTINGS.rounds))
+    return next((t for t in tries if balance.residual(t) < before), y)
 
 
 # --- why there is none ----------------------------------------------------------------------------
 def _reason(balance: Balance, y: Array) -> str:
     if any(m != (None, None) for m in balance.bounds()):
-        loose = _Unlimited(balance.numeric, balance.wanted)
-        far = [y for y in (_from(loose, s) for s in _starts(loose)) if _size(loose, y) < _BALANCED]
+        unlimited = Balance(balance.numeric, balance.wanted, limited=False)
+        far = [y for y in (_from(unlimited, s) for s in _starts(unlimited)) if unlimited.holds(y)]
         if far:
             return _beyond(balance, far[0])
     value = np.abs(balance(y))
@@ -272,13 +251,6 @@ def _reason(balance: Balance, y: Array) -> str:
         f"no steady motion of '{balance.numeric.vehicle.name}' has these values: {worst} keeps changing by "
         f"{value.max():.3g} (SI) a second, whatever the commands; let go of one of {', '.join(held)}"
     )
-
-
-class _Unlimited(Balance):
-    """The same with thrusters as strong as need be."""
-
-    def bounds(self) -> list[tuple[float | None, float | None]]:
-        return [(None, None)] * len(self.unknown)
 
 
 def _beyond(balance: Balance, y: Array) -> str:
@@ -294,29 +266,9 @@ def _beyond(balance: Balance, y: Array) -> str:
 
 def at_parameters(balance: Balance, p: Array, x: Array, u: Array) -> tuple[Array, Array] | None:
     """The trim near a known one for other values of the parameters, or None where there is none."""
-    changed = _Changed(balance, p)
+    changed = Balance(balance.numeric, balance.wanted, p)
     y = _polished(changed, np.concatenate([x, u])[balance.unknown])
-    return changed.split(y) if _size(changed, y) < _BALANCED else None
-
-
-class _Changed(Balance):
-    """The same motion of a vehicle with other parameters."""
-
-    def __init__(self, balance: Balance, p: Array) -> None:
-        super().__init__(balance.numeric, balance.wanted)
-        self._p = p
-
-    def __call__(self, y: Array) -> Array:
-        return self.numeric.rate(0.0, *self.split(y), self._p)[self._rows]
-
-    def slope(self, y: Array) -> Array:
-        _, a, b, _ = self.numeric.slopes(*self.split(y), self._p)
-        return np.hstack([a, b])[np.ix_(self._rows, self.unknown)]
-
-
-# Forces of a steady motion may change by this much in a second (share of the gravity of rounding, m/s^3).
-_STEADY = 1e-7
-_AT_REST = 1e-9
+    return changed.split(y) if changed.holds(y) else None
 
 
 @dataclass(frozen=True)
@@ -337,7 +289,7 @@ class Trim:
     turning : bool
         Whether the heading changes, so that slopes in x and y depend on time.
     reports : mapping
-        What the sensors report of pose and velocity, by name, SI: what a controller is told.
+        What the sensors report of pose and velocity, by name, SI: what a controller gets.
     """
 
     states: Mapping[str, float]
@@ -401,17 +353,13 @@ def find_trim(
     """
     wanted = request(vehicle, held, free)
     trim = _search(vehicle, wanted, dict(direction or {}), numeric)
-    asked = {name: way for name, way in trim.direction.items() if name not in (direction or {})}
-    words = [f"{name}={way}" for name, way in asked.items()]
-    return replace(trim, remarks=(*trim.remarks, *_assumed(words)))
-
-
-def _assumed(words: list[str]) -> list[str]:
-    if not words:
-        return []
-    return [
-        f"at rest in the water the direction of motion is open: parameters for {', '.join(words)} are taken"
-    ]
+    assumed = [f"{name}={way}" for name, way in trim.direction.items() if name not in (direction or {})]
+    if not assumed:
+        return trim
+    remark = (
+        f"at rest in the water the direction of motion is open: parameters for {', '.join(assumed)} are taken"
+    )
+    return replace(trim, remarks=(remark,))
 
 
 def _search(
@@ -427,12 +375,19 @@ def _search(
         )
     x, u = _solved(numeric, wanted)
     _check_steady(numeric, x, u)
-    resting = [n for n in reversing(one_way) if n not in direction and _at_rest(numeric, x, n)]
+    resting = [
+        name
+        for name in reversing(one_way)
+        if name not in direction and abs(_through_water(numeric, x, name)) < SETTINGS.at_rest
+    ]
     if resting:
         return _search(vehicle, wanted, direction | dict.fromkeys(resting, 1))
     states, commands = dict(zip(numeric.states, x, strict=True)), dict(zip(numeric.commands, u, strict=True))
-    turning = any(abs(r) > _AT_REST for r in _turning_rates(numeric, x, u))
-    return Trim(states, commands, direction, wanted, turning=turning, reports=numeric.reports(x, u))
+    rates = numeric.rate(0.0, x, u)
+    turning = any(
+        abs(r) > SETTINGS.at_rest for n, r in zip(numeric.states, rates, strict=True) if n in POSE[3:]
+    )
+    return Trim(states, commands, direction, wanted, turning=bool(turning), reports=numeric.reports(x, u))
 
 
 def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
@@ -452,24 +407,11 @@ def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
         raise
 
 
-def _at_rest(numeric: Numeric, x: Array, name: str) -> bool:
-    return bool(abs(_through_water(numeric, x, name)) < _AT_REST)
-
-
 def _through_water(numeric: Numeric, x: Array, name: str) -> float:
     """Velocity through the water of one motion."""
-    import casadi as ca
-
-    from undertow.model.symbols import VELOCITY
-
     f, signals = numeric.functions, numeric.vehicle.composition.signals
     relative = f.convert(signals.nu_r[VELOCITY.index(name)])
     return float(ca.Function("relative", [f.x, f.p, f.t], [relative])(x, numeric.p, 0.0))
-
-
-def _turning_rates(numeric: Numeric, x: Array, u: Array) -> list[float]:
-    rates = numeric.rate(0.0, x, u)
-    return [float(rates[i]) for i, name in enumerate(numeric.states) if name in POSE[3:]]
 
 
 def _check_steady(numeric: Numeric, x: Array, u: Array) -> None:
@@ -477,8 +419,8 @@ def _check_steady(numeric: Numeric, x: Array, u: Array) -> None:
     rate, slopes, _, _ = numeric.slopes(x, u)
     n = len(numeric.vehicle.pose_names)
     change = slopes[n:, :n] @ rate[:n]
-    if np.max(np.abs(change), initial=0.0) > _STEADY:
-        felt = (abs(rate[:n]) > _AT_REST) & np.any(slopes[n:, :n], axis=0)
+    if np.max(np.abs(change), initial=0.0) > SETTINGS.steady:
+        felt = (abs(rate[:n]) > SETTINGS.at_rest) & np.any(slopes[n:, :n], axis=0)
         guilty = [numeric.states[i] for i in np.flatnonzero(felt)]
         raise UndertowError(
             f"no steady motion: forces change with {', '.join(guilty)}, which moves on (a turn in a "
