@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class UndertowError(Exception):
-    """A foreseeable failure, told in one line that names the thing, the value, the limit and the remedy.
+    """A foreseeable failure in one line that names the thing, the value, the limit and the remedy.
 
     The command line prints the message and ends with exit code 2. Names out of files stand in messages: line
     breaks and control characters are made harmless, and what is very long is cut in its middle.

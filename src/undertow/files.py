@@ -76,7 +76,7 @@ def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STAT
     """Read a text file (UTF-8) that is no longer than such a file may be."""
     try:
         with Path(path).open("rb") as stream:
-            data = stream.read(limits.size + 1)  # a device or a pipe tells no size
+            data = stream.read(limits.size + 1)  # a device or a pipe has no size
     except (OSError, ValueError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error)
         raise UndertowError(
@@ -102,8 +102,8 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError; integers of thousands of digits; days that are none
-        told = str(error).partition("; use sys.")[0]  # the remedy of Python is for programmers
-        raise UndertowError(f"{where}: not valid TOML: {told}") from error
+        reason = str(error).partition("; use sys.")[0]  # the remedy of Python is for programmers
+        raise UndertowError(f"{where}: not valid TOML: {reason}") from error
     _refuse_integers(content, "", where, STATEMENTS.integer)
     return content
 
@@ -340,7 +340,7 @@ def _check_target(path: Path) -> None:
 
 
 def _try_folder(path: Path) -> None:
-    """Make a file without a name there: where no file can be (/proc), permissions do not tell."""
+    """Make a file without a name there: where no file can be (/proc), permissions do not show it."""
     try:
         with TemporaryFile(dir=path.resolve().parent):
             pass

@@ -54,10 +54,10 @@ from undertow.model.units import short_unit
 from undertow.model.vehicle import Vehicle
 from undertow.paper.least_squares import (
     RULE,
-    Chosen,
+    CombinedEstimates,
     Estimation,
     Experiment,
-    chosen,
+    combined,
     estimate,
     estimate_streaming,
     experiments,
@@ -166,9 +166,9 @@ class Identified:
         return [(e, pick) for e, pick in picks if pick is not None]
 
     @cached_property
-    def chosen(self) -> Chosen | None:
+    def chosen(self) -> CombinedEstimates | None:
         """The values of the whole vehicle; None where no case of any motion is physical."""
-        return chosen(self.stated, self.taken) if self.taken else None
+        return combined(self.stated, self.taken) if self.taken else None
 
 
 def identified(
@@ -325,7 +325,7 @@ def write(done: Identified, template: Path, target: Path) -> None:
     save_vehicle(done.chosen.vehicle(done.stated), template, target, history=_history(done, done.chosen))
 
 
-def _history(done: Identified, taken: Chosen) -> dict[str, object]:
+def _history(done: Identified, taken: CombinedEstimates) -> dict[str, object]:
     cases = ", ".join(f"{e.axis}: case {pick.case.name}" for e, pick in done.taken)
     runs = [run for experiment, _ in done.taken for run in experiment.runs]
     return {

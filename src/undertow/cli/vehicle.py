@@ -332,14 +332,14 @@ def new(
     """
     from undertow.errors import UndertowError
     from undertow.files import check_writable, sha256_of, write_whole
-    from undertow.shape.first import Wish, first_vehicle, motions
+    from undertow.shape.first import HullSpec, first_vehicle, motions
 
     target = out or Path(f"{name or mesh.stem}.toml")
     check_writable(target, inputs=[mesh])
     if target.exists() and not force:
         raise UndertowError(f"'{target}' exists already: name another file with --out, or give --force")
     hull = read(mesh, unit, frame)
-    wish = Wish(
+    spec = HullSpec(
         name=name or mesh.stem,
         mesh=mesh.name,
         sha256=sha256_of(mesh),
@@ -353,8 +353,8 @@ def new(
         remarks=(f"Axes of the mesh: {frame.upper()}.", *hull.remarks),
     )
     found = _added(hull.mesh, density, added_mass, panels, crease)
-    write_whole(target, first_vehicle(hull.mesh, found, wish))
-    _say(hull.mesh, target, wish.volume, mass, density, found.source)
+    write_whole(target, first_vehicle(hull.mesh, found, spec))
+    _say(hull.mesh, target, spec.volume, mass, density, found.source)
 
 
 def _by_panels(method: Method) -> bool:

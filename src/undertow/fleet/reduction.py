@@ -37,7 +37,7 @@ from undertow.typing import Array
 
 from .partitions import Partition, content_of, digest, partition_of
 
-#: Effects that differ from day to day and tell nothing of the vehicle: water, ballast, payload.
+#: Effects that differ from day to day and say nothing of the vehicle: water, ballast, payload.
 DAILY = ("ocean_current", "net_buoyancy", "constant_force")
 
 
@@ -118,9 +118,9 @@ class Panel:
     def _noise(self, data: WeakData, p: Array) -> list[Whitening]:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
         first = first_guess(self.base, data, p)
-        quiet = self.base.whitening(data, p)
-        fit = opened(self.base, data, {}, disturbed(quiet, first, data), first, steps=1)
-        return disturbed(quiet, matched_disturbance(fit, quiet), data)
+        sensor_noise = self.base.whitening(data, p)
+        fit = opened(self.base, data, {}, disturbed(sensor_noise, first, data), first, steps=1)
+        return disturbed(sensor_noise, matched_disturbance(fit, sensor_noise), data)
 
     def _columns(self, data: WeakData) -> list[Array]:
         found: list[dict[str, Array]] = [{} for _ in data.segments]
@@ -184,7 +184,7 @@ class Job:
     daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
     rows: int = ROWS  # rows that are read at a time
     fill: CommandPolicy | None = None  # what to do where a command has no sample
-    trust_log: bool = False  # whether logs count that cannot be
+    trust_log: bool = False  # whether physically impossible logs count
     fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
 
     @cached_property
@@ -282,7 +282,7 @@ def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
 
 
 def reduce_runs(runs: Iterable[Run], panel: Panel, where: str, *, trust_log: bool = False) -> Reduced:
-    """Reduce the parts of a log; one that cannot be is refused, unless it is trusted."""
+    """Reduce the parts of a log; an impossible one is refused, unless it is trusted."""
     triangle, samples, seconds, refusal = Triangle(len(panel.daily) + len(panel.names)), 0, 0.0, ""
     for run in runs:
         samples, seconds = samples + len(run.t), seconds + float(run.t[-1] - run.t[0])

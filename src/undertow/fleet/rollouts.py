@@ -26,12 +26,19 @@ from undertow.typing import Array, Progress
 from .engine import Engine, Failure
 from .partitions import files_digest
 
-# Standard deviation of a start, in that of the sensors: a parabola through five samples has 0.70.
-_START = 0.7
-# Bytes that the rollouts of one window may take.
-_MOST = 1_000_000_000
-# Shares of the drawn vehicles that may be none (no positive mass matrix) before the covariance is refused.
-_REFUSED = 0.5
+
+@dataclass(frozen=True)
+class RolloutLimits:
+    """How rollouts are drawn, and how many may be."""
+
+    # standard deviation of a start in that of the sensors: a parabola through five samples has 0.70
+    start: float = 0.7
+    bytes: int = 1_000_000_000  # that the rollouts of one window may take
+    # share of the draws without a positive mass matrix at which the covariance is refused
+    refused: float = 0.5
+
+
+_LIMITS = RolloutLimits()
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,7 @@ class RolloutJob:
     horizon: float = 10.0  # length of a window, s
     coverage: float = 0.9  # share of the rollouts within the band
     seed: int = 0  # of all that is drawn
-    trust_log: bool = False  # whether logs count that cannot be
+    trust_log: bool = False  # whether physically impossible logs count
     # hash of the vehicle file and the effects, by which workers see that they have the same; empty where it
     # is not known yet
     files: str = ""
@@ -90,7 +97,7 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
     centre = np.array(model.functions.values(), dtype=float)
     random = np.random.default_rng(seed)
     found: list[Array] = []
-    most = int(count / _REFUSED)
+    most = int(count / _LIMITS.refused)
     for _ in range(most):
         shift = random.multivariate_normal(np.zeros(len(places)), spread.covariance, method="eigh")
         p = centre.copy()
@@ -128,7 +135,7 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
     _refuse_large(count, samples, len(predictor.functions.state_names))
     random = np.random.default_rng([job.seed, place])
     sigma = chosen.sigma
-    paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
+    paths = _paths(predictor, chosen, p, _LIMITS.start * sigma * random.standard_normal((count, len(sigma))))
     good = _credible(paths, chosen.t[0])
     if not good.any():
         raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")
@@ -167,10 +174,10 @@ def _path(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Arra
 
 def _refuse_large(count: int, samples: int, states: int) -> None:
     size = 8 * count * samples * states
-    if size > _MOST:
+    if size > _LIMITS.bytes:
         raise UndertowError(
             f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
-            f"{_MOST / 1e9:g}: take fewer (--count) or shorter ones (--horizon)"
+            f"{_LIMITS.bytes / 1e9:g}: take fewer (--count) or shorter ones (--horizon)"
         )
 
 

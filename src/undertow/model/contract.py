@@ -22,17 +22,25 @@ from .units import dimension, require_unit
 
 Point = dict[sm.Symbol, float]
 
-_SEED = 20210405
-_TOLERANCE = 1e-9
-# Far apart in size, so that a kink or a saturation is met on both sides.
-_DECADES = (-2.0, 1.0)
-_PARAMETER_DECADES = (-2.0, 2.0)
+
+@dataclass(frozen=True)
+class Trials:
+    """Points at which an effect is tried; sizes are far apart, so that a kink is met on both sides."""
+
+    seed: int = 20210405
+    points: int = 200
+    signals: tuple[float, float] = (-2.0, 1.0)  # decades of their magnitude
+    parameters: tuple[float, float] = (-2.0, 2.0)  # the same
+    rounding: float = 1e-9  # of a sum, as a share of its terms
+
+
+_TRY = Trials()
 
 
 class Probe:
     """Draws points for the symbols of a statement: signals of every size, parameters within their bounds."""
 
-    def __init__(self, statement: Statement, seed: int = _SEED) -> None:
+    def __init__(self, statement: Statement, seed: int = _TRY.seed) -> None:
         self._random = Random(seed)
         self._inputs = statement.inputs
         self._parameters = statement.parameters
@@ -54,14 +62,14 @@ class Probe:
             return 1000.0 if name == "rho" else 9.81
         if unit == "rad":  # clear of the singularity of the Euler angles
             return self._random.uniform(-1.4, 1.4)
-        return abs(self._any_size(_DECADES)) if unit == "s" else self._any_size(_DECADES)
+        return abs(self._any_size(_TRY.signals)) if unit == "s" else self._any_size(_TRY.signals)
 
     def _any_size(self, decades: tuple[float, float]) -> float:
         return self._random.choice((-1.0, 1.0)) * 10 ** self._random.uniform(*decades)
 
     def _within(self, parameter: Parameter) -> float:
         low, high = parameter.bounds
-        step = self._any_size(_PARAMETER_DECADES)
+        step = self._any_size(_TRY.parameters)
         if math.isinf(low) and math.isinf(high):
             return step
         if math.isinf(high):
@@ -105,7 +113,7 @@ def _vanishes(expression: sm.Expr, statement: Statement, trials: int) -> bool:
     probe = Probe(statement)
     for _ in range(trials):
         whole, *terms = values(probe.point())
-        if not math.isnan(whole) and abs(whole) > _TOLERANCE * sum(map(abs, terms)):
+        if not math.isnan(whole) and abs(whole) > _TRY.rounding * sum(map(abs, terms)):
             return False
     return True
 
@@ -124,13 +132,9 @@ def bent_row(
         end = probe.moved(start, along)
         middle = start | {x: (start[x] + end[x]) / 2 for x in along}
         for i, (a, b, half) in enumerate(zip(*map(values, (start, end, middle)), strict=True)):
-            if abs(half - (a + b) / 2) > _TOLERANCE * (abs(a) + abs(b) + abs(half)):
+            if abs(half - (a + b) / 2) > _TRY.rounding * (abs(a) + abs(b) + abs(half)):
                 return i
     return None
-
-
-_TRIALS = 200
-_ROUNDING = 1e-9
 
 
 # --- symbols and units ------------------------------------------------------------------------
@@ -279,7 +283,7 @@ def dead_time_positive(s: Statement) -> Iterator[str]:
     parts = [p for p in s.parts if p.name in ("dead_time", "age")]
     rows = [(name, seconds) for p in parts for name, seconds in zip(p.rows, p.matrix, strict=True)]
     values, probe = compiled([seconds for _, seconds in rows]), Probe(s)
-    for _ in range(_TRIALS):
+    for _ in range(_TRY.points):
         early = [row for row, seconds in zip(rows, values(probe.point()), strict=True) if seconds < 0]
         if early:
             yield f"{early[0][0]} can be negative within the bounds: {_short(early[0][1])}"
@@ -318,7 +322,7 @@ def inertia_positive(s: Statement) -> Iterator[str]:
     diagonal = inertia.diagonal().free_symbols
     couplings = {x: sm.Integer(0) for x in s.parameters if x not in diagonal}
     entries, probe = compiled(list(inertia.subs(couplings))), Probe(s)
-    for _ in range(_TRIALS):
+    for _ in range(_TRY.points):
         values = entries(probe.point())
         rows = [values[6 * i : 6 * i + 6] for i in range(6)]
         for i in range(6):
@@ -330,7 +334,7 @@ def inertia_positive(s: Statement) -> Iterator[str]:
             return
 
 
-def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _ROUNDING) -> bool:
+def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _TRY.rounding) -> bool:
     """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
     trace = sum(abs(rows[i][i]) for i in range(len(rows)))
     return failing_pivot(rows, margin * trace or margin) is None
@@ -353,10 +357,10 @@ def no_work(s: Statement) -> Iterator[str]:
 def never_feeds(s: Statement) -> Iterator[str]:
     """nu' tau <= 0 at every point tried."""
     terms, probe = compiled(power_terms(s)), Probe(s)
-    for _ in range(_TRIALS):
+    for _ in range(_TRY.points):
         point = probe.point()
         powers = terms(point)
-        if sum(powers) > _ROUNDING * sum(map(abs, powers)):
+        if sum(powers) > _TRY.rounding * sum(map(abs, powers)):
             speeds = ", ".join(
                 f"{n} = {point[symbol(n)]:.3g}" for n, p in zip(VELOCITY, powers, strict=True) if p > 0
             )
@@ -507,7 +511,7 @@ def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str
     yield "id", "is an identifier of its own", _id_complaints(cls, known)
     yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
     yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
-    yield "taken", "what it takes from other effects can be told there", _taken_complaints(cls, known)
+    yield "taken", "what it takes from other effects can be stated there", _taken_complaints(cls, known)
     yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
     yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
     yield "claims", "claims about power do not contradict each other", _claim_complaints(cls)

@@ -22,11 +22,11 @@ def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Param
 
 @dataclass(frozen=True)
 class Bulk:
-    """How large a vehicle is, as its mass and inertia tell."""
+    """How large a vehicle is, by its mass and inertia."""
 
     mass: float  # kg
     length: float  # edge of a cube of water of this mass, m
-    gyration: float  # largest radius of gyration that the file tells, m; zero where it tells none
+    gyration: float  # largest radius of gyration that the file states, m; zero where it states none
 
 
 class Effect(abc.ABC):
@@ -58,7 +58,7 @@ class Effect(abc.ABC):
         "drag" or "inertia" where all its coefficients grow by one share as the hull gets rough, fouled or
         damaged: what a fleet is watched for. Empty where they do not.
     taken : tuple of Taken
-        Keys of its table that are another effect's to tell: the mass of one is the weight of the other.
+        Keys of its table that are another effect's to state: the mass of one is the weight of the other.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     """
@@ -113,7 +113,7 @@ class Effect(abc.ABC):
         return {}
 
     @classmethod
-    def settled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+    def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
         """The same physics as `values`, which a fit found, with what a file takes from elsewhere in them.
 
         Parameters
@@ -121,7 +121,7 @@ class Effect(abc.ABC):
         values : mapping
             Parameters by name; one that is missing was found to be zero.
         taken : mapping
-            What other tables of the file tell, by key.
+            What other tables of the file state, by key.
         """
         return dict(values)
 
@@ -145,7 +145,7 @@ class Effect(abc.ABC):
 
     @classmethod
     def bulk(cls, values: Mapping[str, float]) -> Bulk | None:
-        """How large a vehicle with these values is; None where the effect does not tell."""
+        """How large a vehicle with these values is; None where the effect does not say."""
         return None
 
     @property

@@ -273,7 +273,7 @@ Declaration = Parameter | DerivativeMatrix | Place
 
 @dataclass(frozen=True)
 class Taken:
-    """A quantity that another effect's table tells as well, so that a file need not say it twice."""
+    """A quantity that another effect's table states as well, so that a file need not say it twice."""
 
     key: str  # the quantity in the effect's own table
     owner: str  # id of the other effect

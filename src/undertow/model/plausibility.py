@@ -175,8 +175,8 @@ def _check_complete(vehicle: Vehicle) -> None:
 
 
 def _between(bounds: Range) -> str:
-    told = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
-    return f", {' '.join(told)}" if told else ""
+    limits = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
+    return f", {' '.join(limits)}" if limits else ""
 
 
 # Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.

@@ -185,7 +185,7 @@ _APART = 3.0
 
 
 @dataclass(frozen=True)
-class Chosen:
+class CombinedEstimates:
     """Values for a vehicle file."""
 
     names: tuple[str, ...]  # parameters of the whole vehicle
@@ -204,7 +204,7 @@ class Chosen:
         )
 
 
-def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> Chosen:
+def combined(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> CombinedEstimates:
     """Put the estimates of several motions together.
 
     What several motions or directions share is weighted by the inverse of its variances.
@@ -216,8 +216,8 @@ def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> C
     weights = np.array([[float(label == n) for label in labels] for n in names]) / np.diag(covariance)
     weights /= weights.sum(axis=1, keepdims=True)
     axes = [str(e.axis) for e, estimation in found for _ in estimation.names]
-    told = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
-    return Chosen(names, weights @ theta, weights @ covariance @ weights.T, tuple(told))
+    contradictions = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
+    return CombinedEstimates(names, weights @ theta, weights @ covariance @ weights.T, tuple(contradictions))
 
 
 def _whole_name(stated: Vehicle, axis: Axis, name: str) -> str:
@@ -263,7 +263,7 @@ def estimate_streaming(
 
     Every log is read twice: to see what moves in it, then for the rows of the regression. Parts overlap by
     more than the filters reach, and what a filter makes of the samples at the border of a part is dropped, so
-    that the answer is that of the log in one piece. (What a gap is, is told by the median step of a part.)
+    that the answer is that of the log in one piece. (The median step of a part defines what a gap is.)
     """
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]

@@ -23,7 +23,22 @@ from undertow.model.units import to_si
 from undertow.typing import Array
 
 Faces = NDArray[np.int64]
-_STATIONS = 100
+
+
+@dataclass(frozen=True)
+class MeshLimits:
+    """What is read from a file of a hull, and how it is cut."""
+
+    stations: int = 100  # at which a silhouette is measured
+    same: float = 1e-6  # points closer than this share of the size are one: STL has seven digits
+    file: int = 300_000_000  # bytes
+    triangles: int = 1_000_000
+    longest: float = 100.0  # m, of a hull in a file that does not say its unit
+    shortest: float = 0.01  # m, the same
+    simplified: float = 0.33  # of the triangles wanted: cutting the longest edges then evens them out
+
+
+_LIMITS = MeshLimits()
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,7 @@ class Mesh:
         section; steps (n,), m, are what each station stands for: stations are closer at the ends.
         """
         low, high = self.bounds[:, along]
-        angles = (np.arange(_STATIONS) + 0.5) / _STATIONS * np.pi - np.pi / 2
+        angles = (np.arange(_LIMITS.stations) + 0.5) / _LIMITS.stations * np.pi - np.pi / 2
         half = (high - low) / 2
         places = low + half + half * np.sin(angles)
         weights = np.cos(angles)
@@ -141,10 +156,6 @@ def _covered(begins: Array, ends: Array) -> float:
     return float(np.maximum(ends - np.maximum(begins, reached), 0.0).sum())
 
 
-# Points closer than this share of the size are one: STL has seven digits.
-_SAME = 1e-6
-
-
 def mended(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     """One closed body whose triangles all look outward, and what was done for it."""
     joined = _joined(mesh)
@@ -166,7 +177,7 @@ def _joined(mesh: Mesh) -> Mesh:
     """Equal corners as one vertex, without triangles that have no area or stand there twice."""
     size = float(mesh.extents.max()) or 1.0
     _, first, place = np.unique(
-        np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (_SAME * size)),
+        np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (_LIMITS.same * size)),
         axis=0,
         return_index=True,
         return_inverse=True,
@@ -243,8 +254,8 @@ def has_capytaine() -> bool:
     return find_spec("capytaine") is not None
 
 
-def quiet_capytaine() -> Any:
-    """The package capytaine, which speaks up for errors only."""
+def load_capytaine() -> Any:
+    """The package capytaine, which logs errors only."""
     root, silent = logging.getLogger(), logging.NullHandler()
     # On import it gives the root logger a handler to stdout, unless there is one.
     root.addHandler(silent)
@@ -260,9 +271,6 @@ def quiet_capytaine() -> Any:
     return package
 
 
-_LARGEST_FILE = 300_000_000
-_MOST_TRIANGLES = 1_000_000
-_LONGEST, _SHORTEST = 100.0, 0.01
 _LETTERS = {"F": (0, 1), "B": (0, -1), "R": (1, 1), "L": (1, -1), "D": (2, 1), "U": (2, -1)}
 _STL_HEAD, _STL_FACET = 84, np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 
@@ -297,9 +305,10 @@ def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") 
     vertices, faces = _content(path)
     if not len(faces):
         raise UndertowError(f"{path}: no triangles in it: export the surface of the hull as STL")
-    if len(faces) > _MOST_TRIANGLES:
+    if len(faces) > _LIMITS.triangles:
         raise UndertowError(
-            f"{path}: {len(faces)} triangles are too many (limit {_MOST_TRIANGLES}): export it more coarsely"
+            f"{path}: {len(faces)} triangles are too many (limit {_LIMITS.triangles}): export it more "
+            "coarsely"
         )
     if not np.isfinite(vertices).all():
         raise UndertowError(f"{path}: a coordinate is no finite number: export the hull anew")
@@ -332,12 +341,12 @@ def _rotation(frame: str) -> Array:
 def _check_size(path: Path, vertices: Array, unit: str | None) -> None:
     extents = np.ptp(vertices, axis=0)
     longest = float(extents.max())
-    if unit is None and not _SHORTEST <= longest <= _LONGEST:
+    if unit is None and not _LIMITS.shortest <= longest <= _LIMITS.longest:
         size = " x ".join(f"{e:.4g}" for e in extents)
-        likely = "mm" if longest > _LONGEST else "in, ft or km"
+        likely = "mm" if longest > _LIMITS.longest else "in, ft or km"
         raise UndertowError(
-            f"{path}: {size} m is no likely hull ({_SHORTEST:g} to {_LONGEST:g} m): say the unit of its "
-            f"numbers, such as {likely} (or m if it is so)"
+            f"{path}: {size} m is no likely hull ({_LIMITS.shortest:g} to {_LIMITS.longest:g} m): give the "
+            f"unit of its numbers, such as {likely} (or m if it is so)"
         )
 
 
@@ -347,8 +356,8 @@ def _content(path: Path) -> tuple[Array, Faces]:
     if read is None:
         raise UndertowError(f"{path}: hulls are read from .stl, .obj and .msh files: export it as STL")
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise UndertowError(f"{path}: larger than {_LARGEST_FILE / 1e6:g} MB: export it more coarsely")
+        if path.stat().st_size > _LIMITS.file:
+            raise UndertowError(f"{path}: larger than {_LIMITS.file / 1e6:g} MB: export it more coarsely")
         return read(path)
     except OSError as error:
         raise UndertowError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -431,13 +440,9 @@ def _msh(path: Path) -> tuple[Array, Faces]:
     return np.asarray(content.points, dtype=float), np.array(faces, dtype=np.int64).reshape(-1, 3)
 
 
-# Part of the triangles wanted to which a hull is simplified: cutting the longest edges then evens them out.
-_PART = 0.33
-
-
 def base_mesh(mesh: Mesh, count: int) -> Mesh:
     """A mesh of at most some `count` triangles of similar size: simplified, or cut at the longest edges."""
-    found = _simplified(mesh, round(count * _PART)) if len(mesh.faces) > count else mesh
+    found = _simplified(mesh, round(count * _LIMITS.simplified)) if len(mesh.faces) > count else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:
         found, longest = finer, 0.9 * longest
