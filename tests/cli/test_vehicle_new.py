@@ -18,7 +18,7 @@ from undertow.codegen.simulate import Simulator
 from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import hints, mass_matrix_at
 from undertow.model.vehicle import Vehicle
-from undertow.shape.bodies import ellipsoid, equivalent, moved
+from undertow.shape.bodies import ellipsoid, equivalent, transformed
 from undertow.shape.first import HullRules, drag_of_hull
 
 Capture = pytest.CaptureFixture[str]
@@ -99,7 +99,7 @@ def test_a_mesh_in_other_axes_about_another_point(no_extra: None, hulls: Path) -
     np.testing.assert_allclose(place, [1.0, -0.5, -0.3], rtol=1e-5)
     assert main([*words, "--cg", "0,0,0.02", "--force"]) == 0
     about_buoyancy = np.array(mass_matrix_at(load_vehicle("my.toml")))
-    expected = moved(about_buoyancy, [1.0, -0.5, -0.3])
+    expected = transformed(about_buoyancy, np.eye(3), [1.0, -0.5, -0.3])
     np.testing.assert_allclose(np.array(mass_matrix_at(about_mesh)), expected, rtol=1e-3, atol=0.01)
 
 

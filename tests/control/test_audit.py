@@ -46,7 +46,7 @@ def test_a_paper_with_the_sign_fixed_and_the_mass_added_is_not_blamed(
     found = equations._Equations()
     assert [*found.coriolis_sign(), *found.power()] == []
     # Of (8) with this matrix and the sign turned as the audit does, the difference is twice the term.
-    assert len(list(equations.frames())) == 1
+    assert len(list(found.frames())) == 1
 
 
 def test_units_of_derived_and_mended_conditions_fit(monkeypatch: pytest.MonkeyPatch) -> None:

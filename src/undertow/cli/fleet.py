@@ -373,7 +373,7 @@ def rolled(
         raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
     seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
     mapping = (LogMapping() if map is None else read_mapping(map)).model_dump_json()
-    job = RolloutJob(seen, files, mapping, fill, horizon, coverage, seed, trust_log)
+    job = RolloutJob(seen, files, mapping, fill, trust_log, horizon, coverage, seed)
     with progress("rolling out") as tell:
         bands, failed, source = roll_out(job, [str(p.absolute()) for p in logs], count, engine, tell)
     heads = ("channel", "within the band, %", "half width at the end", "half width in noise")

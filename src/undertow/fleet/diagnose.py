@@ -333,11 +333,8 @@ def _reduced(
         else:
             store.put(jobs[partition.vehicle].fingerprint, sha256, answer)
             known.worked.add(partition.path)
-    return {v: (panel_of(job), _days(v, job, known, store)) for v, job in jobs.items() if _has(v, known)}
-
-
-def _has(vehicle: str, known: _Known) -> bool:
-    return any(p.vehicle == vehicle for p in known.partitions)
+    left = {p.vehicle for p in known.partitions}
+    return {v: (panel_of(job), _days(v, job, known, store)) for v, job in jobs.items() if v in left}
 
 
 def _days(vehicle: str, job: Job, known: _Known, store: Store) -> list[Day]:

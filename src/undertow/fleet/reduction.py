@@ -173,24 +173,29 @@ _LOOSE = 1e-6
 
 
 @dataclass(frozen=True)
-class Job:
-    """What is done with every log of a vehicle; plain data, so that it can be sent to any machine."""
+class LogJob:
+    """Logs of a vehicle and how they are read; plain data, so that it can be sent to any machine."""
 
     vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
     effects: tuple[str, ...] = ()  # paths of files with effects of the user
     mapping: str = "{}"  # the mapping file's content as JSON
-    # values of parameters that differ from the file's, SI and SNAME signs
-    values: tuple[tuple[str, float], ...] = ()
-    daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
-    rows: int = ROWS  # rows that are read at a time
     fill: CommandPolicy | None = None  # what to do where a command has no sample
     trust_log: bool = False  # whether physically impossible logs count
-    fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
 
     @cached_property
     def log_mapping(self) -> LogMapping:
         """What the columns of the logs mean."""
         return LogMapping.model_validate_json(self.mapping)
+
+
+@dataclass(frozen=True)
+class Job(LogJob):
+    """What is done with every log of a vehicle."""
+
+    values: tuple[tuple[str, float], ...] = ()  # that differ from the file's, SI and SNAME signs
+    daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
+    rows: int = ROWS  # rows that are read at a time
+    fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,14 @@ from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.predictor import Predictor
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.windows import Windows, cut
-from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .engine import Engine, Failure
 from .partitions import files_digest
+from .reduction import LogJob
 
 
 @dataclass(frozen=True)
@@ -42,17 +41,12 @@ _LIMITS = RolloutLimits()
 
 
 @dataclass(frozen=True)
-class RolloutJob:
-    """What is simulated; plain data, so that it can be sent to any machine."""
+class RolloutJob(LogJob):
+    """What is simulated."""
 
-    vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
-    effects: tuple[str, ...] = ()  # paths of files with effects of the user
-    mapping: str = "{}"  # the mapping file's content as JSON
-    fill: CommandPolicy | None = None  # what to do where a command has no sample
     horizon: float = 10.0  # length of a window, s
     coverage: float = 0.9  # share of the rollouts within the band
     seed: int = 0  # of all that is drawn
-    trust_log: bool = False  # whether physically impossible logs count
     # hash of the vehicle file and the effects, by which workers see that they have the same; empty where it
     # is not known yet
     files: str = ""
@@ -94,6 +88,7 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
     spread = spread_of(vehicle, source)
     model = WeakModel(Functions(vehicle), spread.names)
     places = list(model.places)
+    low, high = np.array([vehicle.declaration(n).bounds for n in spread.names]).T
     centre = np.array(model.functions.values(), dtype=float)
     random = np.random.default_rng(seed)
     found: list[Array] = []
@@ -101,9 +96,7 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
     for _ in range(most):
         shift = random.multivariate_normal(np.zeros(len(places)), spread.covariance, method="eigh")
         p = centre.copy()
-        p[places] = [
-            _inside(vehicle, n, v) for n, v in zip(spread.names, centre[places] + shift, strict=True)
-        ]
+        p[places] = np.clip(centre[places] + shift, low, high)
         if not model.limits.broken(p):
             found.append(p)
         if len(found) == count:
@@ -112,11 +105,6 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
         f"{most - len(found)} of {most} vehicles drawn from the {spread.source} have no positive mass "
         "matrix: fit the vehicle to better logs"
     )
-
-
-def _inside(vehicle: Vehicle, name: str, value: float) -> float:
-    low, high = vehicle.declaration(name).bounds
-    return float(min(max(value, low), high))
 
 
 def windows_of(job: RolloutJob, source: Source) -> int:
@@ -195,8 +183,7 @@ def _predictor(vehicle: str, effects: tuple[str, ...], files: str) -> Predictor:
 @lru_cache(maxsize=4)
 def _cut(job: RolloutJob, source: Source) -> Windows:
     vehicle = _predictor(job.vehicle, job.effects, job.files).functions.vehicle
-    mapping = LogMapping.model_validate_json(job.mapping)
-    run = read_log(source.log, mapping, vehicle.command_names, missing_commands=job.fill)
+    run = read_log(source.log, job.log_mapping, vehicle.command_names, missing_commands=job.fill)
     if run.sha256 != source.sha256:
         raise UndertowError(
             f"{source.log} is another file for this worker, or was changed meanwhile: try again"

@@ -238,7 +238,8 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     yield from found
     together = [symbol(p.name) for p in linear]
     if not found and bent_row(main, together, s) is not None:
-        yield f"the linear parameters {_names(linear)} multiply each other: declare all but one linear=False"
+        names = ", ".join(f"'{p.name}'" for p in linear)
+        yield f"the linear parameters {names} multiply each other: declare all but one linear=False"
     for p in own:
         if (
             not p.linear
@@ -253,10 +254,6 @@ def _not_linear(p: Parameter, main: sm.Matrix, hidden: set[sm.Symbol], s: Statem
         yield f"parameter '{p.name}' acts through a state or a delay, so not linearly: declare linear=False"
     elif (row := bent_row(main, [symbol(p.name)], s)) is not None:
         yield f"{s.parts[0].rows[row]} is not linear in '{p.name}', as it is declared: declare linear=False"
-
-
-def _names(parameters: Sequence[Parameter]) -> str:
-    return ", ".join(f"'{p.name}'" for p in parameters)
 
 
 def affine_in_motion(s: Statement) -> Iterator[str]:
@@ -424,7 +421,7 @@ class _Law:
 
 
 def _is(*kinds: str) -> Callable[[Statement], bool]:
-    return lambda s: any(kind in s.kinds for kind in kinds)
+    return lambda s: not set(kinds).isdisjoint(s.kinds)
 
 
 _LAWS = (
@@ -485,15 +482,12 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Cont
     except UndertowError as error:
         return [*findings, ContractCheck("shape", False, str(error))]
     findings.append(ContractCheck("shape", True, "every part is a column of the right length"))
-    symbols = _law_findings(_LAWS[0], statement)
+    symbols = _found(_LAWS[0].check, _LAWS[0].holds, only_known_symbols(statement))
     if not symbols[0].ok:  # unknown symbols have no value, so the laws cannot be tried
         return [*findings, *symbols]
-    rest = [f for law in _LAWS[1:] if law.applies(statement) for f in _law_findings(law, statement)]
+    laws = [law for law in _LAWS[1:] if law.applies(statement)]
+    rest = [f for law in laws for f in _found(law.check, law.holds, law.complaints(statement))]
     return [*findings, *symbols, *rest]
-
-
-def _law_findings(law: _Law, statement: Statement) -> list[ContractCheck]:
-    return _found(law.check, law.holds, law.complaints(statement))
 
 
 def _found(check: str, holds: str, complaints: Iterator[str]) -> list[ContractCheck]:

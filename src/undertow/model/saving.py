@@ -203,11 +203,8 @@ def _updated(entry: Any, fields: Mapping[str, Any]) -> Any:
 
 def _inline(fields: Mapping[str, Any]) -> Any:
     ordered = sorted(fields, key=lambda k: _ORDER.index(k) if k in _ORDER else len(_ORDER))
-    return tomlkit.value("{ " + ", ".join(f"{k} = {_text(fields[k])}" for k in ordered) + " }")
-
-
-def _text(value: Any) -> str:
-    return tomlkit.item(safe(value)).as_string()
+    texts = (f"{k} = {tomlkit.item(safe(fields[k])).as_string()}" for k in ordered)
+    return tomlkit.value(f"{{ {', '.join(texts)} }}")
 
 
 _BEFORE = "; before: "

@@ -127,6 +127,8 @@ def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Esti
     variance = float(residual @ residual) / (triangle.count - len(theta))
     inverse = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
     covariance = variance * inverse
+    declared = experiment.axis.vehicle.declared_parameters
+    limits = [(n, v, declared[n].bounds) for n, v in zip(regression.free, theta.tolist(), strict=True)]
     return Estimation(
         case=case,
         names=regression.free,
@@ -137,7 +139,7 @@ def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Esti
         condition=condition,
         inertia=regression.inertia(theta, covariance),
         inertial=regression.inertial,
-        impossible=_impossible(experiment.axis, dict(zip(regression.free, theta.tolist(), strict=True))),
+        impossible=tuple(n for n, v, (low, high) in limits if not low <= v <= high),
     )
 
 
@@ -164,11 +166,6 @@ def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) ->
         f"{count} samples of {axis} do not determine {', '.join(names)} one by one (case {case.name}), "
         f"only {', '.join(seen)}: log other speeds and accelerations, or state one as known"
     )
-
-
-def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:
-    declared = axis.vehicle.declared_parameters
-    return tuple(n for n, v in values.items() if not declared[n].bounds[0] <= v <= declared[n].bounds[1])
 
 
 # --- which estimate is taken ----------------------------------------------------------------------
@@ -209,7 +206,8 @@ def combined(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) ->
 
     What several motions or directions share is weighted by the inverse of its variances.
     """
-    labels = [_whole_name(stated, e.axis, n) for e, estimation in found for n in estimation.names]
+    pairs = [(n, e.axis.name_of(n)) for e, estimation in found for n in estimation.names]
+    labels = [own if own in stated.values else name for name, own in pairs]
     theta = np.concatenate([estimation.theta for _, estimation in found])
     covariance = block_diag(*(estimation.covariance for _, estimation in found))
     names = tuple(dict.fromkeys(labels))
@@ -218,11 +216,6 @@ def combined(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) ->
     axes = [str(e.axis) for e, estimation in found for _ in estimation.names]
     contradictions = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
     return CombinedEstimates(names, weights @ theta, weights @ covariance @ weights.T, tuple(contradictions))
-
-
-def _whole_name(stated: Vehicle, axis: Axis, name: str) -> str:
-    own = axis.name_of(name)
-    return own if own in stated.values else name
 
 
 def _apart(

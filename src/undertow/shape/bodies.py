@@ -17,23 +17,10 @@ from undertow.typing import Array
 from .mesh import Mesh
 
 
-def turned(matrix: Array, rotation: ArrayLike) -> Array:
-    """A 6 × 6 inertia or added-mass matrix in other axes with the same origin.
-
-    `matrix` (6, 6): in the axes of the body; forces and moments per linear and angular acceleration;
-    `rotation` (3, 3): takes components along the axes of the body into components along the new ones.
-    """
-    both = transformation(rotation, np.zeros(3))
-    return both @ matrix @ both.T
-
-
-def moved(matrix: Array, offset: ArrayLike) -> Array:
-    """A 6 × 6 inertia or added-mass matrix about an origin from which its own lies at `offset`.
-
-    `matrix` (6, 6): about its own origin; `offset` (3,): where that origin lies, m, along the same axes.
-    """
-    arm = transformation(np.eye(3), offset)
-    return arm @ matrix @ arm.T
+def transformed(matrix: Array, rotation: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """A 6 × 6 inertia or added-mass matrix in other axes, about another origin; see `transformation`."""
+    T = transformation(rotation, offset)
+    return T @ matrix @ T.T
 
 
 def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:

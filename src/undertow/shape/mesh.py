@@ -284,22 +284,10 @@ class Hull:
 
 
 def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") -> Hull:
-    """Read a closed hull from an STL (binary or text), OBJ or MSH file.
+    """Read a closed hull from an STL (binary or text), OBJ or, with the extra `bem`, MSH file.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file. MSH needs the extra `bem`.
-    unit : str, optional
-        What its numbers are in, such as "mm". Metres by default, and then a hull of more than 100 m or less
-        than 1 cm is refused.
-    frame : str
-        Directions of its x, y and z axes: Forward or Back, Right or Left, Down or Up.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or the surface is open, several bodies, or of an unlikely size.
+    `unit` is that of its numbers, such as "mm"; m by default, and then an unlikely size is refused. `frame`
+    has the directions of its x, y and z axes: Forward or Back, Right or Left, Down or Up.
     """
     path = Path(path)
     vertices, faces = _content(path)
@@ -370,13 +358,12 @@ def _stl(path: Path) -> tuple[Array, Faces]:
     binary = len(data) == _STL_HEAD + count * _STL_FACET.itemsize
     if not binary and not data[:512].lstrip().startswith(b"solid"):
         raise UndertowError(f"{path}: no STL file, or cut off: export the hull anew")
-    points = _binary_facets(data) if binary else _text_facets(path, data)
+    if binary:
+        facets = np.frombuffer(data, dtype=_STL_FACET, offset=_STL_HEAD)
+        points = facets["floats"][:, 3:].reshape(-1, 3).astype(float)
+    else:
+        points = _text_facets(path, data)
     return points, np.arange(len(points)).reshape(-1, 3)
-
-
-def _binary_facets(data: bytes) -> Array:
-    facets = np.frombuffer(data, dtype=_STL_FACET, offset=_STL_HEAD)
-    return facets["floats"][:, 3:].reshape(-1, 3).astype(float)
 
 
 def _text_facets(path: Path, data: bytes) -> Array:

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from undertow.errors import UndertowError
 from undertow.typing import Array, Progress
 
-from .bodies import AddedMass, transformation, turned
+from .bodies import AddedMass, transformation, transformed
 from .mesh import Faces, Mesh, base_mesh, bisected, each_edge, load_capytaine, quartered, subdivided
 
 
@@ -302,7 +302,7 @@ def _solved(
             f"capytaine gave no result for {len(mesh.faces)} panels, which take "
             f"{PANEL_RULES.pair * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
         )
-    return turned(found.real, _UP) + 1j * turned(found.imag, _UP)
+    return transformed(found.real, _UP) + 1j * transformed(found.imag, _UP)
 
 
 def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
