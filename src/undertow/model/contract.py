@@ -28,20 +28,22 @@ class Trials:
     """Points at which an effect is tried; sizes are far apart, so that a kink is met on both sides."""
 
     seed: int = 20210405
-    points: int = 200
+    points: int = 200  # for bounds and power
+    identity: int = 12  # points, for what has to be zero everywhere
+    linearity: int = 40  # lines, for what has to be affine along them
     signals: tuple[float, float] = (-2.0, 1.0)  # decades of their magnitude
     parameters: tuple[float, float] = (-2.0, 2.0)  # the same
     rounding: float = 1e-9  # of a sum, as a share of its terms
 
 
-_TRY = Trials()
+_TRIALS = Trials()
 
 
-class Probe:
+class RandomPoints:
     """Draws points for the symbols of a statement: signals of every size, parameters within their bounds."""
 
-    def __init__(self, statement: Statement, seed: int = _TRY.seed) -> None:
-        self._random = Random(seed)
+    def __init__(self, statement: Statement) -> None:
+        self._random = Random(_TRIALS.seed)
         self._inputs = statement.inputs
         self._parameters = statement.parameters
 
@@ -62,14 +64,14 @@ class Probe:
             return 1000.0 if name == "rho" else 9.81
         if unit == "rad":  # clear of the singularity of the Euler angles
             return self._random.uniform(-1.4, 1.4)
-        return abs(self._any_size(_TRY.signals)) if unit == "s" else self._any_size(_TRY.signals)
+        return abs(self._any_size(_TRIALS.signals)) if unit == "s" else self._any_size(_TRIALS.signals)
 
     def _any_size(self, decades: tuple[float, float]) -> float:
         return self._random.choice((-1.0, 1.0)) * 10 ** self._random.uniform(*decades)
 
     def _within(self, parameter: Parameter) -> float:
         low, high = parameter.bounds
-        step = self._any_size(_TRY.parameters)
+        step = self._any_size(_TRIALS.parameters)
         if math.isinf(low) and math.isinf(high):
             return step
         if math.isinf(high):
@@ -96,43 +98,41 @@ def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, flo
     return values
 
 
-def nonzero_row(matrix: sm.Matrix, statement: Statement, trials: int = 12) -> int | None:
+def nonzero_row(matrix: sm.Matrix, statement: Statement) -> int | None:
     """Index of the first row that is not identically zero, or None.
 
     Expansion proves most identities; what it leaves is tried at random points.
     """
     for i, row in enumerate(matrix):
         expanded = sm.expand(row)
-        if expanded != 0 and not _vanishes(expanded, statement, trials):
+        if expanded != 0 and not _vanishes(expanded, statement):
             return i
     return None
 
 
-def _vanishes(expression: sm.Expr, statement: Statement, trials: int) -> bool:
+def _vanishes(expression: sm.Expr, statement: Statement) -> bool:
     values = compiled([expression, *sm.Add.make_args(expression)])
-    probe = Probe(statement)
-    for _ in range(trials):
+    probe = RandomPoints(statement)
+    for _ in range(_TRIALS.identity):
         whole, *terms = values(probe.point())
-        if not math.isnan(whole) and abs(whole) > _TRY.rounding * sum(map(abs, terms)):
+        if not math.isnan(whole) and abs(whole) > _TRIALS.rounding * sum(map(abs, terms)):
             return False
     return True
 
 
-def bent_row(
-    matrix: sm.Matrix, along: Sequence[sm.Symbol], statement: Statement, trials: int = 40
-) -> int | None:
+def nonlinear_row(matrix: sm.Matrix, along: Sequence[sm.Symbol], statement: Statement) -> int | None:
     """Index of the first row that is not affine in the symbols `along` taken together, or None.
 
     Affine means that the value half-way between any two points is the mean of the values there, so
-    that a kink (dead band, dry friction) counts as bent although its second derivative is zero.
+    that a kink (dead band, dry friction) counts as not affine although its second derivative is zero.
     """
-    values, probe = compiled(list(matrix)), Probe(statement)
-    for _ in range(trials):
+    values, probe = compiled(list(matrix)), RandomPoints(statement)
+    for _ in range(_TRIALS.linearity):
         start = probe.point()
         end = probe.moved(start, along)
         middle = start | {x: (start[x] + end[x]) / 2 for x in along}
         for i, (a, b, half) in enumerate(zip(*map(values, (start, end, middle)), strict=True)):
-            if abs(half - (a + b) / 2) > _TRY.rounding * (abs(a) + abs(b) + abs(half)):
+            if abs(half - (a + b) / 2) > _TRIALS.rounding * (abs(a) + abs(b) + abs(half)):
                 return i
     return None
 
@@ -237,14 +237,14 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     found = [complaint for p in linear for complaint in _not_linear(p, main, hidden, s)]
     yield from found
     together = [symbol(p.name) for p in linear]
-    if not found and bent_row(main, together, s) is not None:
+    if not found and nonlinear_row(main, together, s) is not None:
         names = ", ".join(f"'{p.name}'" for p in linear)
         yield f"the linear parameters {names} multiply each other: declare all but one linear=False"
     for p in own:
         if (
             not p.linear
             and symbol(p.name) not in hidden
-            and bent_row(main, [*together, symbol(p.name)], s) is None
+            and nonlinear_row(main, [*together, symbol(p.name)], s) is None
         ):
             yield f"parameter '{p.name}' enters linearly although declared linear=False: declare linear=True"
 
@@ -252,7 +252,7 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
 def _not_linear(p: Parameter, main: sm.Matrix, hidden: set[sm.Symbol], s: Statement) -> Iterator[str]:
     if symbol(p.name) in hidden:
         yield f"parameter '{p.name}' acts through a state or a delay, so not linearly: declare linear=False"
-    elif (row := bent_row(main, [symbol(p.name)], s)) is not None:
+    elif (row := nonlinear_row(main, [symbol(p.name)], s)) is not None:
         yield f"{s.parts[0].rows[row]} is not linear in '{p.name}', as it is declared: declare linear=False"
 
 
@@ -266,7 +266,7 @@ def affine_in_motion(s: Statement) -> Iterator[str]:
         (turned, POSE[3:], attitude),
         (velocity, VELOCITY, place),
     ):
-        row = bent_row(matrix, along, s)
+        row = nonlinear_row(matrix, along, s)
         if row is not None:
             what = "attitude" if along is attitude else "position and velocity"
             yield f"reported {names[row]} is not affine in {what}: {_short(matrix[row])}"
@@ -279,8 +279,8 @@ def dead_time_positive(s: Statement) -> Iterator[str]:
     """Nothing acts or is reported before its time, for parameters within bounds."""
     parts = [p for p in s.parts if p.name in ("dead_time", "age")]
     rows = [(name, seconds) for p in parts for name, seconds in zip(p.rows, p.matrix, strict=True)]
-    values, probe = compiled([seconds for _, seconds in rows]), Probe(s)
-    for _ in range(_TRY.points):
+    values, probe = compiled([seconds for _, seconds in rows]), RandomPoints(s)
+    for _ in range(_TRIALS.points):
         early = [row for row, seconds in zip(rows, values(probe.point()), strict=True) if seconds < 0]
         if early:
             yield f"{early[0][0]} can be negative within the bounds: {_short(early[0][1])}"
@@ -318,8 +318,8 @@ def inertia_positive(s: Statement) -> Iterator[str]:
     inertia = inertia_of(s)
     diagonal = inertia.diagonal().free_symbols
     couplings = {x: sm.Integer(0) for x in s.parameters if x not in diagonal}
-    entries, probe = compiled(list(inertia.subs(couplings))), Probe(s)
-    for _ in range(_TRY.points):
+    entries, probe = compiled(list(inertia.subs(couplings))), RandomPoints(s)
+    for _ in range(_TRIALS.points):
         values = entries(probe.point())
         rows = [values[6 * i : 6 * i + 6] for i in range(6)]
         for i in range(6):
@@ -331,7 +331,7 @@ def inertia_positive(s: Statement) -> Iterator[str]:
             return
 
 
-def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _TRY.rounding) -> bool:
+def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _TRIALS.rounding) -> bool:
     """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
     trace = sum(abs(rows[i][i]) for i in range(len(rows)))
     return failing_pivot(rows, margin * trace or margin) is None
@@ -351,13 +351,13 @@ def no_work(s: Statement) -> Iterator[str]:
         yield f"declared workless, but its power is {_short(sm.expand(power[0]))}"
 
 
-def never_feeds(s: Statement) -> Iterator[str]:
+def dissipates(s: Statement) -> Iterator[str]:
     """nu' tau <= 0 at every point tried."""
-    terms, probe = compiled(power_terms(s)), Probe(s)
-    for _ in range(_TRY.points):
+    terms, probe = compiled(power_terms(s)), RandomPoints(s)
+    for _ in range(_TRIALS.points):
         point = probe.point()
         powers = terms(point)
-        if sum(powers) > _TRY.rounding * sum(map(abs, powers)):
+        if sum(powers) > _TRIALS.rounding * sum(map(abs, powers)):
             speeds = ", ".join(
                 f"{n} = {point[symbol(n)]:.3g}" for n, p in zip(VELOCITY, powers, strict=True) if p > 0
             )
@@ -425,11 +425,7 @@ def _is(*kinds: str) -> Callable[[Statement], bool]:
 
 
 _LAWS = (
-    _Law(
-        "symbols",
-        "stated in signals, own and shared parameters, and own states only",
-        only_known_symbols,
-    ),
+    _Law("symbols", "stated in signals, own and shared parameters, and own states only", only_known_symbols),
     _Law("parameters", "every parameter occurs in the physics", parameters_used),
     _Law("units", "every term of every row has the right unit", units_fit),
     _Law("zero", "changes nothing where its parameters are neutral", absent_at_neutral),
@@ -441,17 +437,12 @@ _LAWS = (
         affine_in_motion,
         _is("measurement"),
     ),
-    _Law(
-        "dead_time",
-        "no dead time can be negative",
-        dead_time_positive,
-        _is("actuation", "measurement"),
-    ),
+    _Law("dead_time", "no dead time can be negative", dead_time_positive, _is("actuation", "measurement")),
     _Law("rate", "acceleration is the derivative of velocity", rate_is_derivative, _is("flow")),
     _Law("symmetry", "its part of the mass matrix is symmetric", inertia_symmetric, accelerates),
     _Law("inertia", "its part of the mass matrix is positive", inertia_positive, has_own_inertia),
     _Law("workless", "its power is identically zero", no_work, lambda s: claims(s, "workless")),
-    _Law("dissipative", "it never feeds power in", never_feeds, lambda s: claims(s, "dissipative")),
+    _Law("dissipative", "it never feeds power in", dissipates, lambda s: claims(s, "dissipative")),
 )
 
 

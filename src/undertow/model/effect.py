@@ -21,7 +21,7 @@ def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Param
 
 
 @dataclass(frozen=True)
-class Bulk:
+class VehicleSize:
     """How large a vehicle is, by its mass and inertia."""
 
     mass: float  # kg
@@ -144,7 +144,7 @@ class Effect(abc.ABC):
         yield from ()
 
     @classmethod
-    def bulk(cls, values: Mapping[str, float]) -> Bulk | None:
+    def vehicle_size(cls, values: Mapping[str, float]) -> VehicleSize | None:
         """How large a vehicle with these values is; None where the effect does not say."""
         return None
 

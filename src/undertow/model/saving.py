@@ -97,7 +97,7 @@ _QUANTITIES = ("value", "forward", "backward", "sigma", "sigma_forward", "sigma_
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Entry:
     """What an entry is to say, SI and in the signs of the file."""
 
     numbers: Mapping[str, float]  # the value by its key: "value", or "forward" and "backward"
@@ -108,7 +108,7 @@ class Wanted:
     override: bool = False  # whether it has to say that another table states something else
     source: str = ""
 
-    def fitted(self, source: str) -> Wanted:
+    def fitted(self, source: str) -> Entry:
         """The same with a new source, which is no assumption."""
         return replace(self, source=source, assumed=False)
 
@@ -126,7 +126,7 @@ class Wanted:
         return present != set(new) or not all(_same(old[k], new[k], self.unit, place) for k in new)
 
 
-def update_entry(raw: Any, wanted: Wanted, place: str) -> Any:
+def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
     """The new entry for what stands in the file (None: nothing stands there), or None where it can stay.
 
     A table is changed in place and keeps whatever else it says.
@@ -143,7 +143,7 @@ def update_entry(raw: Any, wanted: Wanted, place: str) -> Any:
     return fields["value"] if set(fields) == {"value"} else _inline(fields)
 
 
-def _changed_fields(old: Mapping[str, Any], wanted: Wanted, place: str) -> dict[str, Any]:
+def _changed_fields(old: Mapping[str, Any], wanted: Entry, place: str) -> dict[str, Any]:
     """Keys with their new values, None for those that go."""
     like = _like(old, wanted.unit)
     new = wanted.quantities()
@@ -460,8 +460,8 @@ def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
     return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
 
 
-def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Wanted:
-    return Wanted(
+def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Entry:
+    return Entry(
         numbers={key: printed(parameter, v.value, signs) for key, v in values.items()},
         sigmas=_sigmas(values),
         unit=parameter.unit,
@@ -471,7 +471,7 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Wa
     )
 
 
-def _write(table: Any, key: str, wanted: Wanted, place: str, history: Mapping[str, object] | None) -> None:
+def _write(table: Any, key: str, wanted: Entry, place: str, history: Mapping[str, object] | None) -> None:
     fitted = history is None or "logs" in history
     if fitted and wanted.estimate and wanted.differs(table.get(key), place):
         wanted = wanted.fitted(fit_source(history, source_before(wanted.source)))
@@ -522,7 +522,7 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
     for thruster in vehicle.thrusters:
         value = thruster.thrust_per_command
         sigmas = _sigmas({"value": value})
-        wanted = Wanted(
+        wanted = Entry(
             {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, source=value.source
         )
         place = f"thruster '{thruster.name}' thrust_per_command"

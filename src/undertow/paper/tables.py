@@ -10,7 +10,6 @@ from decimal import Decimal
 from functools import cache
 from importlib.resources import files
 from itertools import combinations
-from typing import Any
 
 # Inertia comes first; the others are damping, but for a constant force.
 _QUANTITIES = {
@@ -31,9 +30,9 @@ class PublishedTable:
     direction: str
     samples: int  # rows of the regression
     selected: str  # case that the paper takes for this motion
-    adopted: str | None  # which set of Table 4 came out of it; None where no set did
     # text of every cell by quantity and case; quantities are parameters, ``variance`` and ``sd_`` of each
     printed: Mapping[str, Mapping[str, str]]
+    adopted: str | None = None  # which set of Table 4 came out of it; None where no set did
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -81,20 +80,8 @@ def appendix() -> Appendix:
     folder = files("undertow.paper")
     meta = tomllib.loads(folder.joinpath("appendix_a.toml").read_text(encoding="utf-8"))
     numbers = _numbers(folder.joinpath("appendix_a.csv").read_text(encoding="utf-8"))
-    tables = tuple(_table(name, about, numbers[name]) for name, about in meta["tables"].items())
-    return Appendix(tables, meta["body"], meta["adopted"])
-
-
-def _table(name: str, about: Mapping[str, Any], printed: Mapping[str, Mapping[str, str]]) -> PublishedTable:
-    return PublishedTable(
-        name,
-        about["motion"],
-        about["direction"],
-        about["samples"],
-        about["selected"],
-        about.get("adopted"),
-        printed,
-    )
+    tables = (PublishedTable(name=n, printed=numbers[n], **about) for n, about in meta["tables"].items())
+    return Appendix(tuple(tables), meta["body"], meta["adopted"])
 
 
 def _numbers(text: str) -> dict[str, dict[str, dict[str, str]]]:
