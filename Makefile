@@ -5,6 +5,8 @@ VENV ?= .venv
 WORKERS ?= 2
 
 BIN := $(VENV)/bin
+# Tests of a file stay together, so that what they share is made once.
+PYTEST := $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11) and "undertow needs Python 3.11 or newer: make PYTHON=python3.12")
 
@@ -18,11 +20,11 @@ test: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
-	$(BIN)/python -m pytest -q -n $(WORKERS)
+	$(PYTEST)
 
-# With the tests that are marked slow.
+# Every test: those marked slow and those marked docs, too.
 test-all: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -n $(WORKERS) -m "slow or not slow"
+	$(PYTEST) -m ""
 
 # Ten thousand damaged files: FUZZ="--seed 7 --count 500", FUZZ="--case 0:4711 --keep DIR".
 check-fuzz: $(VENV)/.installed-dev
@@ -36,10 +38,11 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/python -m undertow.cli._docs docs/cli.md
 	$(BIN)/python -m sphinx -b html -q -W --keep-going docs docs/_build/html
 
-# Warnings are errors; links between pages, to files and in the README lead somewhere; code on pages runs.
+# The site, where warnings are errors, then the tests marked docs: links lead somewhere, code on pages runs, pages say
+# what the program does, benchmarks measure what they say.
 check-docs: $(VENV)/.installed-docs $(VENV)/.installed-dev
 	$(BIN)/python -m sphinx -b html -q -W --keep-going -E -d docs/_build/check docs docs/_build/html
-	$(BIN)/python -m pytest -q tests/test_docs.py
+	$(PYTEST) -m "docs and not slow"
 
 # The stamps stand in the environment: when it is thrown away, so are they. A half-made one is made again.
 $(VENV)/.installed: pyproject.toml | $(VENV)/.made

@@ -19,9 +19,9 @@ import numpy as np
 
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
-from undertow.control.conditions.check import check
 from undertow.control.conditions.problem import Uncertainty
 from undertow.control.conditions.result import Report
+from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, load_gains
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
@@ -273,7 +273,7 @@ def judge(case: Case, folder: Path, count: int, rng: np.random.Generator) -> str
     """What became of a case, in words."""
     try:
         gains = load(case, folder)
-        report = check(gains, Uncertainty(gains.plant.vehicle), forms=["derived"])
+        report = certify(gains, Uncertainty(gains.plant.vehicle), forms=["derived"])
     except UndertowError as error:
         return f"bad input: {error}"
     law = gains.law.id

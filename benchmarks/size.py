@@ -2,6 +2,7 @@
 
 python -m benchmarks.size               # the working tree
 python -m benchmarks.size main HEAD~3   # beside other revisions
+python -m benchmarks.size --trace       # also what a diagnosis and a check of gains really enter (a minute)
 """
 
 from __future__ import annotations
@@ -31,6 +32,23 @@ import grimp
 graph = grimp.build_graph("undertow", exclude_type_checking_imports=True, cache_dir=None)
 for start in sys.argv[1:]:
     print(start, *graph.find_upstream_modules(start))
+"""
+_ENTERED = """
+import os, sys, threading
+os.environ["UNDERTOW_JOBS"] = "1"
+from undertow.cli.main import main
+root = os.path.dirname(sys.modules["undertow"].__file__)
+entered = set()
+def record(frame, event, argument):
+    if event == "call":
+        entered.add(frame.f_code)
+sys.setprofile(record)
+threading.setprofile(record)
+main(sys.argv[1:])
+sys.setprofile(None)
+ours = {c for c in entered if c.co_filename.startswith(root) and c.co_name != "<module>"}
+ours = {c for c in ours if os.path.join("model", "effects", "") not in c.co_filename}
+print(len({c.co_filename for c in ours}), len(ours))
 """
 _SOURCES = {".py", ".c", ".h"}
 _NO_CODE = {
@@ -106,21 +124,50 @@ def _hops(sources: Path) -> dict[str, int]:
     return {f"modules from {name}": count for name, count in zip(JOURNEYS, counts, strict=True)}
 
 
-def of_revision(revision: str) -> dict[str, int]:
+def entered(sources: Path) -> dict[str, int]:
+    """Modules and functions that run between a command and its answer, by their description."""
+    demo = sources / "undertow" / "demo_data" / "auv"
+    logs = [str(demo / f"train_{i}.csv.gz") for i in (1, 2)]
+    commands = {
+        "a log column to a verdict": ["diagnose", str(demo / "vehicle.toml"), *logs],
+        "a gain to its conditions": ["gains", "mini-auv", "paper-pid"],
+    }
+    numbers = {}
+    for name, words in commands.items():
+        done = subprocess.run(
+            [sys.executable, "-c", _ENTERED, *words],
+            env={**os.environ, "PYTHONPATH": str(sources)},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        modules, functions = map(int, done.stdout.split()[-2:])
+        numbers |= {f"modules entered, {name}": modules, f"functions entered, {name}": functions}
+    return numbers
+
+
+def numbers_of(sources: Path, *, trace: bool) -> dict[str, int]:
+    """All numbers of a folder `src`; with `trace` two commands are run for some of them."""
+    return measure(sources) | (entered(sources) if trace else {})
+
+
+def of_revision(revision: str, *, trace: bool) -> dict[str, int]:
     """The same numbers of a commit."""
     command = ["git", "archive", revision, "src"]
     archive = subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout
     with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         tar.extractall(folder, filter="data")
-        return measure(Path(folder) / "src")
+        return numbers_of(Path(folder) / "src", trace=trace)
 
 
-def main(revisions: list[str]) -> None:
-    columns = {r: of_revision(r) for r in revisions} | {"now": measure(ROOT / "src")}
+def main(arguments: list[str]) -> None:
+    trace = "--trace" in arguments
+    columns = {r: of_revision(r, trace=trace) for r in arguments if r != "--trace"}
+    columns["now"] = numbers_of(ROOT / "src", trace=trace)
     wide = max(8, *map(len, columns))
-    print(" " * 42, *(f"{name:>{wide}}" for name in columns))
+    print(" " * 44, *(f"{name:>{wide}}" for name in columns))
     for row in columns["now"]:
-        print(f"{row:42}", *(f"{numbers[row]:{wide}d}" for numbers in columns.values()))
+        print(f"{row:44}", *(f"{numbers[row]:{wide}d}" for numbers in columns.values()))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ author = "the undertow authors"
 copyright = author
 release = version = undertow.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "mathml", "catalogue_page"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "mathml", "catalogue_page"]
 html_theme = "furo"
 html_title = f"undertow {release}"
 html_math_renderer = "mathml"
@@ -25,6 +25,10 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 myst_heading_anchors = 4
+# The tutorial has no stored outputs: what the site shows is what this version does.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
 # Types of other packages have no page here (no inventories are fetched), so names of types need not be links.
 autodoc_typehints = "signature"
 exclude_patterns = ["_build", "README.md"]

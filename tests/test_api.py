@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import undertow as ut
 
+DOCS = Path(__file__).parents[1] / "docs"
 DEMO = Path(ut.__file__).parent / "demo_data" / "auv"
 FUNCTIONS = [
-    "add_effect", "check_gains", "compile", "diagnose", "fit", "linearize", "load_vehicle", "read_log",
+    "add_effect", "catalogue", "check_gains", "compile", "diagnose", "fit", "linearize",
+    "load_vehicle", "read_log",
 ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> ut.Vehicle:
+    return ut.load_vehicle(DEMO / "vehicle.toml")
+
+
+@pytest.fixture(scope="module")
+def run(vehicle: ut.Vehicle) -> ut.Run:
+    return ut.read_log(DEMO / "train_1.csv.gz", commands=vehicle.command_names)
 
 
 def test_there_are_at_most_twenty_names() -> None:
@@ -37,21 +52,47 @@ def test_the_example_of_an_effect_of_ones_own_runs() -> None:
     assert doctest.DocTestRunner(verbose=False).run(found) == (0, 4)
 
 
+@pytest.mark.slow
 def test_checked_gains_say_what_holds() -> None:
     found = ut.check_gains(ut.load_vehicle("mini-auv"), "paper-pid")
     held = sum(row.verdict == "holds" for row in found.rows)
     assert f"not certified; {held} of {len(found.rows)} conditions hold" in repr(found)
-    assert repr(found) in found._repr_html_()
+    table = found._repr_html_()
+    assert repr(found) in table
+    assert table.count("<td>holds</td>") == held
 
 
-@pytest.fixture(scope="module")
-def vehicle() -> ut.Vehicle:
-    return ut.load_vehicle(DEMO / "vehicle.toml")
+def test_a_vehicle_shows_its_parameters_in_a_notebook(vehicle: ut.Vehicle) -> None:
+    assert repr(vehicle).startswith(
+        "Vehicle mini-auv: surge, sway, heave, yaw; thrusters f1, f2, f3, f4; effects rigid_body, "
+    )
+    row = ["X_u", "-0.6445", "kg/s", "0.0967", "yes", "guess, good to 15 %"]
+    assert "".join(f"<td>{cell}</td>" for cell in row) in vehicle._repr_html_()
 
 
-@pytest.fixture(scope="module")
-def run(vehicle: ut.Vehicle) -> ut.Run:
-    return ut.read_log(DEMO / "train_1.csv.gz", commands=vehicle.command_names)
+def test_a_run_shows_its_channels_in_a_notebook(run: ut.Run) -> None:
+    assert repr(run).startswith("Run train_1: 1200 samples, 0 to 59.95 s; channels x, y, z, ")
+    heading = run.channels["psi"]
+    row = ["psi", "rad", "1200", *(f"{x:.5g}" for x in (heading.min(), heading.mean(), heading.max()))]
+    assert "".join(f"<td>{cell}</td>" for cell in row) in run._repr_html_()
+
+
+def test_a_diagnosis_shows_the_error_of_each_model_in_a_notebook(vehicle: ut.Vehicle, run: ut.Run) -> None:
+    current = {"ocean_current": ut.catalogue()["ocean_current"]}
+    found = ut.diagnose(vehicle, [run], known=current)
+    assert repr(found) == "missing_effect: Missing: ocean_current; what remains is noise."
+    assert f"<td>ocean_current</td><td>{found.diagnosis.steps[-1].error:.5g}</td>" in found._repr_html_()
+
+
+def test_what_is_shown_in_a_notebook_is_text() -> None:
+    run = ut.Run("<b>dive & drift</b>", np.arange(3.0), {"u": np.full(3, np.nan)})
+    assert "<p>Run &lt;b&gt;dive &amp; drift&lt;/b&gt;: 3 samples, 0 to 2 s;" in run._repr_html_()
+    assert "<td>u</td><td>m/s</td><td>0</td><td></td>" in run._repr_html_()
+
+
+def test_an_effect_says_what_it_is(vehicle: ut.Vehicle) -> None:
+    damping = next(e for e in vehicle.effects if e.id == "linear_damping")
+    assert repr(damping) == f"linear_damping: {damping.about()}"
 
 
 def test_a_fit_says_what_it_found(vehicle: ut.Vehicle, run: ut.Run) -> None:
@@ -66,6 +107,7 @@ def test_a_fit_says_what_it_found(vehicle: ut.Vehicle, run: ut.Run) -> None:
     bars = fit.plot().axes[0].patches
     heights = [100 * share for part in (fit.before, fit.after) for share in part.relative.values()]
     np.testing.assert_allclose([bar.get_height() for bar in bars], heights)
+    assert fit.plot()._repr_html_().count("<svg") == 1
 
 
 def test_a_method_that_is_not_known_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
@@ -83,3 +125,31 @@ def test_a_simulation_is_held_between_samples() -> None:
     assert np.abs(x[11:] - calm[11:]).max() > 1e-6
     with pytest.raises(ut.UndertowError, match=r"dt = 0 s"):
         model.simulate(np.zeros(len(model.states)), u, dt=0)
+
+
+# --- tutorial.ipynb ---------------------------------------------------------------------------------
+def _cells() -> list[dict[str, Any]]:
+    cells: list[dict[str, Any]] = json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8"))["cells"]
+    return cells
+
+
+def test_the_notebook_stores_no_outputs() -> None:
+    assert [c["id"] for c in _cells() if c.get("outputs") or c.get("execution_count")] == []
+
+
+def test_the_notebook_does_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its code, run as one program: an error, or a warning, in any cell fails."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    code = ["".join(c["source"]) for c in _cells() if c["cell_type"] == "code"]
+    assert {w for c in code for w in re.findall(r"undertow[\w.]*", c)} == {"undertow"}
+    there: dict[str, Any] = {}
+    exec(compile("\n\n".join(code), "tutorial.ipynb", "exec"), there)
+    there["plt"].close("all")
+    assert there["result"].effects == ["ocean_current"]
+    for name in ("u", "v", "r"):
+        before, after = (there["rms_error"](there[m], name) for m in ("refitted", "with_current"))
+        assert after < before / 10
+    assert there["better"].value_of("V_N").value == pytest.approx(0.12, abs=0.005)
+    assert there["checks"].conditions_hold
+    assert not there["checks"].ok
+    assert max(there["system"].poles().real) > 0.2

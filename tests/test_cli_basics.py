@@ -16,13 +16,14 @@ import pytest
 
 import undertow
 import undertow.cli
-from undertow.cli import _terminal
-from undertow.cli._docs import page
+from tests.quick import first_quick
+from undertow.cli import _terminal  # the terminal that a test stands for
+from undertow.cli._docs import page  # what writes docs/cli.md
 from undertow.cli.main import commands, load, main
 
 ROOT = Path(__file__).parents[1]
 SLOW = {
-    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas", "pint", "plotly",
+    "casadi", "control", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pint", "plotly",
     "polars", "pydantic", "rich", "scipy", "statsmodels", "sympy", "tomlkit",
 }  # fmt: skip
 MOST_MODULES = 220
@@ -86,26 +87,29 @@ def test_help_of_no_command_imports_anything_slow(tmp_path: Path) -> None:
 
 AUV = ROOT / "src" / "undertow" / "demo_data" / "auv"
 NO_PICTURES = {"control", "matplotlib", "plotly", "scipy.signal"}
-NO_NUMBERS = {"casadi", "numba", "polars", "scipy.stats", *NO_PICTURES}
+NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
 
 
 @pytest.mark.parametrize(
     ("words", "spared"),
-    [
-        ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
-        ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
-        ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
-        ("effects show lift", NO_NUMBERS),
-        ("vehicles show mini-auv", NO_NUMBERS),
-        ("audit mini-auv", NO_NUMBERS),
-        ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
-        ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
-        ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
-        ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
-        (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
-        (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
-        ("linearize mini-auv", {"polars", "plotly", "numba", "undertow.identification"}),
-    ],
+    first_quick(
+        [
+            ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
+            ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+            ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
+            ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
+            (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+            ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+            ("effects show lift", NO_NUMBERS),
+            ("vehicles show mini-auv", NO_NUMBERS),
+            ("audit mini-auv", NO_NUMBERS),
+            ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
+            ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
+            (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+            ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
+        ],
+        5,
+    ),
 )
 def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:
     code = "from undertow.cli.main import main; assert main(sys.argv[1:]) in (0, 1)"
@@ -255,7 +259,9 @@ def _program(
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
 @pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&- 2>&-"])
-@pytest.mark.parametrize(("words", "code"), [("--version", 0), ("effects show lift", 0), ("nothing", 2)])
+@pytest.mark.parametrize(
+    ("words", "code"), first_quick([("--version", 0), ("effects show lift", 0), ("nothing", 2)], 3)
+)
 def test_streams_that_were_closed(closed: str, words: str, code: int) -> None:
     done = _program(words, closed)
     assert done.returncode == code
@@ -362,13 +368,6 @@ def test_short_work_prints_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_a_terminal_nothing_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _progress_on(io.StringIO(), monkeypatch, runs_out=True) == ""
-
-
-def test_a_bar_that_comes_too_late_is_not_shown() -> None:
-    bar = _terminal._Bar("fitting", 1.0)
-    bar.close()
-    bar.show()
-    assert bar._picture is None
 
 
 # documentation and public names ----------------------------------------------------------------------------

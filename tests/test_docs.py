@@ -12,6 +12,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import undertow
@@ -21,9 +22,11 @@ from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import signals, symbol
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md"), *(DOCS / "examples").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md"), *DOCS.glob("*.ipynb"), *DOCS.glob("examples/*.md")])
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -95,6 +98,57 @@ def test_the_files_of_the_page_are_read(tmp_path: Path) -> None:
     assert {*vehicle.command_names, *vehicle.velocity_names} <= channels
 
 
+# --- pictures of the catalogue ----------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def drawn() -> Any:
+    """The module that draws the pictures."""
+    spec = importlib.util.spec_from_file_location("signature_picture", DOCS / "_ext" / "signature_picture.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_force_is_drawn_over_the_motion_that_it_depends_on(drawn: Any) -> None:
+    surge, roll = drawn.panels(catalogue()["linear_damping"])
+    assert (surge.x_label, surge.y_label) == ("u [m/s]", "surge force X [N]")
+    assert (roll.x_label, roll.y_label) == ("p [rad/s]", "roll moment K [N m]")
+    np.testing.assert_allclose(surge.curves[""], -surge.x)
+    assert surge.absent is None
+
+
+def test_a_force_that_depends_on_two_motions_is_drawn_for_three_values_of_one(drawn: Any) -> None:
+    sway, _ = drawn.panels(catalogue()["lift"])
+    assert sway.x_label == "v [m/s]"
+    assert list(sway.curves) == ["u = 0.5 m/s", "u = 1 m/s", "u = 1.5 m/s"]
+    for u, curve in zip((0.5, 1.0, 1.5), sway.curves.values(), strict=True):
+        np.testing.assert_allclose(curve, u * sway.x, atol=1e-12)
+
+
+def test_a_current_is_drawn_over_the_heading(drawn: Any) -> None:
+    (panel,) = drawn.panels(catalogue()["ocean_current"])
+    assert panel.x_label == "ψ [rad]"
+    np.testing.assert_allclose(panel.curves[""], 0.5 * (np.cos(panel.x) + np.sin(panel.x)), atol=1e-12)
+
+
+def test_a_lag_is_drawn_over_time_beside_the_command(drawn: Any) -> None:
+    (panel,) = drawn.panels(catalogue()["thruster_lag"])
+    on, late = 1.2, 5.0
+    rising = (panel.x > on) & (panel.x < late)
+    start = np.interp(on, panel.x, panel.curves[""])
+    exact = 1 - (1 - start) * np.exp(-(panel.x[rising] - on) / 0.4)
+    np.testing.assert_allclose(panel.curves[""][rising], exact, atol=0.02)
+    np.testing.assert_allclose(panel.absent[rising], 1.0)
+    assert panel.parameters == {"T_lag": "0.4 s"}
+
+
+def test_a_delay_of_a_sensor_is_drawn_over_time_beside_the_truth(drawn: Any) -> None:
+    (panel,) = drawn.panels(catalogue()["sensor_delay"])
+    np.testing.assert_allclose(panel.curves[""], np.interp(panel.x - 0.3, panel.x, panel.absent))
+    assert panel.y_label == "reported u [m/s]"
+
+
 # --- architecture.md, glossary.md -------------------------------------------------------------------
 def _journeys() -> list[str]:
     text = (DOCS / "architecture.md").read_text(encoding="utf-8")
@@ -164,7 +218,7 @@ def test_relative_links_lead_somewhere(page: Path) -> None:
 
 # --- the site ---------------------------------------------------------------------------------------
 def _needs_sphinx() -> None:
-    for module in ("sphinx", "furo", "myst_parser", "numpydoc", "latex2mathml"):
+    for module in ("sphinx", "furo", "myst_nb", "ipykernel", "numpydoc", "latex2mathml"):
         pytest.importorskip(module, reason=f"{module} is not installed: pip install 'undertow[docs]'")
 
 
@@ -177,6 +231,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _needs_sphinx()
     out = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "-b", "html", "-d", str(out / "t"), str(DOCS)]
+    command += ["-D", "nb_execution_mode=off"]  # `make check-docs` runs the tutorial when it builds the site
     done = subprocess.run([*command, str(out / "html")], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return out / "html"
@@ -201,6 +256,16 @@ def test_the_catalogue_page_has_every_effect_with_its_equations(site: Path) -> N
     text = (site / "catalogue.html").read_text(encoding="utf-8")
     assert [i for i in catalogue() if f"<h3>{i}<" not in text] == []
     assert text.count("<math ") >= len(catalogue())
+
+
+def test_every_effect_of_the_catalogue_page_has_its_picture(site: Path) -> None:
+    text = (site / "catalogue.html").read_text(encoding="utf-8")
+    parts = dict(re.findall(r'aria-label="Signature of (\w+)">(.*?)</figure>', text, re.DOTALL))
+    assert set(parts) == set(catalogue())
+    for effect, part in parts.items():
+        labels = re.findall(r"<text[^>]*>([^<]*)</text>", part)
+        assert "<svg" in part, effect
+        assert any(label.endswith("]") or label.startswith("output of") for label in labels), effect
 
 
 def test_the_api_page_has_every_public_name(site: Path) -> None:

@@ -24,6 +24,8 @@ from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / "docs" / "examples"
 DATA = ROOT.parent / "shared" / "data"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.quick import first_quick
 from undertow import files
 from undertow.cli.main import main
 from undertow.errors import UndertowError
@@ -351,7 +352,7 @@ _WRITERS = {
 _WRITERS["simulate"] += ["--figures", "figures", "--json", "r.json"]
 
 
-@pytest.mark.parametrize("command", _WRITERS)
+@pytest.mark.parametrize("command", first_quick(_WRITERS))
 def test_a_command_on_a_full_disk_leaves_nothing(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,8 @@ from benchmarks.hidden_effects.simulation import CHANNELS, NOISE, integrate
 from benchmarks.hidden_effects.vehicles import NOMINAL, Vehicle
 from benchmarks.hidden_effects.world import Moment, World, plain_world, to_ned
 
+pytestmark = pytest.mark.docs
+
 Run = dict[str, np.ndarray]
 
 # Seconds and seed of effects that show only after a while: a weight that drops, a rope slack at first.

@@ -17,6 +17,8 @@ from benchmarks.identification.study import METHODS, OUTPUT, study
 from benchmarks.identification.towing import towing
 from tests.identification.test_least_squares import profile_p
 
+pytestmark = pytest.mark.docs
+
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared" / "data"
 DATA, BASIN = SHARED / "cfd-surge", SHARED / "ntnu-cse1"
@@ -61,6 +63,7 @@ def test_one_draw_of_everything_beside_profile_p_makes_its_sections(
     # One minute is enough to see the current, and to see what it does to a model without it.
     assert all(abs(b.mean[0]) < 1 for b in known)
     assert max(abs(b.mean[2]) for b in found if b.current and b not in known) > 30
+    # Private: one log in place of the hundreds of the page.
     hard = [hardships._of(OUTLIERS, m, e, [hardships.log(OUTLIERS, 1)]) for m, e in ESTIMATORS.items()]
     off = {h.method: h.rmse[0] for h in hard}
     assert off["output error, Huber"] < off["output error"]

@@ -43,7 +43,7 @@ from undertow.identification.planning.rivals import read_diagnosis as read_for_p
 from undertow.identification.report.scaffold import read_diagnosis
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.saving import save_vehicle
-from undertow.paper.tables import _numbers, appendix
+from undertow.paper.tables import _numbers, appendix  # the reader of one cell
 from undertow.shape.mesh import read_hull
 
 one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -11,7 +11,9 @@ from benchmarks.results.summary import EMPTY, speed_of, summary_of, with_summary
 from benchmarks.results.text import number, percent, table
 from benchmarks.speed.goals import GOALS
 from benchmarks.speed.history import by_processor, runs
-from undertow.cli._lazy import commands
+from undertow.cli.main import commands
+
+pytestmark = pytest.mark.docs
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "hidden-effects"

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from benchmarks.size import SMALL, code_lines, measure
+
+pytestmark = pytest.mark.docs
 
 PYTHON = '''"""Of two
 lines."""

@@ -33,6 +33,8 @@ from benchmarks.trust.verdicts import Answer, accepted
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.logs.run import Run
 
+pytestmark = pytest.mark.docs
+
 ABLE = [(name, vehicle) for name, effect in EFFECTS.items() for vehicle in effect.vehicles]
 
 

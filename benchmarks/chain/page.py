@@ -24,8 +24,8 @@ simulations with seeded noise in every sensor: 1 cm, 0.3 degrees, 5 mm/s.
 MODEL = """\
 ## 1. A model from a log
 
-The model in `rov.toml` has linear drag only. Four flights with a stiff PD law are logged, three to fit and
-one kept aside:
+The model in `rov.toml` has linear drag only. Four flights with a stiff PD law are logged, three for fitting
+and one for validation:
 """
 TUNING = """\
 ## 2. Gains for that model

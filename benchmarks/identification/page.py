@@ -48,7 +48,7 @@ _CFD = """\
 The box hull (60.48 kg; potential theory: 20.6 kg of added mass, m_x = 81.1 kg) on two force profiles at
 0.2 s, all three parameters free and no stated values. There is no noise, so all that differs is what
 the model lacks ([results](results.md) has what that is): a memory of the wake, which each method hides
-in other parameters. Standard errors are what each method believes of itself.
+in other parameters. Standard errors are those that each method states.
 """
 
 
@@ -62,7 +62,7 @@ tests; a free run determines it, and hardly the drag. Magnitudes:
 """
 _TOWED = """\
 Measured: {measured}. The sum of both terms is known far better than either.
-Samples of one towing run hang together (waves of the basin, a 5-Hz filter), and stated errors follow from
+Samples of one towing run are correlated (waves of the basin, a 5-Hz filter), and stated errors follow from
 what each method takes for independent. A free run knows the drag of speeds that it has, as a sum with all
 that its model lacks: its thrusters have a dead band and a delay.
 """
@@ -86,7 +86,7 @@ _HARDSHIPS = """\
 ## Outliers, and forces that nobody logs
 
 One minute in surge at 10 Hz under forces up to 2 N, 0.005 m/s of noise, {draws} draws. Root mean square error
-in % of the truth; at last, errors in units of the standard errors that the method states (1 is honest, more
+in % of the truth; last, errors in units of the standard errors that the method states (1 is right, more
 is too sure of itself):
 """
 _HARD = """\

@@ -14,8 +14,8 @@ import sympy as sm
 
 from undertow.codegen import Functions
 from undertow.codegen.compiler import find_compiler
-from undertow.codegen.lanes import LANES_HEADER
 from undertow.codegen.plain import LANES, plain_c
+from undertow.codegen.trajectories import LANES_HEADER
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Measurement
 from undertow.model.symbols import DOFS, symbol

@@ -102,7 +102,7 @@ def descent() -> Descent:
 
 def ours() -> np.ndarray:
     """Free parameters by `Descent`."""
-    return descent().settled(start(), first()[None]).p[places()]
+    return descent().minimise(start(), first()[None]).p[places()]
 
 
 # --- peers --------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Simulation where there is no C compiler: numba and CasADi's virtual machine beside compiled code."""
+"""Simulation without a C compiler: instructions as data, and CasADi's virtual machine, beside C."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from undertow.codegen import Simulator
-from undertow.codegen.problem import Stepper
-from undertow.codegen.simulate import VirtualStepper
 from undertow.control.closed_loop import ClosedLoop, Scenario
-from undertow.control.closed_loop.virtual import VirtualLoop
 from undertow.control.gains import GainSet, load_gains
 from undertow.model.loading import load_vehicle
 
@@ -20,7 +17,7 @@ from . import vehicle
 from .conftest import Speed
 
 SAMPLES, FEW, RUNS, DIFFERENTIATED = 400, 50, 200, 20
-NUMBA, COMPILED, VIRTUAL = "undertow, numba", "undertow, C", "undertow, CasADi's virtual machine"
+COMPILED, VIRTUAL = "undertow, C", "undertow, CasADi's virtual machine"
 UNCOMPILED = "undertow, instructions run by C"
 LIMIT = 1e-12
 
@@ -35,7 +32,7 @@ class Work:
 
     def done(self, who: str, samples: int) -> np.ndarray:
         """States, or sensitivities, at the last sample."""
-        simulator = _simulator(who, self.columns > 0)
+        simulator = _simulator(who)
         t, u = np.arange(samples + 1) * 0.05, 0.1 * np.repeat(vehicle.commands(1), samples + 1, 0)
         x0, p = np.zeros(len(vehicle.functions().state_names)), np.array(vehicle.functions().values())
         if self.columns:
@@ -54,52 +51,30 @@ WORK = (
 
 
 @cache
-def _simulator(who: str, sensitivities: bool) -> Simulator:
-    functions = vehicle.functions()
-    simulator = Simulator(functions, compiled=who == COMPILED)
-    if who == NUMBA:
-        simulator._steppers = {sensitivities: _interpreted(sensitivities)}
-    if who == VIRTUAL:
-        simulator._steppers = {sensitivities: VirtualStepper(functions, sensitivities=sensitivities)}
-    return simulator
+def _simulator(who: str) -> Simulator:
+    return Simulator(vehicle.functions(), compiled=who == COMPILED)
 
 
-def _interpreted(sensitivities: bool) -> Stepper:
-    pytest.importorskip("numba", reason="numba is not installed")
-    from undertow.codegen.interpreted import InterpretedStepper
-
-    return InterpretedStepper(vehicle.functions(), sensitivities=sensitivities)
-
-
-@pytest.mark.parametrize("who", [NUMBA, COMPILED, UNCOMPILED, VIRTUAL])
+@pytest.mark.parametrize("who", [COMPILED, UNCOMPILED, VIRTUAL])
 @pytest.mark.parametrize("work", WORK, ids=lambda w: w.what)
-def time_a_step(speed: Speed, work: Work, who: str) -> None:
+def time_a_step(speed: Speed, work: Work, who: str, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = SAMPLES if work.runs == 1 else FEW
     expected = work.done(COMPILED, samples)
+    if who == VIRTUAL:
+        monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
     apart = float(np.abs(work.done(who, samples) - expected).max() / np.abs(expected).max())
     calls = samples * work.runs
     speed(work.what, who, lambda: work.done(who, samples), calls=calls, apart=apart, limit=LIMIT, rounds=5)
 
 
-@pytest.mark.parametrize("who", [NUMBA, COMPILED, VIRTUAL])
-def time_a_sample_of_a_closed_loop(speed: Speed, who: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    loop, samples = _loop(who, monkeypatch), 10 * SAMPLES
+@pytest.mark.parametrize("who", [COMPILED, VIRTUAL])
+def time_a_sample_of_a_closed_loop(speed: Speed, who: str) -> None:
+    loop, samples = ClosedLoop(_gains(), compiled=who == COMPILED), 10 * SAMPLES
     scenario = Scenario((1.0, 1.0, 1.0, 0.5), samples * 0.001, 0.001)
     expected = _ends(ClosedLoop(_gains(), compiled=True).run(scenario).state)
     apart = float(np.abs(_ends(loop.run(scenario).state) - expected).max())
     what = "no C compiler: a sample of a closed loop, PID on the mini-AUV"
     speed(what, who, lambda: loop.run(scenario), calls=samples, apart=apart, limit=LIMIT, rounds=5)
-
-
-def _loop(who: str, monkeypatch: pytest.MonkeyPatch) -> ClosedLoop:
-    if who != NUMBA:
-        return ClosedLoop(_gains(), compiled=who == COMPILED)
-    pytest.importorskip("numba", reason="numba is not installed")
-    monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
-    loop = ClosedLoop(_gains())
-    monkeypatch.delenv("UNDERTOW_NO_COMPILER")
-    assert not isinstance(loop.stepper, VirtualLoop)
-    return loop
 
 
 def _gains() -> GainSet:

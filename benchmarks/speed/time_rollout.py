@@ -135,27 +135,6 @@ def time_casadi(speed: Speed, tmp_path: Path) -> None:
 
 
 # --- Python -----------------------------------------------------------------------------------------
-def _numba() -> Callable[[float], np.ndarray]:
-    rollout, p = hand_python.numba_rollout(), hand_python.unpacked(loops.hand_parameters(loops.masses(1)[0]))
-    gains = [np.array(k, dtype=float) for k in (loops.K_P, loops.K_V, loops.K_I)]
-    desired, share = np.array(loops.TO), np.ascontiguousarray(loops.allocation())
-
-    def run(duration: float) -> np.ndarray:
-        samples = round(duration / loops.DT) + 1
-        log = np.empty(((samples - 1) // loops.STRIDE + 1, 12))
-        rollout(samples, loops.DT, desired, *gains, share, *p.values(), loops.STRIDE, log)
-        return log
-
-    return run
-
-
-def time_numba(speed: Speed) -> None:
-    pytest.importorskip("numba")
-    run = _numba()
-    apart = _apart(run(CHECKED))
-    speed(ROLLOUT, "numba", lambda: run(DURATION), apart=apart, limit=LIMIT, rounds=3)
-
-
 @pytest.mark.parametrize(
     ("who", "run", "piece"),
     [

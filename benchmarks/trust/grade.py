@@ -13,7 +13,12 @@ from undertow.identification.diagnosis.validation import Referee
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
-from undertow.identification.estimation.weak_form import WeakFit, fit_weak, mean_square, settled
+from undertow.identification.estimation.weak_form import (
+    WeakFit,
+    fit_weak,
+    mean_square,
+    with_reestimated_noise,
+)
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
@@ -101,7 +106,7 @@ def told(
     """
     base, aside = opened(vehicle, train, test)
     referee = Referee(vehicle, train, test, aside.sigma)
-    fit, _ = referee.refined(settled(_added(base, vehicle, truth, values)))
+    fit, _ = referee.refined(with_reestimated_noise(_added(base, vehicle, truth, values)))
     noise = quiet(fit, aside)
 
     def least(weak: WeakFit) -> float:
@@ -110,7 +115,7 @@ def told(
     lacking = {}
     for effect in truth if len(truth) > 1 else ():
         others = [other for other in truth if other != effect]
-        lacking[effect] = least(settled(_added(base, vehicle, others, values)))
+        lacking[effect] = least(with_reestimated_noise(_added(base, vehicle, others, values)))
     return Told(fit, aside, least(base), error_of(fit, aside, noise), lacking)
 
 

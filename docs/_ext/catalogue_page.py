@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from html import escape
 from itertools import groupby
 from pathlib import Path
 from typing import Any
+
+from signature_picture import picture
 
 from undertow.model.catalogue import catalogue
 from undertow.model.describe import Description, Equation, ParameterNote, describe
@@ -19,6 +22,12 @@ Every effect that undertow can put into a model, as its file declares it. Writte
 site is built; `undertow effects show ID` prints the same. Forces and moments X, Y, Z, K, M, N act on the
 vehicle in body axes; signs of parameters are those of SNAME. Thruster effects are shown for two thrusters,
 *port* and *starboard*. To add one: [Write an effect](write-an-effect.md).
+
+Each picture is drawn from the equations: the force or moment, the velocity of the water, what reaches the
+thruster, or what the sensors report, over the variable that changes it most. Effects with memory or delay are
+drawn over time, while one variable is switched on and off. The values of the parameters are chosen to show
+the shape and belong to no vehicle. Variables that are not varied are zero, except u = 1 m/s and the command
+of the port thruster, 1.
 """
 
 
@@ -39,6 +48,7 @@ def _effect(d: Description) -> Iterator[str]:
     if d.legend:
         yield "where\n\n" + "\n".join(f"- `{names}`: {what}" for names, what in d.legend.items()) + "\n"
     yield from _parameters(d)
+    yield _picture(d.id)
     if d.signature:
         yield f"**In a log:** {d.signature}.\n"
     if d.requires:
@@ -51,6 +61,13 @@ def _effect(d: Description) -> Iterator[str]:
 
 def _equation(equation: Equation) -> str:
     return f"```{{math}}\n{equation.latex}\n```\n"
+
+
+def _picture(effect_id: str) -> str:
+    svg, values = picture(catalogue()[effect_id])
+    shape = f"<figcaption>Drawn with {escape(values)}.</figcaption>" if values else ""
+    head = f'<figure class="signature" aria-label="Signature of {effect_id}">'
+    return f"```{{raw}} html\n{head}{svg}{shape}</figure>\n```\n"
 
 
 def _links(ids: tuple[str, ...]) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from undertow.version import __version__
 
 if TYPE_CHECKING:
-    from undertow.codegen.public import compile as compile
+    from undertow.codegen.simulate import compile as compile
     from undertow.control.api import check_gains as check_gains
     from undertow.control.api import linearize as linearize
     from undertow.errors import UndertowError as UndertowError
@@ -42,7 +42,7 @@ _HOME_OF = {
     "Wrench": "undertow.model.effect",
     "add_effect": "undertow.identification.api",
     "check_gains": "undertow.control.api",
-    "compile": "undertow.codegen.public",
+    "compile": "undertow.codegen.simulate",
     "diagnose": "undertow.identification.api",
     "catalogue": "undertow.model.catalogue",
     "fit": "undertow.identification.api",

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 
 
 class UndertowError(Exception):
-    """A foreseeable failure in one line that names the thing, the value, the limit and the remedy.
+    """A foreseeable failure: one line that names the thing, the value, the limit and the remedy.
 
-    The command line prints the message and ends with exit code 2. Names out of files stand in messages: line
-    breaks and control characters are made harmless, and what is very long is cut in its middle.
+    The command line prints the message and ends with exit code 2. Messages may contain names
+    from files: line breaks and control characters are escaped, and a long message is cut in the middle.
     """
 
     def __init__(self, message: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from benchmarks.hidden_effects.files import toml_text
 from benchmarks.shape.hulls import box_mesh, spheroid_mesh, stl
-from tests.cli.bad import contents, text_of
+from tests.cli.bad import SURGE, contents, surge_log, text_of
 
 
 @pytest.fixture(scope="session")
@@ -36,6 +36,14 @@ def case(_texts: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.chdir(tmp_path)
     assert len(contents(tmp_path)) == len(_texts)
     return tmp_path
+
+
+@pytest.fixture
+def quick(case: Path) -> Path:
+    """The folder `case` with a hull that only surges: a diagnosis takes a second."""
+    (case / "usv.toml").write_text(SURGE)
+    surge_log(1500).write_csv(case / "train.csv")
+    return case
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import matplotlib
 import pytest
 from matplotlib.mathtext import MathTextParser
 
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.model.catalogue import catalogue
 from undertow.model.describe import describe, latex_name
@@ -124,7 +125,7 @@ def test_show_as_json(run: Run) -> None:
     assert rows["d(lagged_port)/dt"] == "(command_port - lagged_port)/T_lag"
 
 
-@pytest.mark.parametrize("effect_id", sorted(catalogue()))
+@pytest.mark.parametrize("effect_id", first_quick(sorted(catalogue()), 8))
 def test_every_effect_can_be_shown(effect_id: str, run: Run) -> None:
     code, out, _ = run("effects", "show", effect_id)
     assert code == 0
@@ -137,7 +138,7 @@ def test_every_effect_can_be_shown(effect_id: str, run: Run) -> None:
     assert shown["equations"]
 
 
-@pytest.mark.parametrize("effect_id", sorted(catalogue()))
+@pytest.mark.parametrize("effect_id", first_quick(sorted(catalogue()), 8))
 def test_the_latex_of_every_effect_can_be_typeset(effect_id: str) -> None:
     matplotlib.use("Agg")
     for equation in describe(catalogue()[effect_id]).equations:

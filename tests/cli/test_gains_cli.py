@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
+from contextlib import redirect_stdout
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import pytest
 
 from tests.cli.bad import refusal
 from tests.control.test_gain_files import FAULTS, GOOD
+from tests.quick import first_quick
 from undertow.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
@@ -55,6 +59,14 @@ def content(capsys: Capture, *words: str) -> tuple[int, Any]:
     capsys.readouterr()
     code = main(["gains", *words, "--json"])
     return code, json.loads(capsys.readouterr().out)
+
+
+@cache
+def printed(*words: str) -> str:
+    """What `undertow gains` prints of bundled files, worked out once."""
+    with redirect_stdout(io.StringIO()) as stream:
+        main(["gains", *words])
+    return stream.getvalue()
 
 
 # --- verdicts ---------------------------------------------------------------------------------------
@@ -137,7 +149,8 @@ def test_what_is_left_out_is_looked_at(lag: float, stable: bool, sled: Path, cap
 PSI, NUMBER = "psi", r"[0-9.e-]+"
 
 
-@pytest.mark.parametrize("kind", ["routh", "lyapunov"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", first_quick(["lyapunov", "routh"]))
 def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Capture) -> None:
     """Routh in every channel, and one iota for Q(iota) > 0 (V > 0 follows for a channel only)."""
     main(["gains", "mini-auv", "paper-pid", "--repair", kind])
@@ -155,10 +168,9 @@ def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Cap
     assert holding(sled, capsys, gains) >= wanted
 
 
-@pytest.mark.parametrize("gain", ["K_V", "K_I"])
+@pytest.mark.parametrize("gain", first_quick(["K_V", "K_I"]))
 def test_a_printed_bound_of_one_gain_is_on_the_safe_side(gain: str, sled: Path, capsys: Capture) -> None:
-    main(["gains", "mini-auv", "paper-pid"])
-    out = capsys.readouterr().out
+    out = printed("mini-auv", "paper-pid")
     bounds = [float(b) for b in re.findall(rf"x: routh +\w+ +{gain} [<>] ({NUMBER})", out)]
     gains = {
         "K_P": {"x": 0.012, "y": 1.0, "z": 1, "psi": 0.01},
@@ -236,7 +248,7 @@ covariance = { parameters = ["X_udot", "X_u"], matrix = [[0.01, 0.0], [0.0, 0.00
 
 
 # --- mistakes ---------------------------------------------------------------------------------------
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", first_quick(FAULTS, 2))  # all of them: tests/control/test_gain_files.py
 def test_a_gain_file_with_a_fault_is_refused(fault: str, sled: Path, capsys: Capture) -> None:
     old, new, words = FAULTS[fault]
     (sled / "bad.toml").write_text(GOOD.replace(old, new, 1))
@@ -321,8 +333,7 @@ def test_audit_of_vehicles(sled: Path, capsys: Capture) -> None:
 # --- notation ---------------------------------------------------------------------------------------
 def test_matrix_conditions_are_in_the_notation_of_the_paper(sled: Path, capsys: Capture) -> None:
     """λmin K_V > λmax M_q with both numbers, Table 4 and 5: 0.005 against 10.088308 and 11.408386."""
-    main(["gains", "mini-auv", "paper-pid"])
-    out = capsys.readouterr().out
+    out = printed("mini-auv", "paper-pid")
     for line in (
         "λmin(K_V) > λmax(M_q): 0.005 > 10.088 fails",
         "λmin(K_V) > λmax(M_q): 0.005 > 11.408 fails",
@@ -334,12 +345,11 @@ def test_matrix_conditions_are_in_the_notation_of_the_paper(sled: Path, capsys: 
     ):
         assert line in out
     assert "iota" not in out.partition("Linearised channels")[0]
-    main(["gains", "mini-auv", "paper-pd"])
-    assert "K_V + D_q ≻ 0: λmin 0.513791 > 0 holds" in capsys.readouterr().out
-    main(["gains", "mini-auv", "paper-smc"])
-    assert "Λ ≻ 0: λmin" in capsys.readouterr().out
+    assert "K_V + D_q ≻ 0: λmin 0.513791 > 0 holds" in printed("mini-auv", "paper-pd")
+    assert "Λ ≻ 0: λmin" in printed("mini-auv", "paper-smc")
 
 
+@pytest.mark.slow
 def test_no_iota_is_a_verdict_of_its_own(sled: Path, capsys: Capture) -> None:
     code, found = content(capsys, "mini-auv", "paper-pid")
     assert code == 1
@@ -349,8 +359,9 @@ def test_no_iota_is_a_verdict_of_its_own(sled: Path, capsys: Capture) -> None:
     assert {r["box"]["verdict"] for r in none if r["box"]} == {"no iota at the values of the file"}
     assert all(r["iota"] or not r["uses_iota"] for r in found["rows"] if r["verdict"] == "fails")
     assert {a["verdict"] for a in found["agreements"]} == {"no iota"}
-    main(["gains", "mini-auv", "paper-pid"])
-    told = re.search(r"(\d+) fail at the values of the file, (\d+) have no ι there", capsys.readouterr().out)
+    told = re.search(
+        r"(\d+) fail at the values of the file, (\d+) have no ι there", printed("mini-auv", "paper-pid")
+    )
     uncertain = [r["verdict"] for r in found["rows"] if r["box"]]
     assert told is not None
     assert [int(n) for n in told.groups()] == [uncertain.count("fails"), uncertain.count("no iota")]
@@ -366,9 +377,10 @@ def test_sides_that_differ_little_are_told_apart(sled: Path, capsys: Capture) ->
 def test_a_terminal_without_greek_letters_has_their_names(
     sled: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Private: a terminal with another encoding.
     monkeypatch.setattr("undertow.cli._terminal._encoding", lambda: "ascii")
-    assert main(["gains", "mini-auv", "paper-pid"]) == 1
+    assert main(["gains", "sled.toml", "gains.toml"]) == 1
     out = capsys.readouterr().out
     assert out.isascii()
-    assert "lambda_min(K_V) > lambda_max(M_q): 0.005 > 10.088 fails" in out
-    assert "lambda_min(K_P) > lambda_max(K_V + 2 K_I/iota): no iota" in out
+    assert "lambda_min(K_V) > lambda_max(M_q): 4 > 9.1308 fails" in out
+    assert "lambda_min(K_P) > lambda_max(K_V + 2 K_I/iota)" in out

@@ -9,6 +9,8 @@ import pytest
 
 from undertow.cli.main import main
 
+pytestmark = pytest.mark.docs
+
 PAGE = (Path(__file__).parents[2] / "docs" / "gains.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```\n\$ undertow (.*?)\n(.*?)```", PAGE, re.DOTALL)
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from tests.quick import first_quick
 from undertow.codegen.compiler import find_compiler
 
 ROOT = Path(__file__).parents[2]
@@ -217,13 +218,14 @@ def test_a_fitted_vehicle_is_old_or_new(case: Path, driver: Driver) -> None:
         assert killed.then == [0], at
 
 
-def test_compiled_code_is_whole_or_built_again(driver: Driver, tmp_path: Path) -> None:
+@pytest.mark.parametrize("most", first_quick([3, 1000]))
+def test_compiled_code_is_whole_or_built_again(most: int, driver: Driver, tmp_path: Path) -> None:
     """Killed before any change of the cache, or while the compiler runs."""
     if find_compiler() is None:
         pytest.skip("no C compiler on this machine")
     whole = driver.run(tmp_path, "build", ["build"], own_cache=True)
     assert (whole.code, whole.then) == (0, [0])
-    for at in range(whole.count):
+    for at in moments(whole.count, most, seed=4):
         killed = driver.run(tmp_path, "build", ["build", "build"], own_cache=True, at=at)
         assert (killed.code, killed.then) == (KILLED, [0, 0]), at
     clock = random.Random(3)

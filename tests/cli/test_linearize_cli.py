@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.bad import refusal
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.model.loading import bundled_vehicles
 
@@ -65,13 +66,16 @@ def test_units_are_understood(folder: Path, capsys: Capture) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ["bode"],
-        ["bode", "--gains", "paper-pid", "--family", "3"],
-        ["step", "--family", "3"],
-        ["poles", "--gains", "paper-pid", "--family", "3"],
-        ["root-locus", "--gains", "paper-pid"],
-    ],
+    first_quick(
+        [
+            ["bode", "--gains", "paper-pid", "--family", "3"],
+            ["root-locus", "--gains", "paper-pid"],
+            ["bode"],
+            ["step", "--family", "3"],
+            ["poles", "--gains", "paper-pid", "--family", "3"],
+        ],
+        2,
+    ),
 )
 def test_pictures_are_written(folder: Path, words: list[str]) -> None:
     assert main(["linearize", "mini-auv", "--out", "a.png", "--plot", *words]) == 0
@@ -129,6 +133,7 @@ def test_a_vehicle_without_a_steady_motion_is_refused(folder: Path, capsys: Capt
     assert "depend on time" in said
 
 
+@pytest.mark.slow
 def test_a_vehicle_without_thrusters_has_poles_only(folder: Path, capsys: Capture) -> None:
     text = Path("auv.toml").read_text()
     buoyant = text.replace('B_net = { value = "-14.309872 N"', 'B_net = { value = "0 N"')
@@ -147,7 +152,7 @@ def test_a_vehicle_without_thrusters_has_poles_only(folder: Path, capsys: Captur
 DESIGN = ["design", "auv.toml", "--error", "x=0.5,z=0.2,psi=10deg", "--force", "surge=1,heave=2,yaw=0.1"]
 
 
-@pytest.mark.parametrize("law", ["pd", "pid"])
+@pytest.mark.parametrize("law", first_quick(["pid", "pd"]))
 def test_a_design_becomes_a_gain_file(folder: Path, capsys: Capture, law: str) -> None:
     assert main([*DESIGN, "--law", law, "--out", "gains.toml"]) == 0
     assert "wrote gains.toml" in capsys.readouterr().out

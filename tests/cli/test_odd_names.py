@@ -136,7 +136,9 @@ def test_a_file_keeps_every_gain_to_its_thruster(names: tuple[str, ...], load: L
 
 
 # --- with logs ------------------------------------------------------------------------------------
-@pytest.mark.parametrize("names", ODD, ids=str)
+@pytest.mark.parametrize(
+    "names", [ODD[0], *(pytest.param(n, marks=pytest.mark.slow) for n in ODD[1:])], ids=str
+)
 def test_the_weak_thruster_is_found_whatever_it_is_called(
     names: tuple[str, ...], load: Load, runs: list[dict[str, np.ndarray]]
 ) -> None:

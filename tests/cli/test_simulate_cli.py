@@ -158,6 +158,7 @@ def test_thrusters_of_the_same_name_that_push_elsewhere_are_told_of(here: Path, 
     assert "45 deg" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_without_a_compiler_it_runs_too(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert main([*SHORT, "--json", "a.json"]) == 0
     monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")

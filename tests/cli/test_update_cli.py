@@ -103,6 +103,7 @@ def test_a_controller_in_the_folder_of_the_pictures_is_refused(folder: Path, cap
     assert "give it another name" in line
 
 
+@pytest.mark.slow
 def test_a_spoilt_state_file_counts_as_none(folder: Path, capsys: Capture) -> None:
     assert main(["update", "auv.toml"]) == 0
     Path("build/mini-auv/update.json").write_text(

@@ -89,6 +89,7 @@ def simulated(vehicle: Vehicle, start: np.ndarray, force: np.ndarray) -> np.ndar
     return Simulator(functions, compiled=False).run(start, t, np.tile(force, (len(t), 1)), p, max_step=0.05)
 
 
+@pytest.mark.slow
 def test_a_mesh_in_other_axes_about_another_point(no_extra: None, hulls: Path) -> None:
     stl(box_mesh().moved([1.0, 0.5, 0.3]), hulls / "off.stl")
     words = ["vehicle", "new", "--mesh", "off.stl", "--frame", "FLU", "--mass", "60", "--out", "my.toml"]
@@ -122,6 +123,7 @@ def test_a_mass_far_from_the_displacement_is_told(no_extra: None, hulls: Path, c
     assert (hulls / "box.toml").is_file()
 
 
+@pytest.mark.slow
 @needs_capytaine
 def test_with_the_extra_the_hull_itself_is_computed(hulls: Path) -> None:
     words = ["--mesh", "spheroid.stl", "--mass", "100", "--out", "my.toml", "--panels", "1600"]

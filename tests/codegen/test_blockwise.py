@@ -9,10 +9,15 @@ import pytest
 from undertow import UndertowError
 from undertow.codegen import Functions
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.tape import _BLOCK, Blockwise, _compiled, blockwise
+
+# Private: the size of a block and its code have edges that the result hides.
+from undertow.codegen.engine import Blockwise, blockwise, engine
 from undertow.model.loading import bundled_vehicles, load_vehicle
 
 from .test_plain import OPERATIONS, A, B
+
+# Samples that the engine takes together.
+BLOCK = 64
 
 
 def _one_by_one(function: ca.Function, arguments: list[np.ndarray], count: int) -> list[np.ndarray]:
@@ -22,12 +27,12 @@ def _one_by_one(function: ca.Function, arguments: list[np.ndarray], count: int) 
     return [np.array([r[k].nonzeros() for r in rows]) for k in range(function.n_out())]
 
 
-@pytest.mark.parametrize("count", [1, _BLOCK - 1, _BLOCK, 2 * _BLOCK + 3])
+@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
 def test_every_operation_is_casadis(count: int, c_compiler: Compiler) -> None:
     function = ca.Function("f", [ca.vertcat(A, B)], [ca.vertcat(*OPERATIONS.values())])
     x = np.random.default_rng(3).uniform(-2.5, 2.5, (count, 2))
     x[0] = 0.4, 0.4
-    (found,) = Blockwise(function, _compiled(c_compiler))([x], count)
+    (found,) = Blockwise(function, engine())([x], count)
     (wanted,) = _one_by_one(function, [x], count)
     np.testing.assert_array_equal(found, wanted)
 
@@ -39,7 +44,7 @@ def test_shared_arguments_sparse_and_empty_outputs(c_compiler: Compiler) -> None
     function = ca.Function("f", [ca.vertcat(A, B), p], [sparse, ca.SX(0, 3), A])
     x = np.random.default_rng(4).normal(size=(70, 2))
     shared = np.array([3.0, -2.0])
-    found = Blockwise(function, _compiled(c_compiler))([x, shared], 70)
+    found = Blockwise(function, engine())([x, shared], 70)
     np.testing.assert_array_equal(found[0], np.column_stack([x[:, 0] * 3.0, x[:, 1] - 2.0]))
     assert found[1].shape == (70, 0)
     np.testing.assert_array_equal(found[2], x[:, :1])
@@ -47,10 +52,10 @@ def test_shared_arguments_sparse_and_empty_outputs(c_compiler: Compiler) -> None
 
 def test_a_sample_without_a_value_spoils_no_other(c_compiler: Compiler) -> None:
     function = ca.Function("f", [A], [ca.sqrt(A) + ca.if_else(A > 2, 1, 0)])
-    x = np.full((_BLOCK + 2, 1), 4.0)
-    x[5], x[_BLOCK + 1] = -1.0, np.nan
-    (found,) = Blockwise(function, _compiled(c_compiler))([x], len(x))
-    assert np.flatnonzero(np.isnan(found[:, 0])).tolist() == [5, _BLOCK + 1]
+    x = np.full((BLOCK + 2, 1), 4.0)
+    x[5], x[BLOCK + 1] = -1.0, np.nan
+    (found,) = Blockwise(function, engine())([x], len(x))
+    assert np.flatnonzero(np.isnan(found[:, 0])).tolist() == [5, BLOCK + 1]
     assert set(found[np.isfinite(found)]) == {3.0}
 
 
@@ -61,7 +66,7 @@ def test_the_dynamics_of_every_bundled_vehicle(name: str, c_compiler: Compiler) 
     random = np.random.default_rng(7)
     x, u = (random.uniform(-0.5, 0.5, (count, function.size1_in(i))) for i in range(2))
     arguments = [x, u, np.array(functions.values()), np.zeros((count, 1))]
-    (found,) = Blockwise(function, _compiled(c_compiler))(arguments, count)
+    (found,) = Blockwise(function, engine())(arguments, count)
     (wanted,) = _one_by_one(function, arguments, count)
     np.testing.assert_array_equal(found, wanted)
 
@@ -70,6 +75,6 @@ def test_what_c_lacks_is_refused_and_matrices_are_left_alone(
     c_compiler: Compiler,
 ) -> None:
     with pytest.raises(UndertowError, match="has no counterpart in C"):
-        Blockwise(ca.Function("f", [A], [ca.erf(A)]), _compiled(c_compiler))
+        Blockwise(ca.Function("f", [A], [ca.erf(A)]), engine())
     matrices = ca.MX.sym("m", 2)
     assert blockwise(ca.Function("f", [matrices], [ca.mtimes(matrices.T, matrices)])) is None

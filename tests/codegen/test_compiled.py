@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.codegen.support import BUNDLED, assert_close, functions_of, random_point
+from tests.quick import first_quick
 from undertow.codegen import Compiled
-from undertow.codegen.compiler import Compiler
-from undertow.codegen.library import Evaluator
+from undertow.codegen.compiler import Compiler, Evaluator
 
 KINDS = {
     "dynamics": "dynamics",
@@ -20,7 +20,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("name", [*BUNDLED, "full"])
+@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], len(BUNDLED)))
 def test_compiled_functions_equal_the_virtual_machine(name: str, c_compiler: Compiler) -> None:
     functions = functions_of(name)
     compiled = Compiled(functions, compiled=True)

@@ -19,6 +19,7 @@ from tests.codegen.support import (
     random_point,
     reference_of,
 )
+from tests.quick import first_quick
 
 STATE, _, INPUT, PARAMETER = range(4)
 VEHICLES = [*BUNDLED, *EFFECTS]
@@ -39,14 +40,14 @@ def _at(point: Point) -> tuple:
     return point.x, point.u, point.p, point.t
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_dynamics(name: str, seed: int) -> None:
     functions, point = functions_of(name), random_point(functions_of(name), seed)
     found = np.array(functions.dynamics(*_at(point))).ravel()
     assert_close(found, doubles(reference_of(name).x_dot(*exact(point))))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_residual_and_outputs(name: str, seed: int) -> None:
     functions, point = functions_of(name), random_point(functions_of(name), seed)
     reference = reference_of(name)
@@ -71,6 +72,7 @@ def test_jacobians(name: str) -> None:
         assert_close(np.array(matrix), derivative(reference_of(name).x_dot, exact(point), group))
 
 
+@pytest.mark.slow
 def test_the_derivatives_of_the_full_vehicle_are_those_of_its_effects() -> None:
     """Every effect at once, so that states of actuators and of the fluid meet the flow and each other."""
     functions, reference = functions_of("full"), reference_of("full")

@@ -22,6 +22,7 @@ from tests.codegen.support import (
     random_point,
     vehicle_with,
 )
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.cli.main import main
 from undertow.codegen import Simulator
@@ -77,7 +78,7 @@ def test_the_example_steps_the_model(name: str, c_compiler: Compiler, tmp_path: 
     assert np.abs(table[-1, 1:]).max() > 0.1
 
 
-@pytest.mark.parametrize("name", [*BUNDLED, "full"])
+@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], 2))
 def test_every_function_equals_the_virtual_machine(name: str, c_compiler: Compiler, tmp_path: Path) -> None:
     folder = _export(name, tmp_path)
     command = [*c_compiler.command, *STRICT, "-O1", "-shared", "-fPIC", "model.c", "-lm", "-o", "model.so"]
@@ -114,18 +115,25 @@ def test_generated_code_is_clean_under_the_sanitizers(c_compiler: Compiler, tmp_
     np.testing.assert_allclose(_table(folder)[1], plain, rtol=1e-12, atol=1e-13)
 
 
-DRIVER_MAIN = """
+TANGENTS_MAIN = """
 int main(void) {
-  enum { RUNS = 2, SAMPLES = 5, COLUMNS = 4 };
-  static double t[RUNS * SAMPLES], u[RUNS * SAMPLES * (NU + 1)], p[1000];
-  static double x[RUNS * SAMPLES * NX], s[RUNS * SAMPLES * NX * COLUMNS];
-  int64_t steps[RUNS * (SAMPLES - 1)], wrt[COLUMNS] = {0, 3, -1, 5};
+  enum { RUNS = 2, SAMPLES = 5, ROWS = RUNS * SAMPLES, MOST = 16 };
+  static double t[ROWS], u[ROWS * (NU + 1)], p[1000], x[ROWS * NX], s[ROWS * NX * COLUMNS];
+  static double measured[ROWS * MOST], weight[ROWS * MOST], table[RUNS * (COLUMNS + 1) * (COLUMNS + 1)];
+  static double squares[RUNS * MOST];
+  int64_t steps[RUNS * (SAMPLES - 1)], group[ROWS] = {0};
   for (int i = 0; i < 1000; i++) p[i] = 1;
-  for (int i = 0; i < RUNS * SAMPLES; i++) t[i] = 0.1 * (i % SAMPLES);
+  for (int i = 0; i < ROWS * MOST; i++) weight[i] = 1;
+  for (int i = 0; i < ROWS; i++) t[i] = 0.1 * (i % SAMPLES);
   for (int i = 0; i < RUNS * (SAMPLES - 1); i++) steps[i] = 1 + i % 3;
-  for (int i = 0; i < RUNS * SAMPLES * NU; i++) u[i] = 0.1;
-  return SIMULATE(RUNS, SAMPLES, 0, SAMPLES - 1, t, SAMPLES, steps,
-                  u, SAMPLES * NU, p, 0, wrt, COLUMNS, x, s);
+  for (int i = 0; i < ROWS * NU; i++) u[i] = 0.1;
+  Logs logs = {SAMPLES, 0, SAMPLES - 1, SAMPLES, SAMPLES * NU, 0, SAMPLES - 1, SAMPLES * NX,
+               t, u, p, steps, x, s, 1, 0, 0, 0, 0, 0};
+  if (SIMULATE(&logs, RUNS) < 0) return 1;
+  logs.x_stride = NX, logs.s = 0;
+  logs.measured = measured, logs.weight = weight, logs.group = group;
+  logs.table = table, logs.squares = squares;
+  return SIMULATE(&logs, RUNS) < 0;
 }
 """
 
@@ -145,15 +153,16 @@ int main(void) {
 """
 
 
-@pytest.mark.parametrize("lanes", [0, 1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([0, 1, 4, 8]))
 def test_the_loops_are_clean_too(lanes: int, c_compiler: Compiler, tmp_path: Path) -> None:
-    """Zero lanes: the driver with sensitivities."""
-    from undertow.codegen.driver import driver_source
-    from undertow.codegen.rollout import rollout_source
+    """Zero lanes: simulation with sensitivities."""
+    from undertow.codegen.trajectories import rollout_source, tangents_source
 
     functions = functions_of("mini-auv")
-    source = rollout_source(functions, lanes)[0] if lanes else driver_source(functions)[0]
-    (tmp_path / "driver.c").write_text(source + (ROLLOUT_MAIN if lanes else DRIVER_MAIN))
+    source = (
+        rollout_source(functions, lanes)[0] if lanes else tangents_source(functions, [0, 3, *[-1] * 12])[0]
+    )
+    (tmp_path / "driver.c").write_text(source + (ROLLOUT_MAIN if lanes else TANGENTS_MAIN))
     for flags in ((), SANITIZERS):
         options = [*STRICT, "-Wno-psabi", "-O1", *flags]
         command = [*c_compiler.command, *options, "driver.c", "-lm", "-o", "driver"]

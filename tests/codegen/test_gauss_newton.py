@@ -9,10 +9,12 @@ import pytest
 import sympy as sm
 
 from tests.codegen.support import functions_of, random_parameters, vehicle_with
+from tests.quick import first_quick
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.gauss_newton import _LANES, Products, _parts
-from undertow.codegen.lanes import shares
+
+# Private: counts of windows beside a multiple of the lanes.
+from undertow.codegen.trajectories import Products, shares, tangents_source
 from undertow.model.effect import Wrench
 from undertow.model.symbols import Signals
 from undertow.model.vehicle import Vehicle
@@ -74,7 +76,7 @@ def rows(given: Case) -> np.ndarray:
     return np.concatenate([s[:, :, :size] * given.weight[..., None], error[..., None]], axis=3)
 
 
-@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("name", first_quick(VEHICLES, 2))
 @pytest.mark.parametrize("compiled", [True, False])
 def test_sums_are_those_of_sensitivities(name: str, compiled: bool, c_compiler: Compiler) -> None:
     given = case(name)
@@ -107,7 +109,7 @@ def test_windows_in_threads_are_summed_as_one_by_one(
     few, names, times = case("bluerov2"), ("x0", "t", "u", "measured", "weight", "group"), 200
     given = replace(few, **{n: np.concatenate([getattr(few, n)] * times) for n in names})
     given.x0 += np.linspace(0.0, 0.1, 2 * times)[:, None]
-    calls = shares(2 * times, 13.0 * (len(given.places) + 12), None, _LANES)
+    calls = shares(2 * times, 13.0 * (len(given.places) + 12), None, 8)
     assert len(calls) > 2, "not all in one call"
     found = given.products(True)
     for k in (0, 1, calls[1].start, 2 * times - 1):
@@ -144,11 +146,12 @@ class Swelling(Wrench):
 
 
 def test_a_mass_matrix_that_moves_is_inverted_at_every_stage(c_compiler: Compiler) -> None:
-    assert all(_parts(functions_of(name), [0])[2] for name in VEHICLES)
+    steady = "#define STEADY"
+    assert all(steady in tangents_source(functions_of(name), [0])[0] for name in VEHICLES)
     base = vehicle_with(dofs=("surge",), thrusters=1)
     vehicle = Vehicle("swelling", ("surge",), (*base.effects, Swelling(())), {}, base.thrusters)
     functions = Functions(vehicle)
-    assert not _parts(functions, [0])[2]
+    assert steady not in tangents_source(functions, [0])[0]
     given = replace(
         case("bluerov2"),
         functions=functions,

@@ -13,9 +13,10 @@ import pytest
 
 from tests.codegen.support import BUNDLED, functions_of, random_point
 from tests.codegen.test_plain import OPERATIONS, A, B
+from tests.quick import first_quick
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.lanes import LANES_HEADER
 from undertow.codegen.plain import LANES, plain_c
+from undertow.codegen.trajectories import LANES_HEADER
 
 COUNTS = (1, 4, 8)
 # What a kink, a comparison or a root may take another way.
@@ -149,7 +150,7 @@ def test_what_is_no_ordinary_angle(lanes: int, c_compiler: Compiler, tmp_path: P
     assert np.array_equal(np.signbit(found[0, :2]), [False, True])
 
 
-@pytest.mark.parametrize("name", [*BUNDLED, "full"])
+@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], 2))
 def test_dynamics_are_those_of_the_virtual_machine(name: str, c_compiler: Compiler, tmp_path: Path) -> None:
     dynamics = functions_of(name).dynamics
     symbols = [ca.SX.sym(n, dynamics.size1_in(n)) for n in dynamics.name_in()]

@@ -25,7 +25,7 @@ from tests.codegen.support import (
     vehicle_with,
 )
 from undertow.codegen.functions import Functions
-from undertow.codegen.momentum import Inertia, find_inertia, kirchhoff
+from undertow.codegen.rewriting import Inertia, find_inertia, kirchhoff
 from undertow.model.effect import Wrench
 from undertow.model.kinematics import coriolis
 from undertow.model.parameter import Parameter

@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 
 from tests.codegen.support import BUNDLED, functions_of, random_parameters
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.driver import driver_source
-from undertow.codegen.lanes import LANES_HEADER, in_threads, packed, processors, shares, unpacked
 from undertow.codegen.plain import LANES, plain_c
-from undertow.codegen.rollout import rollout_source
+from undertow.codegen.trajectories import (
+    LANES_HEADER,
+    in_threads,
+    packed,
+    processors,
+    rollout_source,
+    shares,
+    unpacked,
+)
 
 RUNS = 11
 
@@ -37,7 +44,7 @@ def batch(functions: Functions, samples: int = 8) -> tuple[np.ndarray, ...]:
     return x0, t, u, np.array([random_parameters(functions, k) for k in range(RUNS)])
 
 
-@pytest.mark.parametrize("lanes", [4, 8])
+@pytest.mark.parametrize("lanes", first_quick([8, 4]))
 @pytest.mark.parametrize("name", [*BUNDLED, "full"])
 def test_lanes_are_runs_one_by_one(
     name: str, lanes: int, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
@@ -70,7 +77,7 @@ def test_what_runs_share_may_be_given_once(c_compiler: Compiler, monkeypatch: py
     assert np.array_equal(runs.run(x0, t[0], u[0], p[0]), runs.run(x0, *repeated))
 
 
-@pytest.mark.parametrize("lanes", [1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([8, 4, 1]))
 def test_a_run_that_diverges_leaves_the_others_alone(
     lanes: int, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,7 +121,7 @@ def test_a_fault_in_a_thread_is_told() -> None:
         in_threads(work, range(8), 2)
 
 
-@pytest.mark.parametrize("lanes", [1, 4, 8])
+@pytest.mark.parametrize("lanes", first_quick([8, 4, 1]))
 def test_packing_is_undone(lanes: int) -> None:
     array = np.arange(11 * 3 * 2, dtype=float).reshape(11, 3, 2)
     side_by_side = packed(array, lanes)
@@ -150,7 +157,7 @@ def test_the_environment_says_how_many_threads(monkeypatch: pytest.MonkeyPatch) 
     assert 1 <= processors() <= (os.cpu_count() or 1)
 
 
-@pytest.mark.parametrize("part", ["dynamics", "rollout", "sensitivities"])
+@pytest.mark.parametrize("part", ["dynamics", "rollout"])
 def test_one_run_keeps_out_of_512_bit_registers(part: str, c_compiler: Compiler, tmp_path: Path) -> None:
     """Also on a processor that GCC does not know: a single 512-bit instruction halves the speed on Intel."""
     functions = functions_of("bluerov2")
@@ -159,7 +166,6 @@ def test_one_run_keeps_out_of_512_bit_registers(part: str, c_compiler: Compiler,
             LANES_HEADER + plain_c(functions.prepared.dynamics, "f", words=LANES, shared=("t",))
         ),
         "rollout": lambda: rollout_source(functions, 1)[0],
-        "sensitivities": lambda: driver_source(functions)[0],
     }
     (tmp_path / "model.c").write_text(sources[part](), encoding="utf-8")
     stranger = replace(c_compiler, command=(*c_compiler.command, "-mtune=generic")).for_this_machine("-S")

@@ -10,6 +10,7 @@ import pytest
 import sympy as sm
 
 from tests.codegen.support import BUNDLED, functions_of, random_parameters, vehicle_with
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator, simulate
 from undertow.codegen.compiler import Compiler, find_compiler
@@ -19,16 +20,13 @@ from undertow.model.symbols import Signals
 from undertow.model.vehicle import Thruster, Vehicle
 
 
-@pytest.fixture(params=["compiled", "uncompiled", "virtual", "numba"])
+@pytest.fixture(params=["compiled", "uncompiled", "virtual"])
 def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool | None:
     if request.param in ("compiled", "uncompiled"):
         if find_compiler() is None:
             pytest.skip("no C compiler on this machine")
         return bool(request.param == "compiled")
     monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
-    if request.param == "numba":
-        pytest.importorskip("numba", reason="numba is not installed")
-        return None
     return False
 
 
@@ -117,8 +115,8 @@ def _batch(functions: Functions, runs: int, samples: int) -> tuple[np.ndarray, n
     return x0, t, rng.normal(size=(runs, samples, functions.u.numel()))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("runs", [3, 21])  # in one group and in two
+@pytest.mark.parametrize("compiled", first_quick([True, False]))
+@pytest.mark.parametrize("runs", first_quick([21, 3]))  # in two groups and in one
 @pytest.mark.parametrize("name", [*BUNDLED, "full"])
 def test_the_driver_in_c_and_the_virtual_machine_agree(
     name: str, runs: int, compiled: bool, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
@@ -151,6 +149,19 @@ def test_a_batch_is_its_runs_one_by_one(compiled: bool | None) -> None:
     shared = simulator.run(x0, t[0], u[0], p[0])
     assert np.array_equal(shared[0], together[0])
     assert shared.shape == together.shape
+
+
+def test_runs_that_share_times_have_steps_of_their_own(compiled: bool | None) -> None:
+    functions = functions_of("thruster_lag")
+    lag = functions.parameter_names.index("T_lag")
+    p = np.tile(random_parameters(functions, 0), (2, 1))
+    p[:, lag] = 0.5, 0.01
+    x0, t, u = _batch(functions, 2, 12)
+    simulator, asked = Simulator(functions, compiled=compiled), [lag, 0]
+    together = simulator.run_with_sensitivities(x0, t[0], u, p, asked)
+    alone = [simulator.run_with_sensitivities(x0[k], t[0], u[k], p[k], asked) for k in range(2)]
+    for found, expected in zip(together, zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
 
 
 def test_a_long_simulation_comes_back_to_python_unnoticed(

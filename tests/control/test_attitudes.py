@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions import attitude
 from undertow.control.conditions.attitude import Attitudes, Interval, least, least_eigenvalue
-from undertow.control.conditions.check import check
 from undertow.control.conditions.problem import ALL, SAMPLED, Problem, Uncertainty
 from undertow.control.conditions.result import HOLDS, UNPROVED
+from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
@@ -114,10 +115,10 @@ def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
     assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
 
 
-@pytest.mark.parametrize("sideways", [60.0, 50.0])
+@pytest.mark.parametrize("sideways", first_quick([60.0, 50.0]))
 def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     """With other gains to the side the heading matters, and is searched as well."""
-    found = check(rov_gains(tmp_path, "pd", sideways), Uncertainty(rov()), forms=["derived"])
+    found = certify(rov_gains(tmp_path, "pd", sideways), Uncertainty(rov()), forms=["derived"])
     assert found.ok
     (row,) = [r for r in found.rows if r.condition == "K_V + D" and r.scope == "matrices"]
     assert "interval arithmetic" in row.where
@@ -125,6 +126,7 @@ def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     assert ("psi" in row.where) == (sideways != 60.0)
 
 
+@pytest.mark.slow
 def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -> None:
     """The nominal verdict is proved by intervals; over the parameters a few attitudes are tried only."""
     vehicle = rov()
@@ -133,7 +135,7 @@ def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -
     vehicle = vehicle.with_values(known)
     path = tmp_path / "gains.toml"
     rov_gains(tmp_path)
-    found = check(load_gains(path, vehicle), Uncertainty(vehicle), forms=["derived"])
+    found = certify(load_gains(path, vehicle), Uncertainty(vehicle), forms=["derived"])
     rows = {r.scope: r for r in found.rows if r.condition == "K_V + D"}
     for scope, verdict in (("matrices", SAMPLED), ("phi", ALL)):
         box = rows[scope].box
@@ -141,10 +143,11 @@ def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -
         assert (rows[scope].verdict, box.verdict) == (HOLDS, verdict)
 
 
+@pytest.mark.slow
 def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attitude, "_MOST_BOXES", 1)
+    monkeypatch.setattr(attitude, "BOUNDS", replace(attitude.BOUNDS, most_boxes=1))
     gains = rov_gains(tmp_path, "pd", 10.0)
-    found = check(gains, Uncertainty(rov()), forms=["derived"], tilt=np.radians(80))
+    found = certify(gains, Uncertainty(rov()), forms=["derived"], tilt=np.radians(80))
     (row,) = [r for r in found.rows if r.condition == "K_V + D" and r.scope == "matrices"]
     assert row.margin > 0
     assert row.verdict == UNPROVED
@@ -152,6 +155,7 @@ def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: 
     assert not found.ok
 
 
+@pytest.mark.slow
 def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None:
     """A gain that the damping of roll just outweighs on an even keel is too much when pitched."""
     problem = Problem(rov_gains(tmp_path))

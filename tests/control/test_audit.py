@@ -52,14 +52,15 @@ def test_a_paper_with_the_sign_fixed_and_the_mass_added_is_not_blamed(
 def test_units_of_derived_and_mended_conditions_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     printed = [c for c in CONDITIONS["pid"] if c.form == "printed"]
     assert len(list(equations.condition_units())) == 3
-    from undertow.control.conditions.by_law import Signs
+    from undertow.control.conditions.by_law import Quantities
     from undertow.model.symbols import symbol
 
     units = {"K_P": "N/m", "K_V": "N s/m", "K_I": "N/(m s)", "M": "kg", "D": "kg/s", "iota": "1/s"}
-    s = Signs({n: symbol(n) for n in units})
+    s = Quantities({n: symbol(n) for n in units})
     by_symbol = {symbol(n): u for n, u in units.items()}
     for condition in CONDITIONS["pid"]:
         if condition not in printed and condition.id != "V_dot":
+            # Private: the audit itself speaks of what does not fit only.
             assert equations._mismatch(condition.left(s), condition.right(s), by_symbol) == "", (
                 condition.statement
             )

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
+from tests.quick import first_quick
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
 from undertow.control.closed_loop.measures import CREDIBLE, divergence
 from undertow.control.closed_loop.sampling import SampledLoop
-from undertow.control.closed_loop.virtual import VirtualLoop
+from undertow.control.closed_loop.stepping import VirtualLoop
 from undertow.control.gains import GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
@@ -154,12 +155,9 @@ def test_a_fast_loop_without_sampling_is_integrated_in_steps_that_suit_it() -> N
 
 
 # --- model, controller and integrator together -----------------------------------------------------
-@pytest.mark.parametrize("continuous", [False, True])
-@pytest.mark.parametrize("gains", ["paper-pid", "paper-smc"])
-@pytest.mark.parametrize("other", ["numba", "virtual machine"])
-def test_without_a_compiler_the_numbers_are_the_same(
-    gains: str, continuous: bool, other: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("continuous", first_quick([False, True]))
+@pytest.mark.parametrize("gains", first_quick(["paper-pid", "paper-smc"]))
+def test_without_a_compiler_the_numbers_are_the_same(gains: str, continuous: bool) -> None:
     disturbed = Scenario(
         GOAL, 3.0, 0.01, continuous=continuous, noise={} if continuous else {"x": 0.01, "r": 0.02}
     )
@@ -170,11 +168,8 @@ def test_without_a_compiler_the_numbers_are_the_same(
     late = {"delay": Value(0.05)}
     vehicle = vehicle.with_effect(catalogue()["actuation_delay"], late) if not continuous else vehicle
     record = ClosedLoop(law, vehicle, compiled=True).run(scenario)
-    if other == "numba":
-        pytest.importorskip("numba", reason="numba is not installed")
-        monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
-    again = ClosedLoop(law, vehicle, compiled=None if other == "numba" else False)
-    assert isinstance(again.stepper, VirtualLoop) == (other == "virtual machine")
+    again = ClosedLoop(law, vehicle, compiled=False)
+    assert isinstance(again.stepper, VirtualLoop)
     for one, expected in zip(again.run(scenario).state.values(), record.state.values(), strict=True):
         assert one == pytest.approx(expected, abs=1e-12)
     assert record.state["x"].any()
@@ -183,7 +178,7 @@ def test_without_a_compiler_the_numbers_are_the_same(
 def test_a_long_run_in_parts_is_the_same_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = Scenario(GOAL, 2.0, 0.001, noise={"psi": 0.01}, seed=3)
     at_once = loop("paper-pd").run(scenario)
-    monkeypatch.setattr("undertow.control.closed_loop.many._SAMPLES_PER_CALL", 77)
+    monkeypatch.setattr("undertow.control.closed_loop.simulate._SAMPLES_PER_CALL", 77)
     in_parts = loop("paper-pd").run(scenario)
     for one, other in zip(in_parts.result.coordinates, at_once.result.coordinates, strict=True):
         assert replace(one, steady_error=0.0) == replace(other, steady_error=0.0)

@@ -11,6 +11,8 @@ from benchmarks.closed_loops.pictures import NAMES
 from benchmarks.closed_loops.runs import READINGS, SIX, paper_run
 from undertow.model.loading import load_vehicle
 
+pytestmark = pytest.mark.docs
+
 PAGE = Path(__file__).parents[2] / "docs" / "closed-loops.md"
 
 

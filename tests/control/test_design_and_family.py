@@ -118,6 +118,7 @@ def test_lqg_refuses_what_it_cannot_hold(auv: Vehicle) -> None:
 
 
 # --- families -------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_a_family_is_repeatable_and_spreads_as_stated(auv: Vehicle) -> None:
     one, same, other = (family(auv, {"u": 0.5}, 40, seed=s) for s in (3, 3, 4))
     draws = [m for m in one.members if m.name.startswith("draw")]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.control.loops import AUV, GOAL, law_of, loop
+from tests.quick import first_quick
 from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
 from undertow.control.gains import load_gains
@@ -21,7 +22,7 @@ STARTS = {"z": RNG.uniform(-0.5, 0.5, RUNS), "u": RNG.uniform(0, 0.1, RUNS)}
 LAWS = ["paper-pd", "paper-pid", "paper-smc"]
 
 
-@pytest.fixture(params=[1, 4, 8])
+@pytest.fixture(params=first_quick([8, 4, 1]))
 def lanes(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     if find_compiler() is None:
         pytest.skip("no C compiler on this machine")

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.control.conditions.channels import coupled_roots
-from undertow.control.conditions.check import check
-from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, _InNumbers, along_the_loop
+from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, along_the_loop, in_numbers
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
+from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.laws import LawSignals
 from undertow.control.plant import Plant
@@ -37,14 +38,11 @@ def surge(sigma_mass: float, sigma_drag: float, k_v: float) -> tuple[GainSet, Ve
     return replace(gains, values={**gains.values, "K_V_x": k_v, "K_V_y": k_v}), vehicle
 
 
-@pytest.mark.parametrize(
-    ("k_v", "box"),
-    [(0.05, NOMINAL), (0.095, SOME), (0.30, ALL)],
-)
+@pytest.mark.parametrize(("k_v", "box"), first_quick([(0.05, NOMINAL), (0.095, SOME), (0.30, ALL)]))
 def test_routh_over_intervals_and_ellipsoid(k_v: float, box: str) -> None:
     """k_v > M k_i/k_p - X_u = 0.0859646 at the values of the file, plus what the deviations add to it."""
     gains, vehicle = surge(0.1, 0.01, k_v)
-    found = check(gains, Uncertainty(vehicle), forms=["derived"])
+    found = certify(gains, Uncertainty(vehicle), forms=["derived"])
     (row,) = [r for r in found.rows if (r.condition, r.scope, r.signs) == ("Routh", "x", "forward")]
     assert row.box is not None
     assert row.ellipsoid is not None
@@ -63,12 +61,13 @@ def test_ellipsoid_is_exact_where_the_margin_is_linear() -> None:
         spread = np.hypot(0.012 * 0.01, 0.0003 * 0.1) * reach
         k_v = 0.0859646 + share * spread / 0.012
         gains, vehicle = surge(0.1, 0.01, k_v)
-        found = check(gains, Uncertainty(vehicle), forms=["derived"])
+        found = certify(gains, Uncertainty(vehicle), forms=["derived"])
         (row,) = [r for r in found.rows if (r.condition, r.scope, r.signs) == ("Routh", "x", "forward")]
         assert row.ellipsoid is not None
         assert row.ellipsoid.verdict == verdict
 
 
+@pytest.mark.slow
 def test_correlation_of_a_fit_counts() -> None:
     """The margin falls with mass and rises with drag: errors that go together cancel in it."""
     verdicts = {}
@@ -78,7 +77,7 @@ def test_correlation_of_a_fit_counts() -> None:
         covariance = [[0.01, correlation * 0.001], [correlation * 0.001, 0.0001]]
         fit = {"covariance": {"parameters": names, "matrix": covariance}}
         known = Uncertainty(vehicle, covariance=last_covariance([fit], vehicle))
-        found = check(gains, known, forms=["derived"])
+        found = certify(gains, known, forms=["derived"])
         (row,) = [r for r in found.rows if (r.condition, r.scope, r.signs) == ("Routh", "x", "forward")]
         assert row.ellipsoid is not None
         verdicts[correlation] = row.ellipsoid.verdict
@@ -105,7 +104,7 @@ STRONG = {
 def loop_of(problem: Problem, iota: float) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
     """V and V_dot by (psi, error, integral, nu), worked out from the model; all parameters forward."""
     law = problem.gains.law
-    s = LawSignals(cast(Plant, _InNumbers(problem.plant)), law)
+    s = LawSignals(in_numbers(problem.plant), law)
     value = CANDIDATES["pid"].value(s)
     numbers = {**problem.gains.numbers, IOTA: sm.Float(iota)}
     numbers |= {symbol(f"sign_{v}"): sm.Integer(1) for v in problem.plant.nu}
@@ -114,7 +113,7 @@ def loop_of(problem: Problem, iota: float) -> Callable[..., tuple[np.ndarray, np
     return cast("Callable[..., tuple[np.ndarray, np.ndarray]]", sm.lambdify(names, pair, "numpy", cse=True))
 
 
-@pytest.mark.parametrize("drag", [5.2, 50.0])
+@pytest.mark.parametrize("drag", first_quick([5.2, 50.0]))
 def test_v_falls_from_every_state_within_the_level_of_the_region(drag: float) -> None:
     """States drawn at and below the level, most of them along one axis, where damping hurts most."""
     problem = thick_water(STRONG, drag)

@@ -34,6 +34,7 @@ def said(panel: Panel, craft: Path, drift: Drift, seed: int, **more: int) -> lis
     return statements(asked(panel, logged(panel, craft, drift, seed, **more)))
 
 
+@pytest.mark.slow
 def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
     own = asked(panel, logged(panel, craft, fouling(0.4), 1))
     statement = statements(own)[0]
@@ -45,6 +46,7 @@ def test_fouling_is_named_with_its_size(panel: Panel, craft: Path) -> None:
         assert change.error < 0.04
 
 
+@pytest.mark.slow
 def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Path) -> None:
     for statement in said(panel, craft, {"gain_error_port": -0.2}, 2):
         assert (statement.answer, statement.effects) == ("grew", ("thruster wear",))
@@ -52,6 +54,7 @@ def test_wear_of_one_thruster_is_named_with_the_thruster(panel: Panel, craft: Pa
         assert "starboard" not in statement.words
 
 
+@pytest.mark.slow
 def test_of_both_at_once_what_is_sure_is_named(panel: Panel, craft: Path) -> None:
     statement = said(panel, craft, fouling(0.4) | {"gain_error_bow": -0.3}, 3)[0]
     assert statement.answer == "grew"
@@ -70,13 +73,14 @@ def test_nothing_is_named_where_nothing_changes(panel: Panel, craft: Path) -> No
     assert all(score.p_value > 0.01 for score in of.scores)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drift",
     [
         pytest.param({"m_w": 5.0}, id="water in the hull"),
-        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts"),
-        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone"),
-        pytest.param(fouling(-0.3), id="a hull that was cleaned"),
+        pytest.param({"scale_velocity": 0.15}, id="a velocity sensor that drifts", marks=pytest.mark.slow),
+        pytest.param({"N_r": 0.4}, id="a bent fin: drag in yaw alone", marks=pytest.mark.slow),
+        pytest.param(fouling(-0.3), id="a hull that was cleaned", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_neither_is_called_neither(panel: Panel, craft: Path, drift: Drift) -> None:
@@ -100,6 +104,7 @@ def test_more_vehicles_ask_for_more() -> None:
     assert holm([1e-9, 0.004, *[0.5] * 100], 0.01) == pytest.approx(0.01 / 101)
 
 
+@pytest.mark.slow
 def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
     """Days of an unchanged craft in random order, a hundred reports: two false ones at the most."""
     own, random = logged(panel, craft, {}, 8, months=2, each=5), np.random.default_rng(0)

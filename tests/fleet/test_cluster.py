@@ -80,6 +80,7 @@ def _may_die(times: int, dask_scheduler: Any = None) -> None:
     dask_scheduler.allowed_failures = times
 
 
+@pytest.mark.slow
 def test_what_kills_its_workers_is_given_up_and_the_rest_is_done(cluster: DaskEngine) -> None:
     cluster.client.run_on_scheduler(_may_die, 0)
     (_, killer), *more = cluster.results(_fatal, [(1,)])
@@ -110,6 +111,7 @@ def _page(dask_scheduler: Any = None) -> int:
     return dask_scheduler.http_server.port
 
 
+@pytest.mark.slow
 def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: DaskEngine) -> None:
     """The page of the scheduler is at any port that is free, so that Dask has nothing to warn of."""
     assert cluster.client.run_on_scheduler(_page) != 8787
@@ -151,6 +153,7 @@ def test_nobody_outside_this_machine_reaches_the_cluster(cluster: DaskEngine) ->
     assert _listening(cluster) == {"127.0.0.1"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only on Linux every address of 127/8 is this machine")
 def test_a_cluster_listens_elsewhere_only_where_it_is_told_to() -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")

@@ -34,7 +34,7 @@ def test_columns_together_are_those_of_each_effect_by_itself(panel: Panel, day: 
     together = panel.table(day)
     data = prepare([day], panel.vehicle)
     p = np.array(panel.base.functions.values(), dtype=float)
-    noise = panel._noise(data, p)
+    noise = panel._noise(data, p)  # private: both sides are to be weighed alike
     order = [*panel.daily, *panel.names]
     known = {c.id: c for c in candidates(panel.vehicle, catalogue())}
     for effect in ("thruster_gain", "ocean_current", "sensor_scale", "lift", "thruster_curve"):

@@ -108,6 +108,7 @@ def test_mistakes_are_told_in_one_line(
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_what_is_no_address_leaves_one_line() -> None:
     """Also when the process ends and throws away what is left of Dask."""
     pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")

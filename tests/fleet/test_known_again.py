@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.fleet.diagnose import Store
@@ -49,7 +50,7 @@ class Skewed(Measurement):
 """
 
 
-@pytest.mark.parametrize("within", [True, False])
+@pytest.mark.parametrize("within", first_quick([True, False]))
 def test_an_edited_actuation_or_sensor_is_another_model(fleet: Path, tmp_path: Path, within: bool) -> None:
     """Whether the vehicle has the effect, or it is only a column."""
     text = (fleet / "craft.toml").read_text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.shape.bodies import _table, box
+from undertow.shape.bodies import _table, box  # the table is held against numbers
 
 from .test_panels import BOX
 

@@ -108,12 +108,6 @@ def test_windows_follow_each_other_and_a_last_one_may_lack_a_sample() -> None:
     assert len(cut([surge_run().slice(None, 27.0)], surge_vehicle(), 5.0)) == 5
 
 
-def test_windows_may_overlap() -> None:
-    windows = cut([surge_run()], surge_vehicle(), 5.0, overlap=0.5)
-    assert len(windows) == 10
-    assert np.all(np.diff(windows.t[:, 0]) >= 2.4)
-
-
 def test_a_gap_is_not_crossed() -> None:
     run = surge_run()
     u = run.channels["u"].copy()

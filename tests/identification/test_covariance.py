@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.identification.estimation import data
 from undertow.identification.estimation.data import residual_covariance, unbanded
-from undertow.identification.estimation.inputs import Carried, Inputs
+from undertow.identification.estimation.inputs import Inputs, PropagatedState
 from undertow.identification.estimation.test_functions import Entries, SumsInC, SumsInNumPy, boxes
 from undertow.identification.estimation.test_functions import test_functions as functions_on
 
@@ -71,7 +73,7 @@ def test_pieces_of_windows_give_what_all_at_once_give(
 ) -> None:
     asked = functions_on(t, 0.25), _entries(len(t)), np.array([0.3, 0.5, 1.0, 2.0]), ROWS, derived, t
     whole = residual_covariance(*asked)
-    monkeypatch.setattr(data, "_BYTES", 1)
+    monkeypatch.setattr(data, "BLOCKS", replace(data.BLOCKS, bytes=1))
     np.testing.assert_allclose(residual_covariance(*asked), whole, rtol=1e-12, atol=1e-18)
 
 
@@ -82,14 +84,14 @@ def test_bands_are_no_wider_than_what_overlaps() -> None:
     assert np.all(np.any(bands[[0, -1]], axis=1))
 
 
-def _lag() -> Carried:
+def _lag() -> PropagatedState:
     """Two states that follow u, one behind the other: T z1' = u - z1, T z2' = z1 - c z2^3."""
     z, u, p, t, dt = (ca.SX.sym(n, k) for n, k in (("z", 2), ("u", 1), ("p", 2), ("t", 1), ("dt", 1)))
 
     def rate(state: ca.SX, share: float) -> ca.SX:
         return ca.vertcat(u - state[0], state[0] - p[1] * state[1] ** 3) / p[0]
 
-    return Carried(z, Inputs([u], p, t, dt), p, rate, lambda state, share: state[0] * state[1])
+    return PropagatedState(z, Inputs([u], p, t, dt), p, rate, lambda state, share: state[0] * state[1])
 
 
 def test_a_first_order_lag_is_carried_as_it_is_solved() -> None:
@@ -134,7 +136,7 @@ def c_compiler() -> Compiler:
 
 @pytest.mark.parametrize("t", [EVEN, UNEVEN])
 def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> None:
-    rng, windows = np.random.default_rng(6), functions_on(t, 0.25).windows
+    rng, windows = np.random.default_rng(6), functions_on(t, 0.25).supports
     entries = _entries(len(t))
     kind = rng.integers(0, 3, len(entries.row))
     target = rng.integers(-1, 7, len(entries.row))  # several signals in one place, and some in none
@@ -156,7 +158,7 @@ def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> No
 
 
 def test_what_lies_outside_a_window_counts_for_nothing_whatever_it_is(c_compiler: Compiler) -> None:
-    windows, entries = functions_on(EVEN, 0.25).windows, _entries(len(EVEN))
+    windows, entries = functions_on(EVEN, 0.25).supports, _entries(len(EVEN))
     entries.data[60:] = np.nan
     table = np.zeros((len(windows.first), 1))
     place = np.zeros(len(entries.row), dtype=np.intp)

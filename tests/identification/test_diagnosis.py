@@ -4,6 +4,7 @@ nothing fits.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,8 +21,11 @@ from undertow.identification.diagnosis.validation import keep_blocks_aside
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.model.catalogue import catalogue
+from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.loading import load_vehicle
+
+_FEW = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}
+_DRAGS = {i: c for i, c in catalogue().items() if "damping" in i or "drag" in i} | _FEW
 
 
 def _loaded(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options):
@@ -38,13 +42,18 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "effect", "seed"),
-    [("usv", "lift", 11), ("mini-auv", "thruster_deadband", 12), ("usv", "ocean_current", 13)],
+    ("vehicle", "effect", "seed", "known"),
+    [
+        ("usv", "lift", 11, _DRAGS),
+        pytest.param("mini-auv", "thruster_deadband", 12, None, marks=pytest.mark.slow),
+        pytest.param("usv", "ocean_current", 13, None, marks=pytest.mark.slow),
+    ],
 )
 def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
-    vehicle: str, effect: str, seed: int, tmp_path: Path
+    vehicle: str, effect: str, seed: int, known: Catalogue | None, tmp_path: Path
 ) -> None:
-    outcome = _diagnosed(tmp_path, vehicle, (effect,), seed, duration=60.0)
+    _, model, runs = _loaded(tmp_path, vehicle, (effect,), seed, duration=60.0)
+    outcome = diagnose(model, runs[:3], runs[3:], known=known)
     d = outcome.diagnosis
     named = {e for s in d.indistinguishable for e in s.effects} | set(d.effects)
     assert d.verdict in ("missing_effect", "indistinguishable")
@@ -56,7 +65,14 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
     assert any(e.id == effect for e in outcome.after.effects)
 
 
-@pytest.mark.parametrize(("vehicle", "effects"), [("usv", ()), ("mini-auv", ()), ("usv", ("wrong_drag",))])
+@pytest.mark.parametrize(
+    ("vehicle", "effects"),
+    [
+        ("usv", ("wrong_drag",)),
+        pytest.param("usv", (), marks=pytest.mark.slow),
+        pytest.param("mini-auv", (), marks=pytest.mark.slow),
+    ],
+)
 def test_nothing_is_named_where_nothing_is_missing(
     vehicle: str, effects: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -66,24 +82,34 @@ def test_nothing_is_named_where_nothing_is_missing(
     assert not any(r.significant for r in d.ranking)
 
 
+def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
+    _, model, runs = _loaded(tmp_path, "usv", ("ocean_current", "thruster_lag"), 3, duration=30.0)
+    known = {i: catalogue()[i] for i in ("ocean_current", "thruster_lag", "constant_force")}
+    d = diagnose(model, runs[:2], runs[3:], known=known).diagnosis
+    assert set(d.effects) == {"ocean_current", "thruster_lag"}
+    assert d.steps[-1].error < 1.2
+
+
 def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> None:
-    d = _diagnosed(tmp_path, "usv", ("growing_drag",), 31, duration=60.0).diagnosis
+    _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=60.0)
+    d = diagnose(model, runs[:3], runs[3:], known=_DRAGS).diagnosis
     assert d.verdict == "unexplained"
     assert d.effects == []
     assert d.steps[0].error > 1.5
     assert any(r.normalised_error > 1.5 for r in d.remaining)
 
 
+@pytest.mark.slow
 def test_the_same_logs_give_the_same_answer(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=30.0)
-    first, second = (diagnose(model, runs[:2], runs[3:]).diagnosis for _ in range(2))
+    first, second = (diagnose(model, runs[:2], runs[3:], known=_FEW).diagnosis for _ in range(2))
     drop = {"seconds"}
     assert first.model_dump(exclude=drop) == second.model_dump(exclude=drop)
 
 
 def test_blocks_are_kept_aside_where_no_run_is_given(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=60.0)
-    outcome = diagnose(model, runs[:3])
+    outcome = diagnose(model, runs[:3], known=_FEW)
     assert outcome.diagnosis.effects == ["lift"]
     assert {r.role for r in outcome.diagnosis.runs} == {"blocks"}
     for train in outcome.train:
@@ -119,8 +145,6 @@ def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
 def test_missing_parameters_of_a_present_effect_are_a_candidate() -> None:
     auv = load_vehicle("mini-auv")
     fewer = {n: v for n, v in auv.values.items() if n not in ("Z_wabsw", "N_rabsr")}
-    from dataclasses import replace
-
     found = {c.id: c for c in candidates(replace(auv, values=fewer), catalogue())}
     assert {"Z_wabsw", "N_rabsr"} <= {p.name for p in found["quadratic_damping"].parameters}
     assert "X_uabsu" not in {p.name for p in found["quadratic_damping"].parameters}
@@ -159,6 +183,7 @@ def test_how_narrow_a_friction_is_has_to_be_found_unless_the_model_has_it() -> N
     assert there.value_of("friction_speed").value == 0.02
 
 
+@pytest.mark.slow
 def test_the_width_of_a_friction_that_is_not_there_goes_with_it(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("dry_friction",), 16977316, strength=0.4, noise=0.3)
     train = prepare(runs[:3], model)

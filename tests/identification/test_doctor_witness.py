@@ -12,7 +12,8 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification.doctor.clocks import Shift, _remedy
+from tests.quick import first_quick
+from undertow.identification.doctor.clocks import Shift, _remedy  # its words for every kind of shift
 from undertow.identification.doctor.dynamics import best_of, dynamic_mistakes, dynamics_of, reversed_commands
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Finding, edited
@@ -56,7 +57,7 @@ def _pose_only(case: Case) -> Columns:
 
 
 # --- angles without velocities ---------------------------------------------------------------------------
-@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("wrapped", first_quick([True, False]))
 def test_a_heading_in_degrees_shows_without_velocities(
     auv: Case, examined: Callable[..., Examined], wrapped: bool
 ) -> None:
@@ -76,10 +77,10 @@ def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     tilted = {"phi": 3.0 * np.sin(t), "theta": 6.0 * np.cos(t), "psi": 20.0 * np.sin(0.1 * t)}
     found = in_degrees([Run("tilted", t, tilted)], LogMapping(), POSE)
     assert found is not None
-    assert "phi, theta" in found.told
-    assert "theta reaches 6 in the log" in found.told
+    assert "phi, theta" in found.text
+    assert "theta reaches 6 in the log" in found.text
     np.testing.assert_allclose(
-        found.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
+        found.mistake.undo(Run("tilted", t, tilted)).channels["theta"], np.radians(tilted["theta"])
     )
     # Level, and rolling on and on like a spent torpedo: radians both.
     level = {n: 0.05 * a for n, a in tilted.items()}

@@ -119,6 +119,7 @@ def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surg
     assert equivalents(model, right, possible) == []
 
 
+@pytest.mark.slow
 def test_water_in_the_hull_is_said_where_added_masses_are_only_guessed() -> None:
     """A mass of two thirds: every guess is off by its own few per cent, and all must go the same way."""
     case = make_case("mini-auv", (), 21, duration=60.0)
@@ -132,6 +133,7 @@ def test_water_in_the_hull_is_said_where_added_masses_are_only_guessed() -> None
     assert found.effects == ["entrained_water"]
 
 
+@pytest.mark.slow
 def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_to_blame() -> None:
     case = make_case("usv", (), 22)
     model, runs = vehicle_of(case), runs_of(case)

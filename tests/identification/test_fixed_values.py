@@ -11,9 +11,10 @@ import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import Outcome, diagnose
-from undertow.identification.diagnosis.rounds import Round, _finding, other_values, try_all
+from undertow.identification.diagnosis.rounds import Round, other_values, try_all
 from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.page import render_report
@@ -61,7 +62,7 @@ def _round() -> Round:
     return try_all(_bench({"Y_v": 2.5}), known, lambda done, words: None)
 
 
-@pytest.mark.parametrize("name", ["N_r", "X_u", "X_udot"])
+@pytest.mark.parametrize("name", first_quick(["N_r", "X_u", "X_udot"]))
 def test_a_wrong_fixed_value_is_no_missing_effect(name: str) -> None:
     found = _diagnosed((), ((name, 2.0),)).diagnosis
     true = true_vehicle(_case()).value_of(name).value
@@ -103,12 +104,14 @@ def test_what_is_handed_on_has_the_other_value() -> None:
     assert after.estimate
 
 
+@pytest.mark.slow
 def test_a_wrong_fixed_value_beside_a_missing_effect() -> None:
     found = _diagnosed(("thruster_lag",), (("N_r", 2.0),)).diagnosis
     assert (found.effects, found.freed) == (["thruster_lag"], ["N_r"])
     assert "Beside it, values that the vehicle file holds fixed do not fit: N_r" in found.headline
 
 
+@pytest.mark.slow
 def test_a_right_fixed_value_stays_where_it_is_and_takes_no_effect_away() -> None:
     found = _diagnosed(("thruster_lag",), (("Y_v", 1.0), ("N_r", 1.0))).diagnosis
     assert (found.verdict, found.effects, found.freed) == ("missing_effect", ["thruster_lag"], [])
@@ -140,12 +143,10 @@ def test_what_is_weighed_is_not_called_wrong() -> None:
 @pytest.mark.parametrize(("rate", "enough"), [(0.005, False), (0.01, False), (0.05, True), (0.2, True)])
 def test_evidence_is_held_to_the_rate_of_false_alarms_that_is_asked_for(rate: float, enough: bool) -> None:
     """The same fall of the error, that happens by chance in 2 of 100 searches among as many candidates."""
-    found = _round().findings[0]
-    tried = round(0.01 / found.evidence.p_value)
-    bench = replace(_round().bench, false_alarms=rate)
-    again = _finding(found.trial, bench, 1.0, 1.0, tried)
-    assert again.p_value == pytest.approx(0.02, rel=0.05)
-    assert again.significant is enough
+    evidence = _round().findings[0].evidence
+    among = round(0.02 / evidence.p_value)
+    assert among * evidence.p_value == pytest.approx(0.02, rel=0.05)
+    assert evidence.beyond_chance(rate, among) is enough
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.001, 0.5, float("nan")])

@@ -14,6 +14,7 @@ from benchmarks.hidden_effects.conversion import convert_vehicles
 from tests.identification import broken
 from tests.identification.broken import Break, both, scaled
 from tests.identification.logs_of import run_of, runs_of, vehicle_of
+from tests.quick import first_quick, quick_if
 from undertow.errors import UndertowError
 from undertow.identification.api import Estimator
 from undertow.identification.compare.comparison import compare
@@ -29,6 +30,8 @@ from undertow.model.vehicle import Vehicle
 DATA = Path(__file__).parents[3] / "shared" / "data"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 POSE, VELOCITY = ("x", "y", "z", "phi", "theta", "psi"), ("u", "v", "w", "p", "q", "r")
+QUICK = ("usv", "mini-auv", "box")  # what `make test` takes
+QUICK_EFFECTS = (("ocean_current",),)
 MMPS, CMPS, KNOTS, KMH, FTPS = 1000.0, 100.0, 1 / 0.514444, 3.6, 1 / 0.3048
 
 
@@ -130,10 +133,13 @@ REFUSED: list[tuple[str, str, Break, tuple[str, ...], str, str]] = [
     ("knots, command", "usv", both(_speeds(KNOTS), scaled("f1", by=1e3)), ALL, "knot", "scale = 0.001"),
 ]  # fmt: skip
 
+# Every mistake on one of the vehicles of `make test`.
+ONCE = {m[0]: m for m in REFUSED if m[1] in QUICK}.values()
+
 
 @pytest.mark.parametrize(
     ("what", "name", "wrong", "left_out", "told", "line"),
-    REFUSED,
+    quick_if(lambda m: m in ONCE, REFUSED),
     ids=[f"{m[0]}-{m[1]}-{len(m[3])}" for m in REFUSED],
 )
 def test_what_cannot_be_is_refused_with_value_limit_and_line(
@@ -209,7 +215,7 @@ SUSPECT: list[tuple[str, str, Break, tuple[str, ...], str, str, str]] = [
 
 @pytest.mark.parametrize(
     ("what", "name", "wrong", "left_out", "kind", "severity", "line"),
-    SUSPECT,
+    first_quick(SUSPECT, 4),
     ids=[f"{m[0]}-{m[1]}-{len(m[3])}" for m in SUSPECT],
 )
 def test_what_may_be_is_found_by_the_doctor_and_not_refused(
@@ -264,7 +270,11 @@ SOUND: list[tuple[str, tuple[str, ...]]] = [(name, ()) for name in NOTHING_HIDDE
 SOUND += [(name, (effect,)) for name, effects in HIDDEN.items() for effect in effects.split()]
 
 
-@pytest.mark.parametrize(("name", "hidden"), SOUND, ids=[f"{n}-{'-'.join(h)}" for n, h in SOUND])
+@pytest.mark.parametrize(
+    ("name", "hidden"),
+    quick_if(lambda m: m in [(n, ()) for n in QUICK] or m[1] in QUICK_EFFECTS, SOUND),
+    ids=[f"{n}-{'-'.join(h)}" for n, h in SOUND],
+)
 def test_hidden_physics_is_not_refused(name: str, hidden: tuple[str, ...]) -> None:
     case = make_case(name, hidden, 21, duration=25.0, runs=("steps",), strength=2.0 if hidden else 1.0)
     vehicle = vehicle_of(case)
@@ -286,7 +296,7 @@ def test_a_current_as_fast_as_the_vehicle_is_not_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "case", ["auv-null", "auv-current", "auv-lag", "rov-dvl-lever-arm", "rov-tether-drag"]
+    "case", first_quick(["auv-current", "auv-null", "auv-lag", "rov-dvl-lever-arm", "rov-tether-drag"])
 )
 def test_logs_with_hidden_effects_of_others_are_not_refused(case: str, tmp_path: Path) -> None:
     if not (DATA / "hidden-effects").exists():
@@ -303,7 +313,7 @@ REAL = [
 ]
 
 
-@pytest.mark.parametrize(("vehicle_file", "map_file", "log"), REAL, ids=[r[2] for r in REAL])
+@pytest.mark.parametrize(("vehicle_file", "map_file", "log"), first_quick(REAL), ids=[r[2] for r in REAL])
 def test_real_logs_are_not_refused(vehicle_file: str, map_file: str, log: str) -> None:
     if not (DATA / log).exists():
         pytest.skip(f"the data set {log} is not here")

@@ -22,7 +22,7 @@ from undertow.identification.diagnosis.trial import (
     scout,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import Contender, Referee, clearly_worse
+from undertow.identification.diagnosis.validation import Referee
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak
@@ -119,53 +119,6 @@ def test_a_model_that_is_far_off_is_not_fitted_by_simulation() -> None:
     assert np.mean(squares) > 100
 
 
-def _spread(total: float, windows: int) -> np.ndarray:
-    return np.full(windows, total / windows)
-
-
-@pytest.mark.parametrize(
-    ("short", "long", "outdone"),
-    [
-        (_spread(20.0, 20), _spread(3.0, 5), True),
-        (_spread(3.0, 20), _spread(20.0, 5), True),
-        (_spread(10.0, 20), _spread(10.0, 5), False),
-        (_spread(-90.0, 20), _spread(110.0, 5), False),
-        (np.eye(20)[3] * 500.0, np.eye(5)[2] * 900.0, False),
-        (np.append(np.inf, np.zeros(19)), _spread(3.0, 5), False),
-        (np.append([np.inf, np.inf], np.zeros(18)), _spread(3.0, 5), True),
-    ],
-)
-def test_windows_that_contradict_each_other_or_a_single_one_decide_nothing(
-    short: np.ndarray, long: np.ndarray, outdone: bool
-) -> None:
-    """Short and long windows each give twice a log-likelihood ratio; one that says the opposite is heard."""
-    bench, referee = _bench(), _referee()
-    one, other = (fit_weak(bench.base.model, bench.train, max_iterations=n) for n in (0, 1))
-    least = [_spread(5e3, 20), _spread(5e3, 5)]
-    referee._known["costs", id(one)] = one, [least[0] + short, least[1] + long]
-    referee._known["costs", id(other)] = other, least
-    referee._known["levels", id(other)] = other, [1.0, 1.0]
-    assert referee.outdone(one, other) is outdone
-    # The same where eight times the noise is left: it passes for noise.
-    referee._known["levels", id(other)] = other, [8.0, 8.0]
-    diverged = not (np.isfinite(short).all() and np.isfinite(long).all())
-    assert referee.outdone(one, other) is (outdone and diverged)
-
-
-@pytest.mark.parametrize(("times", "stands"), [(1.004, True), (1.2, False)])
-def test_a_regular_gap_of_little_tells_nothing_where_more_than_noise_is_left(
-    times: float, stands: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As on a roll decay: a trim error and a compass that is off bend alike to what neither explains."""
-    bench, referee = _bench(), _referee()
-    left = np.full(20, 3.4)
-    chains = [Chain((), replace(bench.base), bench.base_score) for _ in range(2)]
-    level = {id(chains[0]): 1.0, id(chains[1]): times}
-    monkeypatch.setattr(referee, "contender", lambda c: Contender(c, c.fit, left * level[id(c)]))
-    assert clearly_worse(left * times, left)
-    assert [id(c) for c in referee.standing(chains)] == [id(c) for c in chains[: 1 + stands]]
-
-
 def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
     """A force in each of three directions and one up only: where one up is enough, that is what it is."""
     bench, referee = _bench(), _referee()
@@ -179,6 +132,7 @@ def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
     assert referee.standing([free, worse, plain]) == [plain, free]
 
 
+@pytest.mark.slow
 def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:
     """One of the runs goes 28 m to the east, and drag rises by 0.2 % over two metres at its beginning."""
     case = make_case(

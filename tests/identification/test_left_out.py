@@ -9,6 +9,7 @@ import sympy as sm
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from tests.quick import first_quick
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Trial, begun, open_bench, scout, scouts, try_candidate
 from undertow.identification.estimation.data import WeakData, prepare
@@ -43,7 +44,7 @@ def _parts(case: Case, vehicle: Vehicle) -> tuple[WeakData, WeakData]:
     return train, prepare([aside], vehicle, sigma=train.sigma)
 
 
-@pytest.mark.parametrize("seed", [ALL, NONE, PART], ids=["all", "none", "part"])
+@pytest.mark.parametrize("seed", first_quick([ALL, NONE, PART]), ids=["all", "none", "part"])
 def test_a_tether_is_found_with_what_of_it_is_out(seed: int) -> None:
     trial, true = _tried(seed)
     assert trial.score.error == pytest.approx(1.0, abs=0.03), "what is left is noise"
@@ -55,6 +56,7 @@ def test_a_tether_is_found_with_what_of_it_is_out(seed: int) -> None:
     assert place == pytest.approx([true["x_a"], true["y_a"], true["z_a"]], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_where_the_winch_is_cannot_show_if_the_tether_is_always_out() -> None:
     (always, _), (grows, _) = _tried(ALL), _tried(NONE)
     winch = {"x_winch", "y_winch", "z_winch"}
@@ -88,6 +90,7 @@ def test_a_width_that_cannot_be_zero_keeps_a_value_without_its_friction() -> Non
     assert trial.score.error == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
     """In nearly level motion a winch as far below explains much: only fits from both sides tell."""
     case = make_case("micro-auv", ("tether_drag", "constant_force"), 89518168, closed_loop=True)

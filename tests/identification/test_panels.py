@@ -47,6 +47,7 @@ def test_the_error_stated_is_none_too_small_and_says_something(spheroid: PanelRe
     assert np.all(np.diag(error)[:3] < 0.03 * np.diag(lamb)[:3])
 
 
+@pytest.mark.slow
 @needs_capytaine
 def test_a_box_from_twelve_triangles() -> None:
     """The printed numbers, to half of their last digit and 0.3 % for the extrapolation of either."""

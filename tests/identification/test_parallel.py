@@ -14,6 +14,7 @@ from undertow.errors import UndertowError
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.parallel import aside, jobs, mapped
 from undertow.identification.logs.reading import read_log
+from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 
 shared_memory = pytest.mark.skipif(sys.platform != "linux", reason="processes share memory on Linux only")
@@ -77,9 +78,11 @@ def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
     write_case(make_case("usv", ("lift",), 11, duration=30.0), tmp_path)
     model = load_vehicle(tmp_path / "vehicle.toml")
     runs = [read_log(tmp_path / f"{n}.csv", channels=model.command_names) for n in ("train_1", "holdout")]
-    answers = []
+    known, answers = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}, []
     for number in ("1", "2"):
         monkeypatch.setenv("UNDERTOW_JOBS", number)
-        answers.append(diagnose(model, runs[:1], runs[1:]).diagnosis.model_dump(exclude={"seconds"}))
+        answers.append(
+            diagnose(model, runs[:1], runs[1:], known=known).diagnosis.model_dump(exclude={"seconds"})
+        )
     assert answers[0] == answers[1]
     assert answers[0]["effects"] == ["lift"]

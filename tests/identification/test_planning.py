@@ -13,10 +13,17 @@ from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import fit_weak, free_parameters
 from undertow.identification.logs.run import Run
-from undertow.identification.planning.flight import Flight, Ground, Plant, Request, gram_along, stated
 from undertow.identification.planning.manoeuvres import Design, MotionLimits, extremes
 from undertow.identification.planning.parameters import Planned, plan_parameters
 from undertow.identification.planning.picture import command_csv
+from undertow.identification.planning.problem import (
+    Manoeuvre,
+    PlanningProblem,
+    PlanRequest,
+    Plant,
+    gram_along,
+    stated,
+)
 from undertow.identification.planning.rivals import RivalSpec, rival_models
 from undertow.identification.planning.separation import Separations, plan_separation, suggest
 from undertow.model.catalogue import catalogue
@@ -24,7 +31,7 @@ from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_tabl
 from undertow.model.vehicle import Vehicle
 
 SIGMA = 0.01
-SHORT = Request(duration=40.0, rate=10.0, limits={"": 1.0}, noise={"u": SIGMA, "x": np.inf}, tries=40)
+SHORT = PlanRequest(duration=40.0, rate=10.0, limits={"": 1.0}, noise={"u": SIGMA, "x": np.inf}, tries=40)
 LINEAR_OR_QUADRATIC = [RivalSpec("linear_damping", {}), RivalSpec("quadratic_damping", {})]
 
 
@@ -49,11 +56,11 @@ def _without_drag() -> Vehicle:
     return _vehicle(["surge"], effects, ["tau_X"])
 
 
-def _log(flight: Flight, model: int, seed: int) -> Run:
-    """A flight in surge as it would be logged."""
-    noise = SIGMA * np.random.default_rng(seed).standard_normal(len(flight.t))
-    channels = {"u": flight.y[model][:, 1] + noise, "tau_X": flight.u[:, 0]}
-    return Run(f"log{seed}", flight.t, channels, sha256=str(seed))
+def _log(manoeuvre: Manoeuvre, model: int, seed: int) -> Run:
+    """A manoeuvre in surge as it would be logged."""
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(len(manoeuvre.t))
+    channels = {"u": manoeuvre.y[model][:, 1] + noise, "tau_X": manoeuvre.u[:, 0]}
+    return Run(f"log{seed}", manoeuvre.t, channels, sha256=str(seed))
 
 
 def _errors(planned: Planned) -> dict[str, float]:
@@ -71,7 +78,7 @@ def surge_plan() -> Planned:
 def test_expected_errors_are_those_of_fits_to_the_flown_manoeuvre(surge_plan: Planned) -> None:
     vehicle = surge_vehicle()
     expected = np.array(list(_errors(surge_plan).values()))
-    fits = [fit_weak(vehicle, prepare([_log(surge_plan.flight, 0, seed)], vehicle)) for seed in range(16)]
+    fits = [fit_weak(vehicle, prepare([_log(surge_plan.manoeuvre, 0, seed)], vehicle)) for seed in range(16)]
     told = np.mean([list(fit.standard_errors.values()) for fit in fits], axis=0)
     np.testing.assert_allclose(told, expected, rtol=0.3)
     truth = np.array([vehicle.value_of(n).value for n in _errors(surge_plan)])
@@ -83,30 +90,30 @@ def test_expected_errors_are_those_of_fits_to_the_flown_manoeuvre(surge_plan: Pl
 def test_the_plan_beats_a_constant_step_and_a_weak_multisine(surge_plan: Planned) -> None:
     vehicle = surge_vehicle()
     plant = Plant.of(vehicle)
-    ground = Ground(SHORT, vehicle, [plant], ())
+    problem = PlanningProblem(SHORT, vehicle, [plant], ())
     known = stated(vehicle, free_parameters(vehicle))
     model = WeakModel(plant.functions, known.free)
-    t = ground.space.t
+    t = problem.t
     by_hand = [np.full((len(t), 1), 1.0), 0.3 * np.sin(2 * np.pi * t / 10.0)[:, None]]
     planned = np.array(list(_errors(surge_plan).values()))
-    for flight in ground.space.flights(by_hand):
-        gram = gram_along(model, ground.space.data(flight, 0), plant.p)
+    for manoeuvre in problem.manoeuvres(by_hand):
+        gram = gram_along(model, problem.data(manoeuvre, 0), plant.p)
         assert gram is not None
         assert np.prod(planned) < 0.3 * np.prod(known.errors(known.after(gram)))
 
 
 def test_drag_wants_different_speeds(surge_plan: Planned) -> None:
-    speed = np.abs(surge_plan.flight.y[0][:, 1])
+    speed = np.abs(surge_plan.manoeuvre.y[0][:, 1])
     assert np.quantile(speed, 0.9) > 2 * np.quantile(speed, 0.2)
 
 
 def test_information_adds_up(surge_plan: Planned) -> None:
     vehicle = surge_vehicle()
-    flight = surge_plan.flight
+    manoeuvre = surge_plan.manoeuvre
     model = WeakModel(Plant.of(vehicle).functions, free_parameters(vehicle))
     p = np.array(model.functions.values())
     noise = np.array([1.0, SIGMA])
-    runs = [_log(flight, 0, seed) for seed in range(2)]
+    runs = [_log(manoeuvre, 0, seed) for seed in range(2)]
     grams = [gram_along(model, prepare(r, vehicle, sigma=noise), p) for r in ([runs[0]], [runs[1]], runs)]
     assert all(g is not None for g in grams)
     np.testing.assert_allclose(grams[0] + grams[1], grams[2], rtol=1e-9)  # type: ignore[operator]
@@ -115,7 +122,7 @@ def test_information_adds_up(surge_plan: Planned) -> None:
 def test_logs_and_priors_count_before_the_manoeuvre(surge_plan: Planned) -> None:
     vehicle = surge_vehicle()
     assert all(p.error_now is None for p in surge_plan.plan.parameters)
-    log = _log(surge_plan.flight, 0, 1)
+    log = _log(surge_plan.manoeuvre, 0, 1)
     again = plan_parameters(vehicle, [log], replace(SHORT, noise={})).plan
     fit = fit_weak(vehicle, prepare([log], vehicle))
     for known in again.parameters:
@@ -131,7 +138,7 @@ def test_logs_and_priors_count_before_the_manoeuvre(surge_plan: Planned) -> None
 
 
 def test_errors_of_a_fit_to_the_same_log_do_not_count_twice(surge_plan: Planned) -> None:
-    vehicle, log = surge_vehicle(), _log(surge_plan.flight, 0, 1)
+    vehicle, log = surge_vehicle(), _log(surge_plan.manoeuvre, 0, 1)
     fit = fit_weak(vehicle, prepare([log], vehicle))
     values = {n: replace(fit.vehicle.value_of(n), source="fit to log1 on 2026-01-01") for n in fit.model.free}
     plan = plan_parameters(fit.vehicle.with_values(values), [log], replace(SHORT, noise={}, tries=8)).plan
@@ -149,9 +156,9 @@ def test_what_matters_more_gets_better_known() -> None:
 def test_a_seed_is_a_plan(surge_plan: Planned) -> None:
     again = plan_parameters(surge_vehicle(), (), SHORT)
     assert again.plan == surge_plan.plan
-    np.testing.assert_array_equal(again.flight.u, surge_plan.flight.u)
+    np.testing.assert_array_equal(again.manoeuvre.u, surge_plan.manoeuvre.u)
     other = plan_parameters(surge_vehicle(), (), replace(SHORT, seed=1))
-    assert not np.array_equal(other.flight.u, surge_plan.flight.u)
+    assert not np.array_equal(other.manoeuvre.u, surge_plan.manoeuvre.u)
 
 
 # --- what no manoeuvre determines -------------------------------------------------------------------------
@@ -184,37 +191,37 @@ def test_mass_and_added_mass_are_one_number_in_surge() -> None:
 
 
 @pytest.fixture(scope="module")
-def auv() -> Ground:
+def auv() -> PlanningProblem:
     vehicle = load_vehicle("mini-auv")
     motion = MotionLimits(speed=0.8, rate=np.radians(45.0), depth=2.0, distance=6.0)
-    request = Request(duration=20.0, rate=10.0, limits={"": 9.0, "f2": 3.0}, motion=motion)
-    return Ground(request, vehicle, [Plant.of(vehicle)], ())
+    request = PlanRequest(duration=20.0, rate=10.0, limits={"": 9.0, "f2": 3.0}, motion=motion)
+    return PlanningProblem(request, vehicle, [Plant.of(vehicle)], ())
 
 
-def test_the_vehicle_is_held_against_its_weight(auv: Ground) -> None:
+def test_the_vehicle_is_held_against_its_weight(auv: PlanningProblem) -> None:
     weight = -auv.vehicle.value_of("B_net").value
     np.testing.assert_allclose(auv.trim.commands, [-weight / 2, 0.0, -weight / 2, 0.0], atol=1e-6)
     assert not auv.trim.left
-    (still,) = auv.space.flights([np.tile(auv.trim.commands, (len(auv.space.t), 1))])
+    (still,) = auv.manoeuvres([np.tile(auv.trim.commands, (len(auv.t), 1))])
     np.testing.assert_allclose(still.y[0], 0.0, atol=1e-6)
 
 
-def test_every_manoeuvre_stays_within_its_limits(auv: Ground) -> None:
+def test_every_manoeuvre_stays_within_its_limits(auv: PlanningProblem) -> None:
     rng = np.random.default_rng(3)
     bounds, safe = auv.request.motion.as_dict(), 0
     for family in auv.families:
         for _ in range(3):
-            flight = auv.space.fly(Design(family, rng.random(family.size)))
-            assert np.all(np.abs(flight.u) <= auv.commands.value)
-            np.testing.assert_allclose(flight.u[[0, -1]], np.tile(auv.trim.commands, (2, 1)), atol=1e-9)
-            if flight.safe:
+            manoeuvre = auv.simulated(Design(family, rng.random(family.size)))
+            assert np.all(np.abs(manoeuvre.u) <= auv.limits.value)
+            np.testing.assert_allclose(manoeuvre.u[[0, -1]], np.tile(auv.trim.commands, (2, 1)), atol=1e-9)
+            if manoeuvre.safe:
                 safe += 1
-                found = extremes(flight.y[0], auv.space.names)
+                found = extremes(manoeuvre.y[0], auv.names)
                 assert all(found[what] <= bounds[what] for what in found)
     assert safe > 2 * len(auv.families)
 
 
-def test_motions_and_actuators_are_driven(auv: Ground) -> None:
+def test_motions_and_actuators_are_driven(auv: PlanningProblem) -> None:
     driven = {tuple(a.name for a in f.axes) for f in auv.families}
     assert driven == {("surge", "heave", "yaw"), ("f1", "f2", "f3", "f4"), ("surge", "yaw")}
 
@@ -225,11 +232,11 @@ def test_written_commands_do_not_pass_the_limits(surge_plan: Planned) -> None:
     table = np.array([[float(cell) for cell in row.split(",")] for row in rows[1:]])
     np.testing.assert_allclose(np.diff(table[:, 0]), 0.1, rtol=1e-6)
     assert np.max(np.abs(table[:, 1])) <= 1.0
-    np.testing.assert_allclose(table[:, 1], surge_plan.flight.u[:, 0], atol=1e-5)
+    np.testing.assert_allclose(table[:, 1], surge_plan.manoeuvre.u[:, 0], atol=1e-5)
 
 
 def test_a_sinking_vehicle_that_cannot_be_held_is_refused() -> None:
-    request = Request(duration=30.0, rate=10.0, limits={"": 3.0}, tries=5)
+    request = PlanRequest(duration=30.0, rate=10.0, limits={"": 3.0}, tries=5)
     with pytest.raises(
         UndertowError, match=r"--max-depth-change is exceeded.*cannot balance 8.61 N.* in heave"
     ):
@@ -246,13 +253,13 @@ def drag_plan() -> Planned:
 
 def test_linear_and_quadratic_drag_need_different_speeds(drag_plan: Planned) -> None:
     vehicle = _without_drag()
-    ground = Ground(SHORT, vehicle, [Plant.of(vehicle)], ())
-    rivals = rival_models(vehicle, LINEAR_OR_QUADRATIC, catalogue(), (), (ground.space, ground.families))
-    between = Ground(SHORT, vehicle, [r.plant for r in rivals], ())
+    problem = PlanningProblem(SHORT, vehicle, [Plant.of(vehicle)], ())
+    rivals = rival_models(vehicle, LINEAR_OR_QUADRATIC, catalogue(), problem)
+    between = PlanningProblem(SHORT, vehicle, [r.plant for r in rivals], ())
     # At a constant speed one drag does what the other does: ahead at it, from a slow start.
-    slowly = np.minimum(between.space.t / 20.0, 1.0)[:, None]
-    (constant,) = between.space.flights([0.5 * slowly])
-    apart = Separations(rivals, 1.0, with_logs=False).careful(between.space, constant)
+    slowly = np.minimum(between.t / 20.0, 1.0)[:, None]
+    (constant,) = between.manoeuvres([0.5 * slowly])
+    apart = Separations(rivals, 1.0, with_logs=False).along(between, constant)
     (planned,) = drag_plan.plan.separations
     assert planned.chi_square > 4 * apart[0]
     assert planned.deviations > 5
@@ -265,7 +272,7 @@ def test_expected_distance_is_what_fits_find(drag_plan: Planned) -> None:
     for truth, rival in ((0, 1), (1, 0)):
         excess = []
         for seed in range(8):
-            log = _log(drag_plan.flight, truth, seed)
+            log = _log(drag_plan.manoeuvre, truth, seed)
             data = prepare([log], _without_drag(), sigma=np.array([1.0, SIGMA]))
             p = np.array(models[truth].functions.values())
             noise = models[truth].whitening(data, p)
@@ -296,7 +303,7 @@ def test_what_is_the_same_thing_is_told_so() -> None:
 
 
 def test_logs_count_in_the_distance(drag_plan: Planned) -> None:
-    log = _log(drag_plan.flight, 0, 5)
+    log = _log(drag_plan.manoeuvre, 0, 5)
     plan = plan_separation(
         _without_drag(), LINEAR_OR_QUADRATIC, [log], replace(SHORT, noise={}, tries=12)
     ).plan
@@ -332,7 +339,7 @@ def test_rivals_that_make_no_sense_are_refused(names: list[str], words: str) -> 
 
 
 def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
-    log = _log(drag_plan.flight, 0, 5).slice(0.0, 12.0)
+    log = _log(drag_plan.manoeuvre, 0, 5).slice(0.0, 12.0)
     said = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], [log], tries=10)
     assert "linear_damping and quadratic_damping" in said
     assert "standard deviations apart (these logs:" in said
@@ -351,10 +358,10 @@ def test_two_effects_are_told_from_one_of_them() -> None:
 
 def test_a_model_that_misses_the_logs_is_planned_with_as_stated(surge_plan: Planned) -> None:
     vehicle = surge_vehicle()
-    flight = surge_plan.flight
-    pushed = {"u": flight.y[0][:, 1], "tau_X": flight.u[:, 0] + 0.3 * np.sin(flight.t)}
-    noise = SIGMA * np.random.default_rng(0).standard_normal(len(flight.t))
-    log = Run("pushed", flight.t, pushed | {"u": pushed["u"] + noise}, sha256="0")
+    manoeuvre = surge_plan.manoeuvre
+    pushed = {"u": manoeuvre.y[0][:, 1], "tau_X": manoeuvre.u[:, 0] + 0.3 * np.sin(manoeuvre.t)}
+    noise = SIGMA * np.random.default_rng(0).standard_normal(len(manoeuvre.t))
+    log = Run("pushed", manoeuvre.t, pushed | {"u": pushed["u"] + noise}, sha256="0")
     plan = plan_parameters(vehicle, [log], replace(SHORT, noise={}, tries=8)).plan
     assert "planned with the values of its file" in plan.remarks[0]
     assert [p.value for p in plan.parameters] == [1.0, 0.3, 4.0]

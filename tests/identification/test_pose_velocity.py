@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -180,8 +181,9 @@ def test_what_cannot_be_done_is_told():
         velocities_from_pose(Run("a", t, {"x": scattered}), ["surge"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CSE1.is_dir(), reason=f"the CSE1 logs are not shipped; put them into {CSE1}")
-@pytest.mark.parametrize("name", ["manual_random_run1", "manual_random_run3", "dp_dptest2"])
+@pytest.mark.parametrize("name", first_quick(["manual_random_run1", "manual_random_run3", "dp_dptest2"]))
 def test_real_motion_capture(name):
     mapping = read_mapping(ROOT / "examples" / "cse1" / "log.toml")
     raw = read_log(CSE1 / f"{name}.csv", mapping, [f"u{k}" for k in range(1, 6)])

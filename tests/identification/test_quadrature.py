@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel, whitened
@@ -47,12 +48,12 @@ def _squares(vehicle: str, effect: str, *, closed_loop: bool = False) -> np.ndar
 
 
 @pytest.mark.parametrize("closed_loop", [False, True])
-@pytest.mark.parametrize("vehicle", ["rov", "usv"])
+@pytest.mark.parametrize("vehicle", first_quick(["usv", "rov"]))
 def test_the_error_of_quadrature_is_far_below_a_faint_noise(vehicle: str, closed_loop: bool) -> None:
     assert np.max(_squares(vehicle, "", closed_loop=closed_loop)) < 0.02
 
 
-@pytest.mark.parametrize("effect", [e for e in KNOWN if e])
+@pytest.mark.parametrize("effect", first_quick(e for e in KNOWN if e))
 def test_so_it_is_with_effects_that_act_on_the_commands(effect: str) -> None:
     """A dead time falls between samples, and what was commanded before the log is not known."""
     assert np.max(_squares("rov", effect)) < 0.05
@@ -100,7 +101,7 @@ def test_rows_that_feel_commands_from_before_the_log_count_for_nothing() -> None
     weak = WeakModel(Functions(model), ("X_u", "delay"))
     p = np.array(weak.functions.values())
     (part,), noise, (segment,) = weak.linearise(data, p), weak.whitening(data, p), data.segments
-    feels = segment.t[segment.functions.windows.first] < segment.t[0] + 0.6
+    feels = segment.t[segment.functions.supports.first] < segment.t[0] + 0.6
     forces = np.tile(np.arange(len(data.rows)) < 3, len(feels)) & np.repeat(feels, len(data.rows))
     assert 0 < np.count_nonzero(forces) == part.start.shape[1]
     changed = replace(part, r=part.r + 50.0 * forces)

@@ -11,9 +11,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from undertow.cli.diagnose import _content
+from undertow.cli.diagnose import _content  # words for verdicts that no log here has
 from undertow.errors import UndertowError
-from undertow.identification.diagnose import _with_doctor
+from undertow.identification.diagnose import _with_doctor  # for findings that no log here has
 from undertow.identification.diagnosis.result import (
     Diagnosis,
     Estimate,

@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import vehicle_of
+from tests.quick import first_quick
 from undertow.identification.api import Estimator
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
@@ -143,7 +144,13 @@ def as_it_is(
     return fitted(vehicle, path, LogMapping())
 
 
-@pytest.mark.parametrize(("units", "frames", "file"), [*product(UNITS, FRAMES, FILES)])
+_TOGETHER = [*zip(UNITS, FRAMES, FILES, strict=True)]  # every unit, frame and file once
+
+
+@pytest.mark.parametrize(
+    ("units", "frames", "file"),
+    first_quick([*_TOGETHER, *(way for way in product(UNITS, FRAMES, FILES) if way not in _TOGETHER)], 3),
+)
 def test_the_fit_does_not_depend_on_how_the_run_is_told(
     units: str, frames: str, file: str, vehicle: Vehicle, columns: Columns, as_it_is, tmp_path: Path
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from tests.identification.long_surge import EXACT, coloured, simulated, steps
 from tests.identification.surge import TRUTH, surge_vehicle
+from tests.quick import first_quick
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import fit_output_error
@@ -48,7 +49,7 @@ def test_gaps_cost_information_and_nothing_else(method: str) -> None:
 # --- coloured noise ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["weak", "output error"])
+@pytest.mark.parametrize("method", first_quick(["weak", "output error"]))
 def test_errors_are_honest_in_coloured_noise(method: str) -> None:
     off, naive = [], []
     for seed in range(DRAWS):
@@ -72,6 +73,7 @@ def test_errors_are_honest_in_coloured_noise(method: str) -> None:
 # --- closed loop ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_feedback_of_the_noise_does_not_bias_the_fit_but_least_squares() -> None:
     by_weak, by_output, by_squares = [], [], []
     for seed in range(DRAWS):

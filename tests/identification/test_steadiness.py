@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
+from tests.quick import first_quick
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.validation import Sizes, sizes
 from undertow.identification.estimation.data import prepare
@@ -33,14 +34,14 @@ def _sizes(begin: float, seed: int) -> Sizes:
     return sizes(fit, own, data, fit.model.whitening(data, fit.p))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", first_quick(range(4)))
 def test_a_steady_force_has_one_size(seed: int) -> None:
     found = _sizes(0.0, seed)
     assert np.all(np.abs(found.value - 1.0) < 5.0 * found.error + 0.01)
     assert found.change == ""
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", first_quick(range(4)))
 def test_a_force_that_begins_later_has_none_before(seed: int) -> None:
     found = _sizes(BEGIN, seed)
     before, after = found.value[0], found.value[-3:]

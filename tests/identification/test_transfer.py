@@ -40,7 +40,7 @@ def _fast(more_drag: float) -> tuple[Shooting, np.ndarray]:
     fit = _fit()
     windows = cut([_run(FAST, 2, more_drag)], surge_vehicle(), THOROUGH, sigma=_sigma())
     shooting = Shooting(fit.model.functions, windows, fit.model.free, channel_weights(windows))
-    return shooting, shooting.settled_starts(fit.p)
+    return shooting, shooting.fitted_starts(fit.p)
 
 
 def test_parameters_move_to_where_both_data_together_have_them() -> None:

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from undertow.identification.diagnose import Story
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
+
+# Private: by its input each of these rules would take a search of its own.
 from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
@@ -61,19 +62,6 @@ def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
     assert _named(winners, [], 0.93, False) == (
         "Missing: lift and actuation_delay; together they explain 93% of what exceeds the noise."
     )
-
-
-@pytest.mark.parametrize(
-    ("named", "order"), [("crossflow_drag", [1, 0, 2]), ("waves", [0, 1, 2]), (None, [0, 1, 2])]
-)
-def test_what_is_named_in_the_end_leads_the_candidates(named: str | None, order: list[int]) -> None:
-    """Simulation may decide for the second of two that are close in the weak form."""
-    candidates = [SimpleNamespace(id=i) for i in ("tether_drag", "crossflow_drag", "lift")]
-    story = SimpleNamespace(
-        judgement=SimpleNamespace(effects=[SimpleNamespace(id=named)] if named else []),
-        found=SimpleNamespace(rounds=[SimpleNamespace(findings=candidates)]),
-    )
-    assert Story._in_order(story) == [candidates[i] for i in order]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.step import at_bounds, prior_of
 from undertow.identification.estimation.test_functions import boxes
 from undertow.identification.estimation.test_functions import test_functions as functions_on
-from undertow.identification.estimation.weak_form import disturbed, fit_weak, free_parameters
+from undertow.identification.estimation.weak_form import fit_weak, free_parameters, with_process_noise
 from undertow.identification.logs.reading import read_log
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -258,7 +258,7 @@ def test_a_fit_ends_where_data_and_stated_priors_balance(tmp_path: Path) -> None
     data = prepare(runs[:1], model)
     # A large disturbance leaves much to the priors, which the search begins far from.
     loud = np.full(len(data.names), 1e-2)
-    whitening = disturbed(weak.whitening(data, np.array(weak.functions.values())), loud, data)
+    whitening = with_process_noise(weak.whitening(data, np.array(weak.functions.values())), loud, data)
     start = {n: model.value_of(n).value for n in tight}
     fit = fit_weak(weak, data, start=start, whitening=whitening, disturbance=loud)
     centre, stiffness = prior_of(weak)

@@ -20,7 +20,7 @@ import tomlkit
 import typer
 
 from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
-from undertow.control.conditions.check import certified, checked
+from undertow.control.conditions.check import check, derived_conditions_hold
 from undertow.control.linear.design import Design, lqr
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE
 
@@ -78,7 +78,9 @@ def designed(
     model = wish.model()
     errors = {n: si(f"--error {n}", v, _POSE_UNITS.get(n, "1")) for n, v in pairs("--error", error)}
     forces = {n: si(f"--force {n}", v, _UNITS_OF_FORCE.get(n, "1")) for n, v in pairs("--force", force)}
-    return lqr(model, errors, forces, law=law, trim=wish.trim(model), conditions=certified, name=name)
+    return lqr(
+        model, errors, forces, law=law, trim=wish.trim(model), conditions=derived_conditions_hold, name=name
+    )
 
 
 def show(done: Design) -> None:
@@ -99,7 +101,7 @@ _VERDICTS = {True: "all hold", False: "not all hold"}
 
 def _told(done: Design) -> Iterator[str]:
     """What the conditions say, with everything for which undertow gains would say no."""
-    report = checked(done.gains)
+    report = check(done.gains)
     yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}"
     if report.alone:
         yield f"left alone: {report.alone.text}"

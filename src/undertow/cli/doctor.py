@@ -49,7 +49,7 @@ from ._terminal import console, section, table, text
 
 if TYPE_CHECKING:
     from undertow.identification.doctor.examine import Examined
-    from undertow.identification.doctor.findings import Examination, Excited, Finding
+    from undertow.identification.doctor.findings import DofExcitation, Examination, Finding
     from undertow.model.vehicle import Vehicle
 
 
@@ -137,7 +137,7 @@ def verdict(result: Examination) -> str:
 _HEAD = ("motion", "rms", "noise", "moving", "one way", "reversals", "command range")
 
 
-def _row(e: Excited) -> tuple[str, ...]:
+def _row(e: DofExcitation) -> tuple[str, ...]:
     span = "" if e.command_range is None else f"{e.command_range:.0%}"
     numbers = (f"{e.rms:.3g} {e.unit}", f"{e.noise:.2g}", f"{e.moving:.0%}", f"{e.positive:.0%}")
     return (

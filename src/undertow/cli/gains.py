@@ -40,7 +40,7 @@ from ._terminal import Report as Tell
 from ._terminal import console, print_json, section, table, text
 
 if TYPE_CHECKING:
-    from undertow.control.conditions.repair import Repair, Single
+    from undertow.control.conditions.repair import Repair, SingleRepair
     from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
 
 
@@ -92,7 +92,7 @@ class Judged:
     """A report with the repairs that were asked for."""
 
     report: Report
-    singles: list[Single]
+    singles: list[SingleRepair]
     repair: Repair | None
 
 
@@ -108,9 +108,9 @@ def judge(
     tell: Tell,
 ) -> Judged:
     """Read both files and check them."""
-    from undertow.control.conditions.check import check
     from undertow.control.conditions.problem import Problem, Uncertainty
-    from undertow.control.conditions.repair import repair, singles
+    from undertow.control.conditions.repair import repair, single_repairs
+    from undertow.control.conditions.whole import certify
     from undertow.control.gains import load_gains
     from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
     from undertow.model.saving import last_covariance
@@ -123,9 +123,10 @@ def judge(
     history = read_vehicle_table(resolve_vehicle(vehicle)).history
     chosen = load_gains(gains, loaded)
     uncertainty = Uncertainty(loaded, confidence, last_covariance(history, loaded))
-    found = check(chosen, uncertainty, forms=forms, iota=iota, tilt=math.radians(tilt), tell=tell)
+    options = {"forms": forms, "iota": iota, "tilt": math.radians(tilt)}
+    found = certify(chosen, uncertainty, progress=tell, **options)
     problem = Problem(chosen, math.radians(tilt))
-    return Judged(found, singles(problem), repair(problem, kind) if kind else None)
+    return Judged(found, single_repairs(problem), repair(problem, kind) if kind else None)
 
 
 # --- JSON -----------------------------------------------------------------------------------------
@@ -422,7 +423,7 @@ def _show_repairs(judged: Judged) -> None:
     say(f"  {judged.repair.method}", "dim")
 
 
-def _wanted(single: Single) -> str:
+def _wanted(single: SingleRepair) -> str:
     """The bound rounded to the side on which the condition holds."""
     if single.bound is None:
         return "alone never suffices"

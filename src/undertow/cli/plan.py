@@ -44,9 +44,9 @@ from undertow.cli._vehicle_and_logs import (
 )
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
-from undertow.identification.planning.flight import Request
 from undertow.identification.planning.manoeuvres import MotionLimits
 from undertow.identification.planning.parameters import Planned, plan_parameters
+from undertow.identification.planning.problem import PlanRequest
 from undertow.identification.planning.rivals import NONE, RivalSpec
 from undertow.identification.planning.separation import plan_separation
 from undertow.model.vehicle import Vehicle
@@ -54,7 +54,7 @@ from undertow.model.vehicle import Vehicle
 from ._terminal import Report, console, section, table, text
 
 if TYPE_CHECKING:
-    from undertow.identification.planning.result import Known, Plan
+    from undertow.identification.planning.result import Plan, PlannedParameter
 
 
 _LOGS = typer.Argument(metavar="LOG", help="Logs that exist already: CSV, CSV.gz or Parquet.")
@@ -203,7 +203,7 @@ def asked_of(
     noise: Sequence[str],
     time: tuple[float, float],
     rest: tuple[float | None, int, int | None],
-) -> Request:
+) -> PlanRequest:
     """The request that options make; angles come in degrees.
 
     Raises
@@ -217,7 +217,7 @@ def asked_of(
             raise UndertowError(f"{option} {value:g} leaves no motion: give a positive value")
     bounds = {n: radians(v) if n in _ANGULAR else v for n, v in largest.items() if v is not None}
     depth, seed, tries = rest
-    return Request(
+    return PlanRequest(
         duration=time[0],
         rate=time[1],
         limits=_named("--limit", limit, whole=True),
@@ -260,7 +260,7 @@ def planned_for(
     wish: Wish,
     vehicle: Vehicle,
     runs: Sequence[Run],
-    request: Request,
+    request: PlanRequest,
     tell: Report,
     *,
     trust_log: bool = False,
@@ -389,7 +389,7 @@ def _error(error: float | None) -> str:
     return "not known" if error is None else f"± {error:.2g}"
 
 
-def _share(known: Known) -> str:
+def _share(known: PlannedParameter) -> str:
     """Expected error as a share of the value."""
     if known.error_after is None or not known.value:
         return ""

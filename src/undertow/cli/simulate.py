@@ -48,8 +48,7 @@ from undertow.model.units import to_si
 from ._terminal import progress, section, table
 
 if TYPE_CHECKING:
-    from undertow.control.closed_loop.cycles import Cycle
-    from undertow.control.closed_loop.measures import CoordinateResult
+    from undertow.control.closed_loop.measures import CoordinateResult, Cycle
 
 
 _GAINS = typer.Argument(metavar="GAINS", help="Gain files (TOML), or names of bundled ones (paper-pd ...).")

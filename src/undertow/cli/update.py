@@ -26,8 +26,8 @@ import typer
 from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
 from undertow.codegen.export import Export
 from undertow.codegen.export import Report as Written
-from undertow.control.conditions.check import told
 from undertow.control.conditions.result import HOLDS
+from undertow.control.conditions.whole import verdicts
 from undertow.control.controller import PICTURES, Controller, ControllerExport
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.linear.report import Analysis, Change, Snapshot, changes, snapshot
@@ -150,7 +150,7 @@ class Update:
             assert export.texts  # what cannot be stated in C is refused before anything is written
         tell(0.3, "eigenvalues, margins and conditions")
         motion = self._wish.held()
-        new, loops = snapshot(self._vehicle, gains, motion, self._at, told)
+        new, loops = snapshot(self._vehicle, gains, motion, self._at, verdicts)
         tell(0.6, "pictures")
         drawn = _pictures(self._vehicle, gains, self._wish, loops)
         with together():

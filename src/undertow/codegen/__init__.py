@@ -1,7 +1,7 @@
 """From the symbolic model to CasADi functions, C source and compiled libraries."""
 
+from .compiler import Compiled
 from .functions import Functions
-from .library import Compiled
 from .simulate import Simulator
 
 __all__ = ["Compiled", "Functions", "Simulator"]

@@ -17,20 +17,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
-from .source import digest
+from .source import LIBRARY_SUFFIX, digest
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
-
-if TYPE_CHECKING:
-    from .compiler import Compiler
 
 _LOG = logging.getLogger("undertow")
 _OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+|numba-[0-9a-f]{16}")
@@ -38,7 +35,18 @@ _OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+|nu
 _KEPT_FOR = 90 * 86400.0
 # Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
 _LEFT_FOR = 3600.0
-_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+
+
+class Compiler(Protocol):
+    """What makes a library out of a source: a command with its options."""
+
+    @property
+    def command(self) -> tuple[str, ...]: ...
+
+    @property
+    def identity(self) -> str: ...
+
+    def build(self, source: Path, library: Path) -> None: ...
 
 
 def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
@@ -77,7 +85,7 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
     """The library of a manifest, if both are what they should be."""
     try:
         found = json.loads(manifest.read_text(encoding="utf-8"))
-        library = manifest.parent / f"{manifest.stem}-{str(found['library'])[:16]}{_SUFFIX}"
+        library = manifest.parent / f"{manifest.stem}-{str(found['library'])[:16]}{LIBRARY_SUFFIX}"
         fits = {k: found[k] for k in expected} == expected and _sha256(library) == found["library"]
         for used in (manifest, library):
             os.utime(used)
@@ -90,10 +98,10 @@ def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, 
     try:
         with _workshop(manifest.parent) as workshop:
             (workshop / "model.c").write_text(source, encoding="utf-8")
-            built = workshop / f"model{_SUFFIX}"
+            built = workshop / f"model{LIBRARY_SUFFIX}"
             compiler.build(workshop / "model.c", built)
             found = _sha256(built)
-            library = manifest.parent / f"{manifest.stem}-{found[:16]}{_SUFFIX}"
+            library = manifest.parent / f"{manifest.stem}-{found[:16]}{LIBRARY_SUFFIX}"
             os.replace(built, library)
             content = json.dumps({**expected, "library": found})
             (workshop / "manifest.json").write_text(content, encoding="utf-8")
@@ -123,13 +131,7 @@ def _workshop(folder: Path) -> Iterator[Path]:
 
 
 def _lock(folder: Path) -> int | None:
-    """Descriptor that holds the lock on a folder; None where there are no locks.
-
-    Raises
-    ------
-    OSError
-        BlockingIOError where another process holds it, FileNotFoundError where the folder has gone.
-    """
+    """Descriptor that holds the lock on a folder; None where there are no locks."""
     if fcntl is None:
         return None
     number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

@@ -1,7 +1,8 @@
-"""Finding a C compiler and building a shared library with it."""
+"""Finding a C compiler, building a shared library with it, and calling what is in it."""
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import platform
@@ -11,15 +12,18 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.util import find_spec
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import TypeVar
 
+import casadi as ca
+import numpy as np
+
 from undertow.errors import UndertowError
 
-from .cache import noted
-from .source import digest
+from .cache import library_for, noted
+from .functions import Functions
+from .source import c_source, digest, engine_file, with_unique_symbols
 
 T = TypeVar("T")
 _LOG = logging.getLogger("undertow")
@@ -217,24 +221,17 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         raise UndertowError(f"the C compiler '{command[0]}' cannot be run: {error}") from error
 
 
-def compiled_or_virtual(
-    wish: bool | None,
-    build: Callable[[Compiler], T],
-    otherwise: Callable[[], T],
-    interpreted: Callable[[], T] | None = None,
-) -> T:
-    """Compiled code if wished for (True) or possible (None); else numba or the virtual machine, and a line.
+def compiled_or_virtual(wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], T]) -> T:
+    """Compiled code if wished for (True) or possible (None); else what runs without, and a logged line.
 
     Parameters
     ----------
     wish : bool, optional
-        True for compiled code only, False for the virtual machine.
+        True for compiled code only, False for none.
     build : callable
         Compiles.
     otherwise : callable
-        What the virtual machine runs.
-    interpreted : callable, optional
-        What numba runs, where it is installed.
+        What runs without: the engine's instructions, or CasADi's virtual machine.
 
     Raises
     ------
@@ -251,27 +248,168 @@ def compiled_or_virtual(
     except UndertowError as error:
         if wish:
             raise
-        reason = str(error)
-    return _without_compiler(reason, otherwise, interpreted)
-
-
-def _without_compiler(reason: str, otherwise: Callable[[], T], interpreted: Callable[[], T] | None) -> T:
-    numba = find_spec("numba") is not None
-    try:
-        found = interpreted() if numba and interpreted else otherwise()
-    except (UndertowError, ImportError) as error:
-        reason, numba = f"{reason}; {error}", False
-        found = otherwise()
-    _say_who_runs(reason, numba)
-    return found
-
-
-_NUMBA = "numba runs the simulations instead of compiled code, CasADi's virtual machine single evaluations"
-_VIRTUAL = "The CasADi virtual machine runs instead of compiled code"
+        _say_who_runs(str(error))
+    return otherwise()
 
 
 @cache
-def _say_who_runs(reason: str, numba: bool) -> None:
+def _say_who_runs(reason: str) -> None:
     """Say it once for each reason."""
-    hint = "" if numba or find_spec("numba") else " (less so with numba: pip install 'undertow[numba]')"
-    _LOG.warning("%s. %s: same results, slower%s", reason, _NUMBA if numba else _VIRTUAL, hint)
+    who = "The CasADi virtual machine runs"
+    if engine_file().is_file():
+        who = "The engine of this installation runs simulations, the CasADi virtual machine the rest,"
+    _LOG.warning("%s. %s instead of compiled code: same results, slower", reason, who)
+
+
+def loaded(library: Path) -> ctypes.CDLL:
+    """A compiled library, ready to be called.
+
+    Raises
+    ------
+    UndertowError
+        If the system cannot load it.
+    """
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise UndertowError(f"compiled code cannot be loaded: {error}; set UNDERTOW_NO_COMPILER=1") from error
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    """Address of a contiguous array."""
+    assert array.flags.c_contiguous
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+# --- fast calls from NumPy arrays -----------------------------------------------------------------
+class Bound:
+    """A function that reads the nonzeros of its inputs from arrays and writes those of its outputs.
+
+    CasADi stores columns one after the other, so each of `count` evaluations is a row of these arrays.
+    """
+
+    def __init__(self, function: ca.Function, count: int = 1) -> None:
+        self._buffer, self.run = (_map_over(function, count) if count > 1 else function).buffer()
+        self.inputs = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
+        self.outputs = [np.zeros((count, function.nnz_out(i))) for i in range(function.n_out())]
+        for i, array in enumerate(self.inputs):
+            self._buffer.set_arg(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
+        for i, array in enumerate(self.outputs):
+            self._buffer.set_res(i, memoryview(array.ravel().data))  # type: ignore[call-arg]
+
+
+@lru_cache(maxsize=256)
+def _map_over(function: ca.Function, count: int) -> ca.Function:
+    """The function over `count` samples in one call; made once."""
+    return function.map(count)
+
+
+class Evaluator:
+    """A CasADi function evaluated through its buffer for a fixed number of runs at once.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        The function.
+    batch : int
+        Number of evaluations in one call.
+    """
+
+    def __init__(self, function: ca.Function, batch: int = 1) -> None:
+        self._bound = Bound(function, batch)
+        self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
+
+    def __call__(self, *inputs: np.ndarray | float) -> list[np.ndarray]:
+        """Outputs of shape (batch, rows, columns) for inputs of shape (batch or 1, size)."""
+        for array, given in zip(self._bound.inputs, inputs, strict=True):
+            array[:] = given
+        self._bound.run()
+        return [place.dense(values) for place, values in zip(self._places, self._bound.outputs, strict=True)]
+
+
+class _Places:
+    """Where the nonzeros of an output belong."""
+
+    def __init__(self, sparsity: ca.Sparsity) -> None:
+        self._shape = sparsity.shape
+        self._full = sparsity.is_dense()
+        self._rows, self._columns = sparsity.get_triplet()
+
+    def dense(self, nonzeros: np.ndarray) -> np.ndarray:
+        rows, columns = self._shape
+        if self._full:
+            return nonzeros.reshape(len(nonzeros), columns, rows).transpose(0, 2, 1).copy()
+        result = np.zeros((len(nonzeros), rows, columns))
+        result[:, self._rows, self._columns] = nonzeros
+        return result
+
+
+class Compiled:
+    """The functions of a vehicle, each compiled when it is first asked for.
+
+    Parameters
+    ----------
+    functions : Functions
+        The model.
+    compiled : bool, optional
+        True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
+        compiled code is used where a compiler is found, and one logged line says so where none is.
+
+    Raises
+    ------
+    UndertowError
+        On access, if `compiled` is True and there is no C compiler or it fails.
+    """
+
+    def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
+        self._functions = functions
+        self._wish = compiled
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """`x_dot = dynamics(x, u, p, t)`."""
+        return self._ready(self._functions.dynamics)
+
+    @cached_property
+    def jacobians(self) -> ca.Function:
+        """`(x_dot, A, B, P) = jacobians(x, u, p, t)`."""
+        return self._ready(self._functions.jacobians)
+
+    @cached_property
+    def regressor(self) -> ca.Function:
+        """`Y = regressor(x, nu_dot, u, p, t)`."""
+        return self._ready(self._functions.regressor)
+
+    @cached_property
+    def residual(self) -> ca.Function:
+        """`r = residual(x, nu_dot, u, p, t)`."""
+        return self._ready(self._functions.residual_function)
+
+    @cached_property
+    def outputs(self) -> ca.Function:
+        """`y = outputs(x, u, p, t)`."""
+        return self._ready(self._functions.outputs)
+
+    def evaluator(self, name: str, batch: int = 1) -> Evaluator:
+        """One of the functions for NumPy arrays, `batch` evaluations in a call, through its buffer."""
+        return Evaluator(getattr(self, name), batch)
+
+    def _ready(self, function: ca.Function) -> ca.Function:
+        return compiled_or_virtual(self._wish, lambda compiler: load(function, compiler), lambda: function)
+
+
+def load(function: ca.Function, compiler: Compiler) -> ca.Function:
+    """The same function from a compiled library.
+
+    Raises
+    ------
+    UndertowError
+        If the compiler fails.
+    """
+    # CasADi's declarations export a symbol from a library that hides the others only where this is defined.
+    text = "#define GCC_HASCLASSVISIBILITY\n" + c_source(function)
+    source, prefix = with_unique_symbols(text, [function.name()])
+    try:
+        return ca.external(f"{prefix}{function.name()}", str(library_for(source, compiler)))
+    except RuntimeError as error:
+        raise UndertowError(f"compiled code cannot be loaded: {str(error).splitlines()[-1]}") from error

@@ -1,25 +1,257 @@
-"""C code of a vehicle for use without undertow: source, header, an example, and a manifest."""
+"""C code of a vehicle for use without undertow, and a manifest of what it was made from."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.resources import files
+from itertools import chain
+from math import isclose, isfinite
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
+from pydantic import TypeAdapter
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, together, write_whole
+from undertow.model.loading import Printable
+from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
 from .compiler import find_compiler
 from .functions import Functions
-from .manifest import Entry, Manifest, changes, describe, sha256
 from .plain import plain_c, signature
+
+SCHEMA = "undertow/codegen/1"
+_POINTS = 5
+_UNITS = {
+    **dict.fromkeys(POSE[:3], "m"),
+    **dict.fromkeys(POSE[3:], "rad"),
+    **dict(zip(VELOCITY, VELOCITY_UNITS, strict=True)),
+    **{f"tau_{f}": unit for f, unit in zip(FORCE, FORCE_UNITS, strict=True)},
+    "rho": "kg/m^3",
+    "g": "m/s^2",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One state, input or parameter.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is and what it is measured in.
+    value : float, optional
+        Value of a parameter in the vehicle file, SI and SNAME signs.
+    """
+
+    name: Printable
+    unit: Printable
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A model as its generated code stands for it.
+
+    Attributes
+    ----------
+    vehicle : str
+        Name of the vehicle.
+    effects : tuple of str
+        Ids of the effects.
+    states, inputs, parameters : tuple of Entry
+        Entries of x, u and p in order.
+    input_delay : float
+        Dead time of the inputs, s, which the caller has to provide.
+    output_delay : mapping
+        Dead time of the outputs that are reported late, s, by name, which the caller has to provide, too.
+    rows : mapping
+        Values of every row of the equations of motion at fixed points. They tell an equation from another one
+        whatever way it is written, and do not change when a parameter moves to another place in p.
+    """
+
+    vehicle: Printable
+    effects: tuple[Printable, ...]
+    states: tuple[Entry, ...]
+    inputs: tuple[Entry, ...]
+    parameters: tuple[Entry, ...]
+    input_delay: float
+    output_delay: Mapping[Printable, float]
+    rows: Mapping[Printable, tuple[float, ...]]
+
+    def to_json(self, files: Mapping[str, str], compiler: str) -> str:
+        """Text of the manifest file.
+
+        Parameters
+        ----------
+        files : mapping
+            Text of every generated file by name.
+        compiler : str
+            Compiler of this machine, for the record.
+        """
+        hashes = {name: sha256(text) for name, text in files.items()}
+        versions = {"undertow": __version__, "casadi": ca.__version__, "compiler": compiler}
+        content = {"schema": SCHEMA, **versions, "model": hashes["model.c"], **asdict(self), "files": hashes}
+        return json.dumps(_in_json(content), indent=1, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> tuple[Manifest, dict[str, str]]:
+        """The manifest and the hashes of the files beside it.
+
+        Raises
+        ------
+        UndertowError
+            If the text is not a manifest.
+        """
+        try:
+            content = json.loads(text)
+            if content["schema"] != SCHEMA:
+                raise UndertowError(f"schema '{content['schema']}' is not {SCHEMA}: generate the code again")
+            # Code from before sensors could be late has none that are.
+            found = TypeAdapter(cls).validate_python({"output_delay": {}, **content})
+            return found, TypeAdapter(dict[Printable, str]).validate_python(content["files"])
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise UndertowError(f"not a manifest of generated code ({error}): generate it again") from error
+
+
+def _in_json(content: Any) -> Any:
+    """Content without what JSON has no number for: a thrust without a limit is limited by the word "inf"."""
+    if isinstance(content, dict):
+        return {k: _in_json(v) for k, v in content.items()}
+    if isinstance(content, list | tuple):
+        return [_in_json(v) for v in content]
+    return str(content) if isinstance(content, float) and not isfinite(content) else content
+
+
+def sha256(text: str) -> str:
+    """SHA-256 of a text, hexadecimal."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# --- describing -----------------------------------------------------------------------------------
+
+
+def describe(functions: Functions) -> Manifest:
+    """The manifest of a model."""
+    vehicle = functions.vehicle
+    return Manifest(
+        vehicle=vehicle.name,
+        effects=tuple(e.id for e in vehicle.effects),
+        states=tuple(Entry(n, _state_unit(functions, n)) for n in functions.state_names),
+        inputs=tuple(Entry(n, _UNITS.get(n, "command")) for n in vehicle.command_names),
+        parameters=tuple(
+            Entry(n, _parameter_unit(functions, n), v)
+            for n, v in zip(functions.parameter_names, functions.values(), strict=True)
+        ),
+        input_delay=dead_time(functions),
+        output_delay=output_delay(functions),
+        rows=_rows(functions),
+    )
+
+
+def dead_time(functions: Functions) -> float:
+    """Dead time of the inputs for the vehicle's values, s."""
+    return float(functions.dead_time(functions.values()))
+
+
+def output_delay(functions: Functions) -> dict[str, float]:
+    """Dead time of the outputs that come late for the vehicle's values, s, by name."""
+    evaluate = ca.Function("report_age", [functions.p], [ca.densify(functions.report_age)])
+    seconds = evaluate(functions.values()).full().ravel().tolist()
+    names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
+    return {n: s for n, s in zip(names, seconds, strict=True) if s}
+
+
+def _state_unit(functions: Functions, name: str) -> str:
+    if name in _UNITS:
+        return _UNITS[name]
+    owned = chain.from_iterable(
+        zip(e.states, e.state_units, strict=True) for e in functions.vehicle.all_effects
+    )
+    return dict(owned).get(name, "")
+
+
+def _parameter_unit(functions: Functions, name: str) -> str:
+    found = functions.vehicle.parameter_of(name)
+    return found.unit if found else _UNITS.get(name, "")
+
+
+def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
+    arguments = [functions.x, functions.nu_dot, functions.u, functions.p, functions.t]
+    evaluate = ca.Function("balance", arguments, [ca.densify(functions.balance)])
+    vehicle = functions.vehicle
+    accelerations = [f"{n}_dot" for n in vehicle.velocity_names]
+    moving = [functions.state_names, accelerations, vehicle.command_names, functions.parameter_names, ["t"]]
+    columns = [
+        evaluate(*([_coordinate(n, k, signed=i < 3) for n in names] for i, names in enumerate(moving)))
+        for k in range(_POINTS)
+    ]
+    table = ca.horzcat(*columns).full()
+    return {f"{n}_dot": tuple(map(float, row)) for n, row in zip(functions.state_names, table, strict=True)}
+
+
+def _coordinate(name: str, point: int, *, signed: bool) -> float:
+    """A number between 0.2 and 1 that belongs to a name; motions and commands go both ways."""
+    share = int(hashlib.sha256(f"{name}/{point}".encode()).hexdigest()[:12], 16) / 16**12
+    return (0.2 + 0.8 * share) * (-1 if signed and point % 2 else 1)
+
+
+# --- comparing ------------------------------------------------------------------------------------
+
+
+def changes(old: Manifest, new: Manifest) -> list[str]:
+    """What has changed, a line for each kind of thing; nothing where generated code may stay."""
+    lines = [f"vehicle: {old.vehicle} -> {new.vehicle}"] if old.vehicle != new.vehicle else []
+    lines += _membership("effects", old.effects, new.effects)
+    for what in ("states", "inputs", "parameters"):
+        before, after = getattr(old, what), getattr(new, what)
+        lines += _membership(what, _names(before), _names(after)) + _altered(what, before, after)
+    if old.input_delay != new.input_delay:
+        lines.append(f"input delay: {old.input_delay:g} -> {new.input_delay:g} s")
+    late = [(n, old.output_delay.get(n, 0.0), new.output_delay.get(n, 0.0)) for n in _outputs(old, new)]
+    lines += [f"output delay of {n}: {a:g} -> {b:g} s" for n, a, b in late if a != b]
+    rows = [n for n, values in new.rows.items() if n in old.rows and not _same(old.rows[n], values)]
+    return lines + ([f"rows changed: {', '.join(rows)} ({len(rows)} of {len(new.rows)})"] if rows else [])
+
+
+def _outputs(old: Manifest, new: Manifest) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*old.output_delay, *new.output_delay)))
+
+
+def _names(entries: Iterable[Entry]) -> tuple[str, ...]:
+    return tuple(e.name for e in entries)
+
+
+def _membership(what: str, old: tuple[str, ...], new: tuple[str, ...]) -> list[str]:
+    added, removed = [n for n in new if n not in old], [n for n in old if n not in new]
+    lines = [f"{what} added: {', '.join(added)}"] if added else []
+    lines += [f"{what} removed: {', '.join(removed)}"] if removed else []
+    moved = not lines and old != new
+    return [f"{what} in another order"] if moved else lines
+
+
+def _altered(what: str, old: tuple[Entry, ...], new: tuple[Entry, ...]) -> list[str]:
+    before = {e.name: e for e in old}
+    pairs = [(before[e.name], e) for e in new if e.name in before and before[e.name] != e]
+    return [f"{what} changed: {a.name} {_shown(a)} -> {_shown(b)}" for a, b in pairs]
+
+
+def _shown(entry: Entry) -> str:
+    return f"{'' if entry.value is None else repr(entry.value)} {entry.unit}".strip()
+
+
+def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
+    tolerance = 1e-9 * max((abs(v) for v in (*a, *b)), default=0.0)
+    return len(a) == len(b) and all(isclose(v, w, abs_tol=tolerance) for v, w in zip(a, b, strict=True))
+
 
 _TEMPLATES = ("model.h", "main.c", "CMakeLists.txt")
 _EDITABLE = "main.c"

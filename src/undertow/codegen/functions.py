@@ -14,9 +14,8 @@ from undertow.model.effect import Flow, Wrench
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
 
-from .collecting import Collector
 from .convert import Converter
-from .momentum import Inertia, find_inertia, is_galilean, kirchhoff
+from .rewriting import Collector, Inertia, find_inertia, is_galilean, kirchhoff
 
 
 class Functions:

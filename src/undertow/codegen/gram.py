@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from itertools import pairwise
 from typing import Protocol
 
@@ -16,12 +15,12 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .cache import library_for
-from .compiler import Compiler
-from .driver import loaded, pointer
+from .compiler import Compiler, loaded, pointer
+from .engine import at_samples
 from .functions import Functions
-from .lanes import LANES_HEADER
 from .plain import LANES, plain_c
-from .source import EXPORTED, digest, integers
+from .source import c_file, digest, integers
+from .trajectories import LANES_HEADER
 
 # As many samples as fit in one instruction.
 _LANES = """\
@@ -33,6 +32,7 @@ _LANES = """\
 #define LANES 1
 #endif
 """
+# Samples whose rows are in memory together, where they are not compiled.
 _CHUNK = 128
 
 
@@ -142,15 +142,7 @@ class RowSource(Protocol):
 
 
 class CompiledRows:
-    """Passes over the data in C.
-
-    Parameters
-    ----------
-    rows : Layout
-        The rows.
-    compiler : Compiler
-        Compiler to use.
-    """
+    """Passes over the data in C."""
 
     def __init__(self, rows: Layout, compiler: Compiler) -> None:
         self._layout = rows
@@ -188,12 +180,12 @@ def gram_source(rows: Layout) -> tuple[str, str]:
     f, starts = rows.function, rows.starts
     sizes = {"NX": f.numel_in(0), "ND": f.numel_in(1), "NU": f.numel_in(2), "NF": rows.size}
     sizes |= {"ENTRIES": len(rows.row), "NEEDS": len(rows.needed), "TABLE": _tiles(starts)}
-    lines = [_LANES, LANES_HEADER, "#include <string.h>", EXPORTED, "#define ROWS entries_of_rows"]
+    lines = [_LANES, LANES_HEADER, "#include <string.h>", "#define ROWS entries_of_rows"]
     lines += [f"#define {k} {v}" for k, v in sizes.items()]
     for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.needed)):
         lines.append(integers(name, values))
     lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
-    lines.append((files("undertow.codegen") / "gram.c").read_text(encoding="utf-8"))
+    lines.append(c_file("gram.c"))
     text = "\n".join(lines)
     prefix = f"undertow_{digest(text)[:16]}_"
     names = "".join(f"#define {n.upper()} {prefix}{n}\n" for n in ("gram", "build"))
@@ -207,17 +199,10 @@ def _tiles(starts: list[int]) -> int:
 
 
 class VirtualRows:
-    """The same passes by CasADi's virtual machine and NumPy, where there is no compiler.
-
-    Parameters
-    ----------
-    rows : Layout
-        The rows.
-    """
+    """The same passes where the rows are not compiled."""
 
     def __init__(self, rows: Layout) -> None:
         self._layout = rows
-        self._map = rows.function.map(_CHUNK)
 
     def gram(self, columns: list[Array], p: Array, sums: Sums) -> None:
         """Add products of rows and target, upper triangle."""
@@ -231,20 +216,21 @@ class VirtualRows:
         nothing = np.zeros((0, self._layout.size + 1))
         return np.vstack([nothing, *(table for table, _ in parts)]), sum(count for _, count in parts)
 
-    def _chunks(self, columns: list[Array], p: Array) -> list[tuple[Array, int]]:
-        n = _length(columns)
-        slices = [slice(i, min(i + _CHUNK, n)) for i in range(0, n, _CHUNK)]
-        return [self._chunk([c[s] for c in columns], p) for s in slices]
+    def _chunks(self, columns: list[Array], p: Array) -> Iterator[tuple[Array, int]]:
+        for first in range(0, _length(columns), _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            yield self._chunk(np.stack([c[rows] for c in columns]), p)
 
-    def _chunk(self, columns: list[Array], p: Array) -> tuple[Array, int]:
-        known, count, f = self._layout, len(columns[0]), self._layout.function
+    def _chunk(self, columns: Array, p: Array) -> tuple[Array, int]:
+        """Rows and target at some samples, and how many of these have no gap."""
+        known, count, f = self._layout, columns.shape[1], self._layout.function
         sizes = [f.numel_in(i) for i in (0, 1, 2)] + [1]
-        inputs = np.zeros((sum(sizes), _CHUNK))
-        inputs[list(known.needed), :count] = columns
-        whole = np.isfinite(inputs).all(axis=0) & (np.arange(_CHUNK) < count)
-        x, nu_dot, u, t = np.split(np.where(whole, inputs, 0.0), np.cumsum(sizes)[:-1])
-        entries = self._map(x, nu_dot, u, np.tile(p[:, None], _CHUNK), t)
-        table = np.zeros((_CHUNK, known.degrees, known.size + 1))
-        table[:, list(known.row), list(known.column)] = np.asarray(entries).T
+        inputs = np.zeros((count, sum(sizes)))
+        inputs[:, list(known.needed)] = columns.T
+        whole = np.asarray(np.isfinite(inputs).all(axis=1))
+        x, nu_dot, u, t = np.split(np.where(whole[:, None], inputs, 0.0), np.cumsum(sizes)[:-1], axis=1)
+        (entries,) = at_samples(f, [x, nu_dot, u, p, t], count)
+        table = np.zeros((count, known.degrees, known.size + 1))
+        table[:, list(known.row), list(known.column)] = entries
         table[~whole] = 0.0
-        return table[:count].reshape(-1, known.size + 1), int(whole.sum())
+        return table.reshape(-1, known.size + 1), int(whole.sum())

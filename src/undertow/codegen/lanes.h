@@ -4,24 +4,13 @@
    lane what the C function of that name does, NaN and zeros with a sign included. Only sines, cosines and tangents
    are our own; from LARGEST_ANGLE on they are those of the C library. */
 
-#include <math.h>
-#include <stdint.h>
+#include "portable.h"
 #ifdef __AVX__
 #include <immintrin.h>
 #endif
 
 #ifndef LANES
 #define LANES 1
-#endif
-
-#ifdef __GNUC__
-#define INLINE static inline __attribute__((always_inline, unused))
-#define SEPARATE __attribute__((noinline, unused))
-#define UNLIKELY(condition) __builtin_expect(condition, 0)
-#else
-#define INLINE static inline
-#define SEPARATE
-#define UNLIKELY(condition) (condition)
 #endif
 
 /* --- sine and cosine of several angles at once -------------------------------------------------- */

@@ -11,28 +11,8 @@ import casadi as ca
 
 from undertow.errors import UndertowError
 
-_INFIX = {
-    **{"OP_ADD": "+", "OP_SUB": "-", "OP_MUL": "*", "OP_DIV": "/"},
-    **{"OP_LT": "<", "OP_LE": "<=", "OP_EQ": "==", "OP_NE": "!=", "OP_AND": "&&", "OP_OR": "||"},
-}
-_CALL = {
-    **{"OP_SIN": "sin", "OP_COS": "cos", "OP_TAN": "tan", "OP_ASIN": "asin", "OP_ACOS": "acos"},
-    **{"OP_ATAN": "atan", "OP_ATAN2": "atan2", "OP_SINH": "sinh", "OP_COSH": "cosh", "OP_TANH": "tanh"},
-    **{"OP_EXP": "exp", "OP_LOG": "log", "OP_SQRT": "sqrt", "OP_POW": "pow", "OP_CONSTPOW": "pow"},
-    **{"OP_FABS": "fabs", "OP_FMIN": "fmin", "OP_FMAX": "fmax", "OP_FLOOR": "floor"},
-}
-_TWO_OPERANDS = ("OP_ATAN2", "OP_POW", "OP_CONSTPOW", "OP_FMIN", "OP_FMAX")
-_FORM: dict[str, str] = {
-    "OP_NEG": "-{0}",
-    "OP_SQ": "{0} * {0}",
-    "OP_TWICE": "2 * {0}",
-    "OP_INV": "1 / {0}",
-    "OP_NOT": "!{0}",
-    "OP_SIGN": "{0} != {0} ? {0} : ({0} > 0) - ({0} < 0)",
-    "OP_IF_ELSE_ZERO": "{0} != 0 ? {1} : 0",
-    **{k: f"{{0}} {v} {{1}}" for k, v in _INFIX.items()},
-    **{k: f"{v}({{0}}, {{1}})" if k in _TWO_OPERANDS else f"{v}({{0}})" for k, v in _CALL.items()},
-}
+from .source import CALLS, FORMS, TWO_OPERANDS
+
 _LANE_CALL = {
     **{"OP_LT": "less", "OP_LE": "at_most", "OP_EQ": "equal", "OP_NE": "unequal"},
     **{"OP_AND": "and", "OP_OR": "or", "OP_NOT": "not", "OP_SIGN": "sign", "OP_IF_ELSE_ZERO": "if"},
@@ -41,11 +21,6 @@ _ANGLES = ("OP_SIN", "OP_COS", "OP_TAN")
 # As many angles as lanes.h turns into sines and cosines at once.
 _TOGETHER = 4
 _OPERATION = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
-
-
-def operation_forms() -> dict[int, str]:
-    """C expression of every operation by CasADi's code for it, with {0} and {1} for the operands."""
-    return {code: _FORM[name] for code, name in _OPERATION.items() if name in _FORM}
 
 
 @dataclass(frozen=True)
@@ -71,14 +46,14 @@ class Words:
     together: bool
 
 
-PLAIN = Words("double", "{}", _FORM, together=False)
-_CALLED = {**{k: v for k, v in _CALL.items() if k not in _ANGLES}, **_LANE_CALL}
-_OF_TWO = {*_TWO_OPERANDS, *_LANE_CALL} - {"OP_NOT", "OP_SIGN"}
+PLAIN = Words("double", "{}", FORMS, together=False)
+_CALLED = {**{k: v for k, v in CALLS.items() if k not in _ANGLES}, **_LANE_CALL}
+_OF_TWO = {*TWO_OPERANDS, *_LANE_CALL} - {"OP_NOT", "OP_SIGN"}
 LANES = Words(
     "Real",
     "real({})",
     {
-        **{k: _FORM[k] for k in ("OP_ADD", "OP_SUB", "OP_MUL", "OP_DIV", "OP_NEG", "OP_SQ")},
+        **{k: FORMS[k] for k in ("OP_ADD", "OP_SUB", "OP_MUL", "OP_DIV", "OP_NEG", "OP_SQ")},
         **{"OP_TWICE": "2.0 * {0}", "OP_INV": "1.0 / {0}"},
         **{k: f"real_{v}({{0}}, {{1}})" if k in _OF_TWO else f"real_{v}({{0}})" for k, v in _CALLED.items()},
     },

@@ -10,6 +10,11 @@
    Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Calls for
    different groups may run in parallel. */
 
+#define GROUP 1
+#define NUMBER Real
+#define TIME Real
+#include "runge_kutta.h"
+
 typedef struct {
   int64_t samples;                        /* of a run in these arrays */
   int64_t t_step, count_step, u_step, p_step; /* distances from group to group, zero for what all runs share */
@@ -21,17 +26,21 @@ INLINE void take(Real *to, const double *from, int n) {
   for (int i = 0; i < n; i++) to[i] = ((const Stored *)from)[i];
 }
 
+typedef struct {
+  const Real *w, *q;
+} Held;
+
+INLINE void rates(void *system, const Real *t, const Real *x, Real *x_dot) {
+  const Held *held = system;
+  held_dynamics(x, held->w, held->q, *t, x_dot);
+}
+
 /* One step of length h from t; lanes that have no step left stay where they are. */
-INLINE void step(const Real *w, const Real *q, Real t, Real h, Truth moving, Real *x) {
-  Real stage[NX], total[NX], f[NX];
-  held_dynamics(x, w, q, t, f);
-  for (int i = 0; i < NX; i++) total[i] = f[i], stage[i] = x[i] + 0.5 * h * f[i];
-  held_dynamics(stage, w, q, t + 0.5 * h, f);
-  for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + 0.5 * h * f[i];
-  held_dynamics(stage, w, q, t + 0.5 * h, f);
-  for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + h * f[i];
-  held_dynamics(stage, w, q, t + h, f);
-  for (int i = 0; i < NX; i++) x[i] = real_where(moving, x[i] + h / 6.0 * (total[i] + f[i]), x[i]);
+INLINE void step(Held *held, Real t, Real h, Truth moving, Real *x) {
+  Real next[NX], room[3 * NX];
+  for (int i = 0; i < NX; i++) next[i] = x[i];
+  runge_kutta(rates, held, 1, NX, 0, &t, &h, next, room);
+  for (int i = 0; i < NX; i++) x[i] = real_where(moving, next[i], x[i]);
 }
 
 /* States that are not finite become NaN, and so do the others of their run. */
@@ -54,7 +63,8 @@ INLINE void run_group(const Logs *logs, const double *time, const double *count,
     for (int l = 0; l < LANES; l++) most = LANE(steps, l) > most ? LANE(steps, l) : most;
     const Real h = (next - t) / steps;
     hold(u, q, w);
-    for (double k = 0; k < most; k++) step(w, q, t + k * h, h, k < steps, x);
+    Held held = {w, q};
+    for (double k = 0; k < most; k++) step(&held, t + k * h, h, k < steps, x);
     settle(x);
     for (int j = 0; j < NX; j++) ((Stored *)(states + (i + 1) * NX * LANES))[j] = x[j];
   }

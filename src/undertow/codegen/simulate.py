@@ -1,27 +1,35 @@
-"""Simulation of logs, with exact sensitivities, in one call into compiled code."""
+"""Simulation of logs with exact sensitivities, by compiled code or by what there is in its place."""
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
+from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Array, Flags, Integers
 
-from .cache import library_for
-from .compiler import Compiler, compiled_or_virtual
-from .driver import CompiledStepper, loaded, simulate
+from .compiler import Compiler, Evaluator, compiled_or_virtual
+from .engine import engine
 from .functions import Functions
-from .gauss_newton import CompiledProducts, Products, products_of
-from .lanes import in_threads, shares
-from .library import Evaluator
-from .problem import Problem, Stepper
-from .rollout import CompiledRollout
-from .tape import Tape, TapeData, tape_source
+from .trajectories import (
+    CompiledRollout,
+    Problem,
+    Products,
+    Stepper,
+    Tangents,
+    Uncompiled,
+    compiled_tangents,
+    in_threads,
+    products_of,
+    shares,
+)
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
 _STEPS_PER_CALL = 200_000
@@ -42,8 +50,8 @@ class Simulator:
     compiled : bool, optional
         True compiles the model (and fails without a C compiler). False does not: its instructions are run
         by a loop in C that is the same for all models, which begins at once and is slower. By default the
-        model is compiled where a compiler is found; else numba runs it where it is installed, else CasADi's
-        virtual machine, and one logged line says so.
+        model is compiled where a compiler is found; else its instructions are run, where a wheel brings that
+        loop along, or else CasADi's virtual machine runs, and one logged line says so.
 
     Raises
     ------
@@ -54,34 +62,39 @@ class Simulator:
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
         self._functions = functions
         self._wish = compiled
-        self._steppers = {False: self._stepper(sensitivities=False)}
-        self._products: dict[tuple[int, ...], CompiledProducts | None] = {}
+        self._steppers: dict[tuple[int, ...], Stepper] = {}
+        self._stepper(())
 
     @property
     def compiled(self) -> bool:
         """Whether compiled code runs."""
-        return isinstance(self._steppers[False], CompiledRollout)
+        return isinstance(self._stepper(()), CompiledRollout)
 
-    def _stepper(self, *, sensitivities: bool) -> Stepper:
+    def _stepper(self, wrt: tuple[int, ...]) -> Stepper:
+        """What simulates with sensitivities in these parameters (-1 for initial states), made once."""
+
         def compiled(compiler: Compiler) -> Stepper:
-            if self._wish is False:
-                return UncompiledStepper(self._functions, compiler, sensitivities=sensitivities)
-            if sensitivities:
-                return CompiledStepper(self._functions, compiler)
+            if wrt:
+                return compiled_tangents(self._functions, wrt, compiler)
             return CompiledRollout(self._functions, compiler)
 
-        def virtual() -> Stepper:
-            return VirtualStepper(self._functions, sensitivities=sensitivities)
+        def otherwise() -> Stepper:
+            model = self._with_slopes if wrt else self._uncompiled(sensitivities=False)
+            if model is not None:
+                return model.tangents(wrt)
+            return VirtualStepper(self._functions, sensitivities=bool(wrt))
 
-        def interpreted() -> Stepper:
-            from .interpreted import InterpretedStepper
+        if wrt not in self._steppers:
+            self._steppers[wrt] = compiled_or_virtual(self._wish, compiled, otherwise)
+        return self._steppers[wrt]
 
-            return InterpretedStepper(self._functions, sensitivities=sensitivities)
+    @cached_property
+    def _with_slopes(self) -> Uncompiled | None:
+        return self._uncompiled(sensitivities=True)
 
-        # A model that is not to be compiled is not worth numba's compilation either.
-        if self._wish is False:
-            return compiled_or_virtual(None, compiled, virtual)
-        return compiled_or_virtual(self._wish, compiled, virtual, interpreted)
+    def _uncompiled(self, *, sensitivities: bool) -> Uncompiled | None:
+        run = engine()
+        return None if run is None else Uncompiled(self._functions, run, sensitivities=sensitivities)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(
@@ -116,7 +129,7 @@ class Simulator:
             If a shape does not fit, or the times are not finite or decrease.
         """
         problem = self._problem(x0, t, u, p, max_step)
-        self._advance(problem, self._steppers[False], threads)
+        self._advance(problem, self._stepper(()), threads)
         return problem.x[0] if np.ndim(x0) == 1 else problem.x
 
     def run_with_sensitivities(
@@ -155,7 +168,7 @@ class Simulator:
         """
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
-        self._advance(problem, self._sensitive, 1)
+        self._advance(problem, self._stepper(tuple(problem.wrt.tolist())), 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
     def products(
@@ -191,29 +204,18 @@ class Simulator:
             As for `run`.
         """
         problem = self._problem(x0, t, u, p, max_step)
-        places = tuple(wrt)
-        if places not in self._products:
-            self._products[places] = compiled_or_virtual(
-                self._wish,
-                lambda compiler: CompiledProducts(self._functions, places, compiler),
-                lambda: None,
-            )
+        size = 2 * self._functions.nu_dot.numel()
         known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
         factors = np.ascontiguousarray(weight, dtype=float)
         groups = np.ascontiguousarray(group, dtype=np.int64)
-        compiled = self._products[places]
-        if compiled is not None:
-            return compiled(problem, known, factors, groups)
-        size = known.shape[2]
+        columns = *map(int, wrt), *[-1] * size
+        stepper = self._stepper(columns)
+        if isinstance(stepper, Tangents):
+            problem.wrt = np.array(columns)
+            return stepper.products(problem, known, factors, groups)
         _start_sensitivities(problem, list(wrt), list(range(size)))
-        self._advance(problem, self._sensitive, 1)
+        self._advance(problem, stepper, 1)
         return products_of(problem.x[..., :size], problem.s[..., :size, :], known, factors, groups)
-
-    @property
-    def _sensitive(self) -> Stepper:
-        if True not in self._steppers:
-            self._steppers[True] = self._stepper(sensitivities=True)
-        return self._steppers[True]
 
     def _advance(self, problem: Problem, stepper: Stepper, threads: int | None) -> None:
         lanes = getattr(stepper, "lanes", 0)
@@ -297,13 +299,7 @@ def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -
 def checked_runs(
     functions: Functions, x0: Array, t: Array, u: Array, p: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """The same with a leading size of the batch, or of one where the runs share it.
-
-    Raises
-    ------
-    UndertowError
-        If a shape does not fit, or the times are not finite or decrease.
-    """
+    """The same with a leading size of the batch, or of one where the runs share it."""
     start = _checked("x0", x0, (len(functions.state_names),))
     batch = len(start)
     times = _checked("t", t, (None,), batch)
@@ -334,9 +330,33 @@ def _checked(name: str, array: Array, shape: tuple[int | None, ...], batch: int 
     return values
 
 
-# --- steppers without compiled code ---------------------------------------------------------------
+# --- without compiled code -------------------------------------------------------------------------
+# Of the stages of a step: where in the step, how often it counts in six, and how far on the next one is.
+_STAGES = ((0.0, 1, 0.5), (0.5, 2, 0.5), (0.5, 2, 1.0), (1.0, 1, 0.0))
+
+
+def runge_kutta(
+    rates: Callable[[Sequence[Any], float], Sequence[Any]], state: Sequence[Any], h: Sequence[Any]
+) -> list[Any]:
+    """One step of the classical fourth-order Runge-Kutta method, on numbers or on CasADi's expressions.
+
+    Parameters
+    ----------
+    rates : callable
+        Time derivatives of the parts of a state, given these and the part of the step that has passed.
+    state, h : sequence
+        The parts, and the length of the step in a form that each can be multiplied with.
+    """
+    stage, total = state, [0.0] * len(state)
+    for reach, weight, ahead in _STAGES:
+        rate = rates(stage, reach)
+        total = [a + weight * f for a, f in zip(total, rate, strict=True)]
+        stage = [z + (ahead * step) * f for z, step, f in zip(state, h, rate, strict=True)]
+    return [z + step / 6 * a for z, step, a in zip(state, h, total, strict=True)]
+
+
 class VirtualStepper:
-    """The driver's steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
+    """Steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
 
     def __init__(self, functions: Functions, *, sensitivities: bool) -> None:
         self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
@@ -361,16 +381,13 @@ class VirtualStepper:
         for target, last in ((problem.x, x), (problem.s, s)):
             target[:, i + 1] = _where(finite, last, np.full_like(last, np.nan))
 
-    def _step(self, problem: Problem, i: int, t: Array, h: Array, x: Array, s: Array) -> tuple[Array, Array]:
-        stage, z, total, total_s = x, s, np.zeros_like(x), np.zeros_like(s)
-        h1, h2 = h[:, None], h[:, None, None]
-        for reach, weight, ahead in ((0.0, 1, 0.5), (0.5, 2, 0.5), (0.5, 2, 1.0), (1.0, 1, 0.0)):
-            f, *slopes = self._evaluate(stage, problem.u[:, i], problem.p, (t + reach * h)[:, None])
-            dz = self._tangent_rate(slopes, z, problem.wrt)
-            total += weight * f[:, :, 0]
-            total_s += weight * dz
-            stage, z = x + (ahead * h1) * f[:, :, 0], s + (ahead * h2) * dz
-        return x + h1 / 6 * total, s + h2 / 6 * total_s
+    def _step(self, problem: Problem, i: int, t: Array, h: Array, x: Array, s: Array) -> list[Array]:
+        def rates(z: Sequence[Array], reach: float) -> list[Array]:
+            now = (t + reach * h)[:, None]
+            f, *slopes = self._evaluate(z[0], problem.u[:, i], problem.p, now)
+            return [f[:, :, 0], self._tangent_rate(slopes, z[1], problem.wrt)]
+
+        return runge_kutta(rates, [x, s], [h[:, None], h[:, None, None]])
 
     def _evaluate(self, x: Array, *others: Array) -> list[Array]:
         if len(x) not in self._evaluators:
@@ -393,65 +410,93 @@ def _where(runs: Flags, then: Array, otherwise: Array) -> Array:
     return np.where(runs.reshape(-1, *[1] * (then.ndim - 1)), then, otherwise)
 
 
-# --- a model that is not compiled -----------------------------------------------------------------
-# Compiling a model takes longer than simulating it once or twice, as a judge of many models does.
-# Runs side by side: enough that what an instruction is takes less time than to do it.
-_RUNS = 16
-# Columns and rows of R_x and R_p where no sensitivities are wanted.
-_NONE: list[tuple[list[int], list[int]]] = [([], [])] * 2
-
-
-class _Model(ctypes.Structure):
-    """A model as driver.c takes it."""
-
-    _fields_ = (
-        ("tape", TapeData),
-        *((name, ctypes.c_int64) for name in ("nx", "nu", "nd")),
-        *((name, ctypes.c_void_p) for name in ("rx_column", "rx_row", "rp_column", "rp_row")),
-        *((name, ctypes.c_int64) for name in ("rx_nonzeros", "rp_nonzeros")),
-    )
-
-
-class UncompiledStepper:
-    """The driver around the instructions of a model.
+# --- what `import undertow` gives ------------------------------------------------------------------
+class Model:
+    """A vehicle whose equations are ready to run.
 
     Parameters
     ----------
-    functions : Functions
-        The model.
-    compiler : Compiler
-        For the driver itself, which is the same for all models.
-    sensitivities : bool
-        Whether to carry derivatives along.
+    vehicle : Vehicle
+        The vehicle.
     """
 
-    def __init__(self, functions: Functions, compiler: Compiler, *, sensitivities: bool) -> None:
-        self._simulate = _driver(compiler.for_this_machine())
-        function = functions.tangents("x", "p") if sensitivities else functions.dynamics
-        self._tape = Tape(function)
-        slopes = [function.sparsity_out(n).get_ccs() for n in ("R_x", "R_p") if sensitivities]
-        self._patterns = [np.array(a, dtype=np.int64) for pair in slopes or _NONE for a in pair]
-        self._model = _Model(
-            self._tape.data,
-            functions.x.numel(),
-            functions.u.numel(),
-            functions.nu_dot.numel() if sensitivities else 0,
-            *(a.ctypes.data for a in self._patterns),
-            *(len(rows) for rows in self._patterns[1::2]),
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        self._functions = Functions(vehicle)
+        self._simulator = Simulator(self._functions)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states: pose, velocities, then those that effects own."""
+        return self._functions.state_names
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the commands."""
+        return self.vehicle.command_names
+
+    def simulate(self, x0: ArrayLike, u: ArrayLike, dt: float) -> NDArray[np.float64]:
+        """Simulate with inputs that are held between samples (zero-order hold).
+
+        Parameters
+        ----------
+        x0 : array_like, shape (nx,)
+            State at the start, SI, in the order of `states`.
+        u : array_like, shape (n, nu)
+            Inputs; u[i] holds from i dt to (i + 1) dt.
+        dt : float
+            Time between samples, s.
+
+        Returns
+        -------
+        ndarray, shape (n, nx)
+            States at the samples, the first of them x0; NaN from where the motion diverges.
+
+        Raises
+        ------
+        UndertowError
+            If a shape does not fit, or dt is not positive.
+        """
+        if not (np.isfinite(dt) and dt > 0):
+            raise UndertowError(f"dt = {dt:g} s is no time between samples: give a positive one")
+        inputs = np.asarray(u, dtype=float)
+        p = np.array(self._functions.values(), dtype=float)
+        return self._simulator.run(np.asarray(x0, dtype=float), dt * np.arange(float(len(inputs))), inputs, p)
+
+    def __repr__(self) -> str:
+        return (
+            f"Model of {self.vehicle.name}: states {', '.join(self.states)}; inputs {', '.join(self.inputs)}"
         )
 
-    def advance(self, problem: Problem, first: int, last: int) -> None:
-        simulate(self._simulate, problem, first, last, ctypes.byref(self._model))
+    def _repr_html_(self) -> str:
+        return html(repr(self))
 
 
-@cache
-def _driver(compiler: Compiler) -> Callable[..., int]:
-    source, name = uncompiled_source()
-    run = getattr(loaded(library_for(source, compiler)), name)
-    run.restype = ctypes.c_int
-    return run
+def compile(vehicle: Vehicle) -> Model:
+    """Compile the equations of a vehicle, where there is a C compiler.
 
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
 
-def uncompiled_source() -> tuple[str, str]:
-    """C source of the driver over instructions, and the name of its entry point."""
-    return tape_source("driver.c", "SIMULATE", "interpreted", _RUNS, "#define INTERPRETED")
+    Returns
+    -------
+    Model
+        `states`, `inputs` and `simulate(x0, u, dt)`.
+
+    Raises
+    ------
+    UndertowError
+        If the compiler fails.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import undertow as ut
+    >>> model = ut.compile(ut.load_vehicle("mini-auv"))
+    >>> x = model.simulate(np.zeros(len(model.states)), np.zeros((11, len(model.inputs))), dt=0.1)
+    >>> x.shape == (11, len(model.states))
+    True
+    """
+    return Model(vehicle)

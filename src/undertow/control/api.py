@@ -9,9 +9,9 @@ import control as ct
 
 from undertow.model.vehicle import Vehicle
 
-from .conditions.check import check
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
+from .conditions.whole import certify
 from .gains import GainSet, load_gains
 from .linear import systems
 
@@ -45,7 +45,7 @@ def check_gains(vehicle: Vehicle, gains: str | Path | GainSet, *, confidence: fl
     False
     """
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
-    return check(chosen, Uncertainty(vehicle, confidence))
+    return certify(chosen, Uncertainty(vehicle, confidence))
 
 
 def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0) -> ct.StateSpace:
@@ -59,6 +59,12 @@ def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: 
         Velocities, attitude, depth or commands that are held, SI; hovering by default.
     pade : int
         Order of the approximation of dead times; 0 leaves them out.
+
+    Returns
+    -------
+    control.StateSpace
+        States are pose, velocities and those of the effects; inputs are the commands, outputs pose and
+        velocities.
 
     Raises
     ------

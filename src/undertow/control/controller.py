@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from importlib.resources import files
-from math import pi
+from math import inf, isfinite, pi
 from pathlib import Path
 
 import casadi as ca
@@ -14,166 +14,82 @@ import numpy as np
 import sympy as sm
 
 from undertow.codegen.convert import Converter
-from undertow.codegen.export import Report, comment, filled, identifier, listing, slug, strings
+from undertow.codegen.export import Entry, Report, comment, filled, identifier, listing, slug, strings
 from undertow.codegen.functions import solve_symmetric
-from undertow.codegen.manifest import Entry
 from undertow.codegen.plain import plain_c
 from undertow.errors import UndertowError
 from undertow.files import make_folder, together, write_whole
-from undertow.model.loading import Quantity
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.units import to_si
 from undertow.version import __version__
 
+from .allocation import Allocation, allocation_of
 from .gains import GainSet
-
-_INF = float("inf")
-# Of the mean of the diagonal: free thrusters may be too few for all directions, then least squares is meant.
-_DAMPING = 1e-8
 
 
 @dataclass(frozen=True)
-class Allocation:
-    """The inverse of B f = tau for the degrees of freedom that the thrusters push in.
+class ControllerSettings:
+    """The numbers of allocation with limits and of anti-windup."""
+
+    damping: float = 1e-8
+    """Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too
+    few for all directions, then least squares is meant."""
+    rounding: float = 1e-9
+    """Part of the wanted force that counts as rounding and not as a limit."""
+
+
+SETTINGS = ControllerSettings()
+
+
+# --- allocation -------------------------------------------------------------------------------
+def thruster_commands(allocation: Allocation, force: ca.SX) -> ca.SX:
+    """Commands for a wanted force in all degrees of freedom, shape (n, 1) to (m, 1).
 
     Without limits f = W^-1 B' (B W^-1 B')^-1 tau, the solution with the least f' W f. With limits the same
     step is made as far as the first thruster that reaches its limit; that one stays there, and the free ones
     take over what is left of tau, in the least-squares sense where they are too few. So commands never exceed
     their limits, no round leaves more of tau than the one before, and within the limits the result is that of
     the pseudo-inverse.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (n, m)
-        Body-frame force of a unit of each command, N and N m.
-    rows : tuple of int
-        Degrees of freedom that are allocated; the others are left out.
-    weights : ndarray, shape (m,)
-        Price of the squared command of each.
-    limits : ndarray, shape (m,)
-        Largest magnitude of each command; infinite where there is none.
     """
-
-    matrix: np.ndarray
-    rows: tuple[int, ...]
-    weights: np.ndarray
-    limits: np.ndarray
-
-    @property
-    def limited(self) -> bool:
-        """Whether any command has a limit."""
-        return bool(np.isfinite(self.limits).any())
-
-    @property
-    def acting(self) -> np.ndarray:
-        """Rows of the matrix that are allocated, shape (k, m)."""
-        return self.matrix[list(self.rows)]
-
-    @property
-    def pseudo_inverse(self) -> np.ndarray:
-        """Commands of a unit of each allocated force without limits, shape (m, k)."""
-        b, cheap = self.acting, 1 / self.weights[:, None]
-        inverse = cheap * b.T @ np.linalg.inv(b @ (cheap * b.T))
-        return np.where(np.abs(inverse) < 1e-14 * np.abs(inverse).max(), 0.0, inverse)
-
-    def commands(self, force: ca.SX) -> ca.SX:
-        """Commands for a wanted force in all degrees of freedom, shape (n, 1) to (m, 1)."""
-        wanted = force[list(self.rows)]
-        first = ca.sparsify(ca.SX(ca.DM(self.pseudo_inverse))) @ wanted
-        return self._within_limits(wanted, first) if self.limited else first
-
-    def delivered(self, commands: ca.SX) -> ca.SX:
-        """Force of commands in all degrees of freedom, shape (m, 1) to (n, 1)."""
-        return ca.sparsify(ca.SX(ca.DM(self.matrix))) @ commands
-
-    def __call__(self, force: Sequence[float]) -> np.ndarray:
-        """Commands for a wanted force as numbers."""
-        wanted = ca.SX.sym("force", len(self.matrix))
-        found = ca.Function("allocate", [wanted], [self.commands(wanted)])(force)
-        return np.asarray(ca.densify(found)).ravel()
-
-    # --- with limits --------------------------------------------------------------------------
-    def _within_limits(self, wanted: ca.SX, step: ca.SX) -> ca.SX:
-        b = ca.sparsify(ca.SX(ca.DM(self.acting)))
-        commands, free = ca.SX.zeros(len(self.limits), 1), ca.SX.ones(len(self.limits), 1)
-        short: ca.SX = ca.SX(1)
-        for _ in range(int(np.isfinite(self.limits).sum()) + 1):
-            ratios = [self._room(commands[i], step[i], i) for i in range(len(self.limits))]
-            share = ca.fmin(1, _least(ratios))
-            limits = ca.DM(self.limits)
-            commands = ca.fmax(-limits, ca.fmin(limits, commands + share * step))
-            short = short * (share < 1)
-            free = free * (ca.vertcat(*ratios) > share)
-            step = short * self._step(b, free, wanted - b @ commands)
-        return commands
-
-    def _room(self, command: ca.SX, step: ca.SX, i: int) -> ca.SX:
-        """Which part of a step a command can make before it is at its limit."""
-        room = self.limits[i] - ca.sign(step) * command
-        return (
-            ca.if_else(step == 0, _INF, room / ca.fabs(step)) if np.isfinite(self.limits[i]) else ca.SX(_INF)
-        )
-
-    def _step(self, b: ca.SX, free: ca.SX, left: ca.SX) -> ca.SX:
-        """Change of the free commands that brings the rest of the force, or as much of it as they can."""
-        cheap = free / ca.DM(self.weights)
-        gram = b @ ca.diag(cheap) @ b.T
-        damping = _DAMPING * np.trace(self.acting @ (self.acting / self.weights).T) / len(self.rows)
-        multipliers = solve_symmetric(gram + damping * ca.SX.eye(len(self.rows)), left)
-        return cheap * (b.T @ multipliers)
+    wanted = force[list(allocation.rows)]
+    step = _constant(allocation.pseudo_inverse) @ wanted
+    if not allocation.limited:
+        return step
+    b, m = _constant(allocation.acting), len(allocation.limits)
+    limits = ca.DM(allocation.limits)
+    commands, free = ca.SX.zeros(m, 1), ca.SX.ones(m, 1)
+    short: ca.SX = ca.SX(1)
+    for _ in range(int(np.isfinite(allocation.limits).sum()) + 1):
+        ratios = [_room(commands[i], step[i], float(allocation.limits[i])) for i in range(m)]
+        share = ca.fmin(1, reduce(ca.fmin, ratios))
+        commands = ca.fmax(-limits, ca.fmin(limits, commands + share * step))
+        short = short * (share < 1)
+        free = free * (ca.vertcat(*ratios) > share)
+        step = short * _step(allocation, b, free, wanted - b @ commands)
+    return commands
 
 
-def _least(values: list[ca.SX]) -> ca.SX:
-    least = values[0]
-    for value in values[1:]:
-        least = ca.fmin(least, value)
-    return least
+def _constant(matrix: np.ndarray) -> ca.SX:
+    return ca.sparsify(ca.SX(ca.DM(matrix)))
 
 
-def allocation_of(gains: GainSet) -> Allocation:
-    """The allocation that a gain set asks for on the vehicle that it knows.
-
-    Raises
-    ------
-    UndertowError
-        If a limit is none, or the thrusters push in nothing that the law uses, or not independently.
-    """
-    plant, vehicle = gains.plant, gains.plant.vehicle
-    matrix = np.array(plant.B.xreplace(plant.numbers).tolist(), dtype=float).reshape(plant.B.shape)
-    dofs = vehicle.degrees_of_freedom
-    rows = tuple(i for i, d in enumerate(dofs) if d not in gains.unactuated)
-    if not rows:
-        raise UndertowError(
-            f"a controller has nothing to command: no thruster of '{vehicle.name}' pushes in "
-            f"{', '.join(dofs)}; add [[thrusters]] to the vehicle file"
-        )
-    if np.linalg.matrix_rank(matrix[list(rows)]) < len(rows):
-        raise UndertowError(
-            f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "
-            "name in unactuated, in the gain file, what is to be left out"
-        )
-    own = {t.name: t.limit for t in vehicle.thrusters}
-    stated = {name: _limit(name, limit) for name, limit in gains.allocation.limits.items()}
-    names = vehicle.command_names
-    limits = [stated.get(n, own.get(n)) for n in names]
-    weights = np.array([gains.allocation.weights.get(n, 1.0) for n in names])
-    return Allocation(matrix, rows, weights, np.array([_INF if v is None else v for v in limits]))
+def _room(command: ca.SX, step: ca.SX, limit: float) -> ca.SX:
+    """Which part of a step a command can make before it is at its limit."""
+    if not isfinite(limit):
+        return ca.SX(inf)
+    return ca.if_else(step == 0, inf, (limit - ca.sign(step) * command) / ca.fabs(step))
 
 
-def _limit(name: str, stated: Quantity) -> float:
-    """A limit as vehicle files state it: in N where the command is the thrust itself."""
-    try:
-        value = to_si(stated, "N" if isinstance(stated, str) and "N" in stated else "command")
-    except UndertowError as error:
-        raise UndertowError(f"[allocation] limit of thruster '{name}': {error}") from error
-    if value <= 0:
-        raise UndertowError(f"[allocation] limit of thruster '{name}' is {stated}: give one above zero")
-    return value
+def _step(allocation: Allocation, b: ca.SX, free: ca.SX, left: ca.SX) -> ca.SX:
+    """Change of the free commands that brings the rest of the force, or as much of it as they can."""
+    acting, weights, k = allocation.acting, allocation.weights, len(allocation.rows)
+    cheap = free / ca.DM(weights)
+    gram = b @ ca.diag(cheap) @ b.T
+    damping = SETTINGS.damping * np.trace(acting @ (acting / weights).T) / k
+    return cheap * (b.T @ solve_symmetric(gram + damping * ca.SX.eye(k), left))
 
 
 GATE = "gate"
-# Parts of the wanted force that count as rounding and not as a limit.
-_ROUNDING = 1e-9
 # What waits for the heading, and the motions that the law does not even brake meanwhile.
 _WAITING, _IDLE = ("x", "y"), ("u", "v")
 
@@ -183,23 +99,6 @@ class Controller:
 
     y is the reported pose and velocity in the vehicle's degrees of freedom, r the desired pose, s the states
     of the law and a last one for the gate (0 closed, 1 passed), k the gains, all in SI.
-
-    Parameters
-    ----------
-    gains : GainSet
-        The law with its gains, on the vehicle that it knows.
-
-    Raises
-    ------
-    UndertowError
-        If the thrusters cannot give the force, or the schedule needs an axis that the vehicle lacks.
-
-    Attributes
-    ----------
-    gains : GainSet
-        As given.
-    allocation : Allocation
-        How forces become commands.
     """
 
     def __init__(self, gains: GainSet) -> None:
@@ -314,21 +213,23 @@ class Controller:
         convert = self._converter(opened * self._error, states, gate)
         # A force that nothing gives is left out where it is asked for, so that it counts as no limit.
         force = _only(convert.matrix(law.force(signals)), self.allocation.rows)
-        commands = self.allocation.commands(force)
+        commands = thruster_commands(self.allocation, force)
         early = self.gains.schedule.integrators == "start"
         rates = self._converter(self._error, self._own, ca.SX(1)) if early else convert
         moving = rates.matrix(law.rates(signals)) if law.states else ca.SX(0, 1)
         moving = moving if early else open_states * moving
-        return commands, self._held(moving, force, commands, states, convert), force
+        return commands, self._anti_windup(moving, force, commands, states, convert), force
 
-    def _held(self, rates: ca.SX, force: ca.SX, commands: ca.SX, states: ca.SX, convert: Converter) -> ca.SX:
+    def _anti_windup(
+        self, rates: ca.SX, force: ca.SX, commands: ca.SX, states: ca.SX, convert: Converter
+    ) -> ca.SX:
         """Rates of the law's states, zero for one that would ask for more of what the thrusters lack."""
         allocation, signals = self.allocation, self.gains.signals
         if not (allocation.limited and rates.numel() and self.gains.allocation.anti_windup == "hold"):
             return rates
         rows = list(allocation.rows)
-        lacking = (force - allocation.delivered(commands))[rows]
-        short = ca.sumsqr(lacking) > _ROUNDING**2 * ca.sumsqr(force[rows])
+        lacking = (force - _constant(allocation.matrix) @ commands)[rows]
+        short = ca.sumsqr(lacking) > SETTINGS.rounding**2 * ca.sumsqr(force[rows])
         asked = convert.matrix(self.gains.law.force(signals).jacobian(signals.states))[rows, :]
         pushes = (asked.T @ lacking) * rates > 0
         return rates * (1 - short * pushes)
@@ -391,23 +292,7 @@ _RULES = {
 
 
 class ControllerExport:
-    """The generated files of a controller.
-
-    Parameters
-    ----------
-    controller : Controller
-        The controller.
-
-    Raises
-    ------
-    UndertowError
-        If the name of the vehicle or of the gains gives no folder name, or that of the pictures.
-
-    Attributes
-    ----------
-    folder : Path
-        Where the files go, under the folder of all that is generated.
-    """
+    """The generated files of a controller, in `folder` under the folder of all that is generated."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
@@ -421,13 +306,7 @@ class ControllerExport:
         self._name = identifier("-".join(self.folder.parts))
 
     def write(self, out: Path) -> Report:
-        """Write controller.c and controller.h to a folder of their own in that of the vehicle.
-
-        Raises
-        ------
-        UndertowError
-            If the folder cannot be written.
-        """
+        """Write controller.c and controller.h to a folder of their own in that of the vehicle."""
         report = self.check(out)
         with together():
             make_folder(report.folder)

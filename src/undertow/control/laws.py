@@ -15,27 +15,12 @@ from undertow.model.symbols import POSE, symbol
 
 @dataclass(frozen=True)
 class GainMatrix:
-    """A diagonal matrix of gains, one for each pose coordinate.
+    """A diagonal matrix of gains, one for each pose coordinate."""
 
-    Attributes
-    ----------
-    name : str
-        Name in gain files, such as K_P.
-    force : str
-        Unit for a position (x, y, z).
-    moment : str
-        Unit for an angle (phi, theta, psi); radians are left out.
-    meaning : str
-        What it multiplies.
-    positive : bool
-        Whether zero is refused: without it the law is no such law.
-    """
-
-    name: str
-    force: str
-    moment: str
-    meaning: str
-    positive: bool = True
+    name: str  # in gain files, such as K_P
+    force: str  # unit for a position (x, y, z)
+    moment: str  # unit for an angle (phi, theta, psi); radians are left out
+    meaning: str  # what it multiplies
 
     def unit(self, coordinate: str) -> str:
         """Unit of the gain of a pose coordinate."""
@@ -47,14 +32,7 @@ class GainMatrix:
 
 
 class LawSignals:
-    """What a law may use, in the degrees of freedom of a plant.
-
-    Parameters
-    ----------
-    plant : Plant
-        The model that the law knows.
-    law : Law
-        The law: its gains and states become symbols here.
+    """What a law may use, in the degrees of freedom of a plant; gains and states of the law become symbols.
 
     Attributes
     ----------
@@ -122,11 +100,6 @@ class Law(abc.ABC):
         """Names of the states for these pose coordinates, such as integral_x."""
         return [f"{name}_{c}" for name in cls.states for c in coordinates]
 
-    @classmethod
-    def about(cls) -> str:
-        """The first line of its docstring."""
-        return (cls.__doc__ or "").strip().split("\n")[0]
-
 
 K_P = GainMatrix("K_P", "N/m", "N m", "position error")
 K_V = GainMatrix("K_V", "N s/m", "N m s", "velocity")
@@ -170,16 +143,17 @@ LAMBDA = GainMatrix("Lambda", "1/s", "1/s", "position error in the sliding surfa
 K_Z = GainMatrix("K_Z", "m/s^2", "rad/s^2", "sign of the sliding surface")
 
 
+def sliding_surface(s: LawSignals) -> sm.Matrix:
+    """The surface S = -q_dot + Lambda error, shape (n, 1), m/s and rad/s."""
+    return -s.plant.J * s.plant.nu + s.Lambda * s.error
+
+
 class _Sliding(Law):
     """A law that makes S = -q_dot + Lambda error obey S_dot = -reach(S) on the plant it knows.
 
     With q_dot = J nu and a constant set-point, S_dot = -J_dot nu - J nu_dot - Lambda J nu; solved for nu_dot
     and put into the equations of motion this is the force below.
     """
-
-    def surface(self, s: LawSignals) -> sm.Matrix:
-        """The sliding surface S, shape (n, 1), m/s and rad/s."""
-        return -s.plant.J * s.plant.nu + s.Lambda * s.error
 
     @abc.abstractmethod
     def reach(self, s: LawSignals) -> sm.Matrix:
@@ -205,7 +179,7 @@ class SlidingMode(_Sliding):
     gains = (K_Z, LAMBDA)
 
     def reach(self, s: LawSignals) -> sm.Matrix:
-        return s.K_Z * self.surface(s).applyfunc(sm.sign)
+        return s.K_Z * sliding_surface(s).applyfunc(sm.sign)
 
     def offset(self, s: LawSignals) -> sm.Matrix:
         # A sample takes S at most K_Z dt past zero.
@@ -220,7 +194,7 @@ class BoundaryLayer(_Sliding):
     gains = (K_Z, LAMBDA, GainMatrix("width", "m/s", "rad/s", "half the thickness of the layer around S = 0"))
 
     def reach(self, s: LawSignals) -> sm.Matrix:
-        inside = s.width.inv() * self.surface(s)
+        inside = s.width.inv() * sliding_surface(s)
         return s.K_Z * inside.applyfunc(lambda e: sm.Max(-1, sm.Min(1, e)))
 
 
@@ -238,11 +212,11 @@ class SuperTwisting(_Sliding):
     offset_order = 2
 
     def reach(self, s: LawSignals) -> sm.Matrix:
-        root = self.surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)) * sm.sign(e))
+        root = sliding_surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)) * sm.sign(e))
         return s.K_1 * root + s.states
 
     def rates(self, s: LawSignals) -> sm.Matrix:
-        return s.K_2 * self.surface(s).applyfunc(sm.sign)
+        return s.K_2 * sliding_surface(s).applyfunc(sm.sign)
 
     def offset(self, s: LawSignals) -> sm.Matrix:
         # The root alone takes S past zero where K_1 |S|^(1/2) dt > |S|, so by K_1^2 dt^2. In a sample it
@@ -252,6 +226,6 @@ class SuperTwisting(_Sliding):
         return _errors([(k_1 + k_2 / k_1) ** 2 for k_1, k_2 in pairs], s)
 
 
+JUMPING = {"sliding-mode": "K_Z", "super-twisting": "K_1"}
+"""Laws that jump at their set-point, and so have no linear form there, with the gain that drives them."""
 LAWS: dict[str, type[Law]] = {cls.id: cls for cls in (PD, PID, SlidingMode, BoundaryLayer, SuperTwisting)}
-
-__all__ = ["LAWS", "GainMatrix", "Law", "LawSignals"]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
 import sympy as sm
 
 from undertow.model.effect import Wrench, kinds_of
@@ -22,11 +23,6 @@ class Plant:
     Every wrench is sorted by what it depends on: its derivative in the acceleration goes to M, what stays at
     rest to g, what is proportional to inputs to B, and what moves to C (workless effects) or D (all others).
     What fits nowhere is named in `left_out`; simulations contain it, conditions on gains do not.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
 
     Attributes
     ----------
@@ -107,6 +103,11 @@ class Plant:
         """Allocation: body-frame force of a unit of each of the inputs, shape (n, n_inputs)."""
         return self._inputs
 
+    @property
+    def thrust_matrix(self) -> np.ndarray:
+        """B in numbers, shape (n, n_inputs)."""
+        return np.array(self.B.xreplace(self.numbers).tolist(), dtype=float).reshape(self.B.shape)
+
     @cached_property
     def J(self) -> sm.Matrix:
         """Kinematics: d(eta)/dt = J(eta) nu, shape (n, n)."""
@@ -124,7 +125,8 @@ class Plant:
     def J_inverse(self) -> sm.Matrix:
         """The inverse of J, shape (n, n), by its two blocks; six Euler angles are not inverted by force."""
         dofs = self.vehicle.dof_indices
-        whole = {3: rotation(_angles()).T, 6: body_rates(_angles())}
+        angles = column(POSE[3:])
+        whole = {3: rotation(angles).T, 6: body_rates(angles)}
         blocks = []
         for first in (0, 3):
             own = [i for i, dof in enumerate(dofs) if first <= dof < first + 3]
@@ -218,10 +220,6 @@ def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
         if not set(effect.requires) <= ids:
             left_out[effect.id] = f"it needs {', '.join(effect.requires)}"
     return replace(vehicle, effects=tuple(e for e in kept if e.id not in left_out))
-
-
-def _angles() -> sm.Matrix:
-    return column(POSE[3:])
 
 
 def _jacobian(force: sm.Matrix, by: sm.Matrix) -> sm.Matrix:

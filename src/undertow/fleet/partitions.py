@@ -17,7 +17,7 @@ from urllib.parse import unquote
 from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.step import bounds_of, prior_of, reach_of
+from undertow.identification.estimation.step import bounds_of, prior_of, step_limits
 from undertow.model.composition import Composition
 from undertow.model.loading import resolve_vehicle
 from undertow.version import __version__
@@ -183,7 +183,7 @@ def content_of(model: WeakModel) -> list[Any]:
     """All of a model that its residual, and a step from where it is, follow from; plain data."""
     functions = model.functions
     names = functions.parameter_names
-    limits = (*bounds_of(model), *prior_of(model), reach_of(model))
+    limits = (*bounds_of(model), *prior_of(model), step_limits(model))
     return [
         _equations(functions.vehicle.composition),
         [[n, *_exact([v])] for n, v in zip(names, functions.values(), strict=True)],

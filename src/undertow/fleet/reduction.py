@@ -19,11 +19,11 @@ from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import (
-    disturbed,
     first_guess,
     free_parameters,
     matched_disturbance,
-    opened,
+    start_fit,
+    with_process_noise,
 )
 from undertow.identification.logs.chunks import LongLog, hash_of
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
@@ -119,8 +119,8 @@ class Panel:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
         first = first_guess(self.base, data, p)
         sensor_noise = self.base.whitening(data, p)
-        fit = opened(self.base, data, {}, disturbed(sensor_noise, first, data), first, steps=1)
-        return disturbed(sensor_noise, matched_disturbance(fit, sensor_noise), data)
+        fit = start_fit(self.base, data, {}, with_process_noise(sensor_noise, first, data), first, steps=1)
+        return with_process_noise(sensor_noise, matched_disturbance(fit, sensor_noise), data)
 
     def _columns(self, data: WeakData) -> list[Array]:
         found: list[dict[str, Array]] = [{} for _ in data.segments]

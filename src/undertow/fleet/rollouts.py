@@ -145,7 +145,7 @@ def _credible(paths: Array, t: Array) -> NDArray[np.bool_]:
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
     """Reported trajectories, shape (count, k, 2n)."""
-    prompt = not predictor.lateness.present and predictor.sensors_are_true
+    prompt = not predictor.sensor_delay.present and predictor.sensors_are_true
     if not prompt or len(predictor.functions.state_names) > len(window.names):
         return np.concatenate([_path(predictor, window, one, by) for one, by in zip(p, shift, strict=True)])
     start, drive = predictor.start_and_drive(window, p[0])

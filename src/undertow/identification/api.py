@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -13,6 +12,7 @@ from undertow.files import write_whole
 from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Progress
 
 from .compare.comparison import compare
@@ -93,7 +93,7 @@ class Estimator:
         free : sequence of str, optional
             Names of the parameters to fit.
         progress : callable
-            Told what share is done, and what is being done.
+            Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
         trust_log : bool
             Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
@@ -222,7 +222,8 @@ class Refit:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(self._headline)}</p>{self.parameters._repr_html_()}"
+        table = self.parameters
+        return html(self._headline, table.columns, table.iter_rows())
 
 
 def _spread(row: Mapping[str, Any]) -> str:
@@ -291,7 +292,10 @@ class Diagnosed(Outcome):
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
-        return f"<p><b>{self.verdict}</b>: {escape(self.diagnosis.headline)}</p>"
+        head = ("model", "error on validation data (1: noise of the sensors)")
+        steps = enumerate(self.diagnosis.steps)
+        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        return html(repr(self), head, rows)
 
 
 def read_log(
@@ -322,7 +326,7 @@ def read_log(
     Raises
     ------
     UndertowError
-        If a file cannot be read or holds what no log may hold.
+        If a file cannot be read or is not a valid log or mapping.
 
     Examples
     --------
@@ -357,7 +361,7 @@ def fit(
     vehicle : Vehicle
         The model.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
         "weak", "integral", "instrumental", "output_error" or "prediction_error".
     horizon : float
@@ -369,14 +373,19 @@ def fit(
     dissipative : bool
         Let linear damping take energy from every motion.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Refit
+        `summary()`, `parameters` (a data frame), `plot()`, `errors` on validation data, and `vehicle`.
 
     Raises
     ------
     UndertowError
-        If there is no such method, nothing is to be estimated, or a log does not serve.
+        If there is no such method, nothing is to be estimated, or a log cannot be used.
 
     Examples
     --------
@@ -424,20 +433,25 @@ def diagnose(
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Told what share is done, and what is being done.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
     false_alarms : float
         Chance of naming an effect where nothing is missing, 0.005 to 0.2.
     trust_log : bool
-        Take logs as they are, also those that cannot be.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    Diagnosed
+        `verdict`, `effects`, the models `before` and `after` adding them, and `report(path)`.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
+        If a channel is missing, a log is too short or contradicts itself, or nothing moved in it.
 
     Examples
     --------
@@ -470,7 +484,7 @@ def add_effect(
     *,
     force: bool = False,
 ) -> Vehicle:
-    """Put an effect into a model and refit it.
+    """Add an effect to a model and refit the model.
 
     Parameters
     ----------
@@ -479,9 +493,14 @@ def add_effect(
     effect : str
         Id of an effect of the catalogue.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, stretches of `runs` are kept for it.
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     force : bool
-        Put it in although it does not lower the error on validation data.
+        Add it even if it does not lower the error on validation data.
+
+    Returns
+    -------
+    Vehicle
+        The refitted model with the effect.
 
     Raises
     ------

@@ -56,6 +56,13 @@ _RC: dict[str, Any] = {
 }
 
 
+class Picture(Figure):
+    """A figure that a notebook shows by itself, in the colour of its text."""
+
+    def _repr_html_(self) -> str:
+        return f'<div style="--ink: currentColor">{svg(self, f"figure{id(self)}")}</div>'
+
+
 @contextmanager
 def look() -> Iterator[None]:
     """Draw in the style of undertow; settings of the caller's own pictures come back afterwards."""
@@ -65,7 +72,7 @@ def look() -> Iterator[None]:
 
 def figure(height: float, rows: int = 1, columns: int = 1, **kwargs: Any) -> tuple[Figure, Any]:
     """A figure of the usual width (inches) with a grid of axes, shape (rows, columns)."""
-    result = Figure(figsize=(WIDTH, height), layout="constrained")
+    result = Picture(figsize=(WIDTH, height), layout="constrained")
     return result, result.subplots(rows, columns, squeeze=False, **kwargs)
 
 

@@ -26,10 +26,21 @@ Catalogue = Mapping[str, type[Effect]]
 def catalogue() -> Catalogue:
     """All effects that the program knows, by id: its own, then those that installed packages add.
 
+    Returns
+    -------
+    mapping
+        Effect classes by id, read-only.
+
     Raises
     ------
     UndertowError
         If two effects have the same id.
+
+    Examples
+    --------
+    >>> import undertow as ut
+    >>> print(ut.catalogue()["ocean_current"].about())
+    Water that moves steadily and uniformly over ground.
     """
     modules = (
         importlib.import_module(f"{effects.__name__}.{m.name}")

@@ -44,7 +44,7 @@ class Effect(abc.ABC):
     reference : str
         Book or paper that the statement follows.
     signature : str
-        What in a log would give the effect away.
+        How the effect shows itself in a log.
     requires : tuple of str
         Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
     shares : tuple of str
@@ -58,7 +58,7 @@ class Effect(abc.ABC):
         "drag" or "inertia" where all its coefficients grow by one share as the hull gets rough, fouled or
         damaged: what a fleet is watched for. Empty where they do not.
     taken : tuple of Taken
-        Keys of its table that are another effect's to state: the mass of one is the weight of the other.
+        Keys of its table that another effect states as well: the mass of one is the weight of the other.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     """
@@ -90,6 +90,9 @@ class Effect(abc.ABC):
 
     def __hash__(self) -> int:
         return hash((type(self), self.thrusters))
+
+    def __repr__(self) -> str:
+        return f"{self.id}: {self.about()}"
 
     def placed(self, allocation: sm.Matrix) -> Self:
         """The effect on a vehicle whose thrusters press on it like this, `allocation` of shape (6, n)."""
@@ -308,7 +311,7 @@ class Measurement(Effect):
     Attributes
     ----------
     of_velocity_sensor : bool
-        Whether only a sensor of velocity can have it: none can where velocities were taken from the pose.
+        Whether only a velocity sensor can have it; it is not tried where velocities were taken from the pose.
     stage : int
         Place in the chain, whatever the order in a vehicle file: 10 what reaches the sensor where it sits,
         20 how it is turned, 30 its scale, 40 its bias, 50 its delay.

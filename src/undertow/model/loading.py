@@ -308,10 +308,15 @@ def load_vehicle(
     trust_effects : bool
         Execute the files that the vehicle file names in `effects_from`, too.
 
+    Returns
+    -------
+    Vehicle
+        Values are in SI and SNAME signs, whatever the convention of the file.
+
     Raises
     ------
     UndertowError
-        If the file is missing, is not a valid vehicle file, or holds a value that cannot be.
+        If the file is missing, is not a valid vehicle file, or holds an impossible value.
 
     Examples
     --------

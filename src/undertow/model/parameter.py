@@ -82,7 +82,7 @@ class Parameter:
     starts : tuple of float
         Where a search over a shape parameter begins.
     required : bool
-        True where a vehicle file must give the value, since no vehicle has none.
+        True where a vehicle file must give the value, since every vehicle has one.
     motion : int, optional
         Velocity whose sign selects the forward or the backward value, where the two may differ.
     neutral : float, optional
@@ -91,7 +91,7 @@ class Parameter:
     on_left_side : bool
         True for a derivative that tables print as a positive magnitude (added mass and damping).
     alone : bool
-        False for a parameter that is no sign of the effect without the others (a constant part).
+        False for a parameter that is no evidence of the effect without the others (a constant part).
     arm_of : str
         For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
         force where it is that times a length; empty for all others.
@@ -129,7 +129,7 @@ class Parameter:
 
     @property
     def must_be_given(self) -> bool:
-        """Whether a vehicle file has to state it: nothing that could stand in for it is a possible value."""
+        """Whether a vehicle file has to state it: neither its default nor its neutral value is possible."""
         low, high = self.bounds
         return self.required or not low <= self.unsaid <= high
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import sympy as sm
 
 from undertow.errors import UndertowError
+from undertow.notebook import html
 
 from .composition import Composition
 from .effect import Effect
@@ -16,6 +17,7 @@ from .effects.generalised_force import GeneralisedForce
 from .effects.thrusters import Thrusters
 from .parameter import WAYS, Parameter
 from .symbols import CHANNELS, DOFS, POSE, VELOCITY, symbol
+from .units import short_unit
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ def _refuse_twice(names: Iterable[str], complaint: str) -> None:
         seen.add(name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Vehicle:
     """A marine vehicle as a sum of effects, for any subset of the six degrees of freedom.
 
@@ -80,6 +82,21 @@ class Vehicle:
     signs: str = "sname"
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
 
+    def __repr__(self) -> str:
+        parts = {"thrusters": [t.name for t in self.thrusters], "effects": [e.id for e in self.effects]}
+        listed = (f"{what} {', '.join(names)}" for what, names in parts.items() if names)
+        return "; ".join([f"Vehicle {self.name}: {', '.join(self.degrees_of_freedom)}", *listed])
+
+    def _repr_html_(self) -> str:
+        head = ("parameter", "value (SNAME signs)", "unit", "std. deviation", "estimated", "source")
+        return html(repr(self), head, (self._shown(name) for name in self.values))
+
+    def _shown(self, name: str) -> tuple[object, ...]:
+        """Row of a parameter for a notebook."""
+        value, parameter = self.values[name], self.parameter_of(name)
+        unit = short_unit(parameter.unit) if parameter else ""
+        return name, value.value, unit, value.sigma, "yes" if value.estimate else "", value.source
+
     def __post_init__(self) -> None:
         self._check_names()
         self._check_requirements()
@@ -111,7 +128,7 @@ class Vehicle:
                 )
 
     def lacks(self, effect: Effect | type[Effect]) -> list[str]:
-        """Ids of the effects that `effect` requires and that the vehicle has not; thrusters count as one."""
+        """Ids of the effects that `effect` requires and the vehicle does not have; thrusters count as one."""
         present = {e.id for e in self.all_effects}
         return [r for r in effect.requires if r not in present]
 
@@ -203,7 +220,7 @@ class Vehicle:
         return {key: self.values[name] for name, key in named.items() if name in self.values}
 
     def value_of(self, name: str) -> Value:
-        """Value of a parameter; thrust per command is its thruster's, what is unsaid the effect's."""
+        """Value of a parameter: as stated, or for thrust its thruster's, or the default of the effect."""
         if name in self.values:
             return self.values[name]
         for thruster in self.thrusters:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sm
 
-from undertow.control.conditions.by_law import CONDITIONS, Signs
+from undertow.control.conditions.by_law import CONDITIONS, Quantities
 from undertow.control.conditions.lyapunov import CANDIDATES
 from undertow.control.conditions.problem import SignSet, sign_sets
 from undertow.control.laws import LAWS, LawSignals
@@ -192,7 +192,7 @@ def _zero(matrix: sm.Matrix) -> bool:
 def condition_units() -> Iterator[Discrepancy]:
     """Printed PID conditions whose units do not fit, neither with iota a pure number nor with iota in 1/s."""
     units = {g.name: g.force for g in LAWS["pid"].gains} | {"M": "kg", "D": "kg/s"}
-    s = Signs({name: symbol(name) for name in (*units, "iota")})
+    s = Quantities({name: symbol(name) for name in (*units, "iota")})
     for condition in CONDITIONS["pid"]:
         if condition.form != "printed":
             continue

@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.fitted import Triangle, base_parameters, undetermined
 from undertow.identification.estimation.step import estimated
-from undertow.identification.logs.chunks import LongLog, NeedsWhole, Part, hash_of, outline
+from undertow.identification.logs.chunks import LogPart, LongLog, NeedsWhole, hash_of, outline
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -295,7 +295,7 @@ def _overlap(cases: Sequence[Case], edges: Edges) -> int:
 
 def _reduce(
     experiment: Experiment,
-    parts: Iterator[Part],
+    parts: Iterator[LogPart],
     cases: Sequence[Case],
     edges: Edges,
     triangles: Mapping[str, Triangle],

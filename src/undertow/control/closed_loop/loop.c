@@ -32,10 +32,16 @@ typedef struct {
   double *record[5];           /* x, reports, commands, s, tau: a row for every stride samples; or none */
 } Loop;
 
+#define GROUP 1
+#define NUMBER Real
+#define TIME double
+#include "runge_kutta.h"
+
 /* One run, or several in lanes. */
 typedef struct {
   const Loop *loop;
-  Real x[NX], s[NS], p[NP], q[NQ], r[NR], k[NK];
+  Real z[NX + NS], *x, *s; /* states of the vehicle, then of the controller */
+  Real p[NP], q[NQ], r[NR], k[NK];
   Real command[NU]; /* the last one */
   double *commands, *reports;
 } Group;
@@ -48,38 +54,41 @@ INLINE void put(double *to, const Real *from, int n) {
   for (int i = 0; i < n; i++) ((Stored *)to)[i] = from[i];
 }
 
-/* One step of the vehicle with its commands held. */
-INLINE void held_step(Group *group, const Real *w, double t, double h) {
-  Real stage[NX], total[NX], f[NX], *x = group->x;
-  held_dynamics(x, w, group->q, t, f);
-  for (int i = 0; i < NX; i++) total[i] = f[i], stage[i] = x[i] + 0.5 * h * f[i];
-  held_dynamics(stage, w, group->q, t + 0.5 * h, f);
-  for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + 0.5 * h * f[i];
-  held_dynamics(stage, w, group->q, t + 0.5 * h, f);
-  for (int i = 0; i < NX; i++) total[i] += 2.0 * f[i], stage[i] = x[i] + h * f[i];
-  held_dynamics(stage, w, group->q, t + h, f);
-  for (int i = 0; i < NX; i++) x[i] += h / 6.0 * (total[i] + f[i]);
+typedef struct {
+  const Group *group;
+  const Real *w;         /* what follows from held commands */
+  const double *extra;   /* commands beside those of the law, or none */
+  Real u[NU];            /* the last commands of the law */
+} Moving;
+
+/* The vehicle with its commands held. */
+INLINE void held_rates(void *system, const double *t, const Real *x, Real *x_dot) {
+  const Moving *moving = system;
+  held_dynamics(x, moving->w, moving->group->q, *t, x_dot);
 }
 
-/* One step of vehicle and law together. */
+/* Vehicle and law together. */
+INLINE void joint_rates(void *system, const double *t, const Real *z, Real *rate) {
+  Moving *moving = system;
+  const Group *group = moving->group;
+  Real *u = moving->u, w[NW], y[NY], tau[NT];
+  outputs(z, u, group->p, *t, y);
+  law(y, group->r, z + NX, group->k, u, rate + NX, tau);
+  for (int i = 0; i < NU; i++) u[i] += moving->extra ? moving->extra[i] : 0.0;
+  hold(u, group->q, w);
+  held_dynamics(z, w, group->q, *t, rate);
+}
+
+INLINE void held_step(Group *group, const Real *w, double t, double h) {
+  Real room[3 * NX];
+  Moving moving = {group, w, 0, {real(0)}};
+  runge_kutta(held_rates, &moving, 1, NX, 0, &t, &h, group->z, room);
+}
+
 static void joint_step(Group *group, const double *extra, double t, double h) {
-  static const double reach[4] = {0, 0.5, 0.5, 1}, weight[4] = {1, 2, 2, 1};
-  Real z[NX], v[NS], total[NX], total_s[NS], f[NX], g[NS], u[NU], w[NW], y[NY], tau[NT];
-  for (int i = 0; i < NX; i++) z[i] = group->x[i], total[i] = real(0);
-  for (int i = 0; i < NS; i++) v[i] = group->s[i], total_s[i] = real(0);
-  for (int i = 0; i < NU; i++) u[i] = real(0);
-  for (int k = 0; k < 4; k++) {
-    outputs(z, u, group->p, t + reach[k] * h, y);
-    law(y, group->r, v, group->k, u, g, tau);
-    for (int i = 0; i < NU; i++) u[i] += extra ? extra[i] : 0.0;
-    hold(u, group->q, w);
-    held_dynamics(z, w, group->q, t + reach[k] * h, f);
-    const double next = k < 3 ? reach[k + 1] * h : 0;
-    for (int i = 0; i < NX; i++) total[i] += weight[k] * f[i], z[i] = group->x[i] + next * f[i];
-    for (int i = 0; i < NS; i++) total_s[i] += weight[k] * g[i], v[i] = group->s[i] + next * g[i];
-  }
-  for (int i = 0; i < NX; i++) group->x[i] += h / 6 * total[i];
-  for (int i = 0; i < NS; i++) group->s[i] += h / 6 * total_s[i];
+  Real room[3 * (NX + NS)];
+  Moving moving = {group, 0, extra, {real(0)}};
+  runge_kutta(joint_rates, &moving, 1, NX + NS, 0, &t, &h, group->z, room);
 }
 
 /* What the controller is told at a sample: the reports y, each as old as its sensor is late, and noise. */
@@ -147,7 +156,7 @@ void RUN(const Loop *loop, int64_t begin, int64_t end, int64_t first, int64_t sa
   const int64_t stride = loop->stride;
   for (int64_t g = begin; g < end; g++) {
     Group group;
-    group.loop = loop;
+    group.loop = loop, group.x = group.z, group.s = group.z + NX;
     take(group.x, loop->x + g * NX * LANES, NX);
     take(group.s, loop->s + g * NS * LANES, NS);
     take(group.p, loop->p + g * loop->p_step, NP);

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .cycles import Cycle, find_cycle
-from .measures import CommandResult, CoordinateResult, Divergence, Measures
+from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
 
 if TYPE_CHECKING:
-    from .problem import Rows
     from .scenario import Scenario
     from .simulate import ClosedLoop
+    from .stepping import Rows
 
 # Smallest amplitude of an oscillation that is told of, as a part of the largest error, and in m or rad.
 _LEAST, _TINY = 2e-3, 1e-5
@@ -122,15 +121,7 @@ class Record:
 
 
 class Recorder:
-    """Keeps every so many-th row of a run, with the mean of the commands up to the next.
-
-    Parameters
-    ----------
-    loop : ClosedLoop
-        The loop that runs.
-    scenario : Scenario
-        What is asked.
-    """
+    """Keeps every so many-th row of a run, with the mean of the commands up to the next."""
 
     def __init__(self, loop: ClosedLoop, scenario: Scenario) -> None:
         self._loop, self._scenario, self._stride = loop, scenario, scenario.stride

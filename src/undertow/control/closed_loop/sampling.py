@@ -25,15 +25,6 @@ class SampledLoop:
 
     What has a jump there counts as constant, as the sign of a sliding-mode law does; dead times are left out.
     The vehicle is looked at with either set of parameters that differ by direction, the law with their mean.
-
-    Parameters
-    ----------
-    parts : Parts
-        Model and controller.
-    pose : ndarray
-        The set-point in the vehicle's coordinates.
-    desired : ndarray
-        The same in those of the controller.
     """
 
     def __init__(self, parts: Parts, pose: np.ndarray, desired: np.ndarray) -> None:
@@ -132,24 +123,7 @@ def offsets(parts: Parts, dt: float) -> dict[str, float]:
 
 
 def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, float]) -> None:
-    """Refuse a sampling interval that is too long for the law.
-
-    Parameters
-    ----------
-    loop : SampledLoop
-        The linearised loop.
-    parts : Parts
-        Model and controller.
-    dt : float
-        The interval, s.
-    moves : dict of float
-        Distance that each coordinate is to go, m and rad.
-
-    Raises
-    ------
-    UndertowError
-        If sampling makes the loop unstable, or the jumps of the law may leave more than the whole distance.
-    """
+    """Refuse a sampling interval that is too long for the law."""
     name, order = parts.controller.gains.name, parts.controller.gains.law.offset_order
     if not loop.keeps_stability(dt):
         raise UndertowError(
@@ -167,24 +141,7 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
 
 
 def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> None:
-    """Refuse a loop that cannot be integrated without sampling.
-
-    Parameters
-    ----------
-    loop : SampledLoop
-        The linearised loop.
-    parts : Parts
-        Model and controller.
-    dt : float
-        The interval, s.
-    samples : int
-        Number of intervals.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle has dead times, or there would be more steps than samples are allowed.
-    """
+    """Refuse a loop that cannot be integrated without sampling."""
     if any(parts.late[1]) or parts.late[0]:
         raise UndertowError("dead times need a sampled law, but it is not sampled: leave --continuous out")
     steps = float(samples) * loop.substeps(dt, continuous=True)

@@ -1,27 +1,213 @@
-"""Runs of a closed loop: compiled where there is a compiler, in parts so that Ctrl-C is heard."""
+"""Runs of a closed loop, one or many that differ, in parts so that Ctrl-C is heard."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from undertow.codegen.compiler import Compiler, compiled_or_virtual
+from undertow.codegen.trajectories import in_threads, shares
 from undertow.control.controller import Controller
-from undertow.control.gains import GainSet
-from undertow.model.vehicle import Vehicle
+from undertow.control.gains import GainSet, GainTable, load_gains
+from undertow.errors import UndertowError, nearest
+from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Progress
 
-from .compiled import CompiledLoop
-from .many import NONE, Differences, Runs, Varied, blocks, run_many
-from .measures import Measures
+from .measures import CREDIBLE, Measures
 from .parts import Parts
-from .problem import LoopProblem, LoopStepper, problem_of
 from .record import Record, Recorder
 from .sampling import SampledLoop, check_interval, check_steps, offsets
 from .scenario import Scenario, heading
-from .virtual import VirtualLoop
+from .stepping import ALL, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
+
+Varied = Mapping[str, np.ndarray]
+NONE: Varied = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Differences:
+    """What differs from run to run, an array of a value for each run by name."""
+
+    parameters: Varied
+    gains: Varied
+    starts: Varied
+
+    def __post_init__(self) -> None:
+        sizes = {name: np.shape(v) for name, v in self._all().items()}
+        if not sizes:
+            raise UndertowError("runs do not differ: give arrays of parameters, gains or starts")
+        first, shape = next(iter(sizes.items()))
+        odd = [n for n, s in sizes.items() if len(s) != 1 or s != shape or not s[0]]
+        if odd:
+            raise UndertowError(
+                f"'{odd[0]}' has shape {sizes[odd[0]]} where '{first}' has {shape}: give each one value for "
+                "every run"
+            )
+        for name, values in self._all().items():
+            if not np.isfinite(np.asarray(values, dtype=float)).all():
+                raise UndertowError(f"'{name}' has values that are not finite: leave those runs out")
+
+    def _all(self) -> dict[str, np.ndarray]:
+        return {**self.parameters, **self.gains, **self.starts}
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return len(next(iter(self._all().values())))
+
+    def put_into(self, what: str, varied: Varied, names: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+        """A row of values for each run, those that differ put in, shape (b, n)."""
+        rows = np.tile(values, (self.runs, 1))
+        for name, column in varied.items():
+            if name not in names:
+                raise UndertowError(
+                    f"{what} '{name}' is not known{nearest(name, names)}: they are {', '.join(names)}"
+                )
+            rows[:, names.index(name)] = column
+        return rows
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Many runs.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times of the rows, s.
+    states : ndarray, shape (b, n, nx)
+        True states; NaN from the first row on at which a run has diverged: it is no number any more, or none
+        that a vehicle in water can have (`Credible`).
+    commands : ndarray, shape (b, n, nu)
+        Commands that the controller gives at the rows.
+    state_names, command_names : tuple of str
+        Names of the last axes.
+    """
+
+    t: np.ndarray
+    states: np.ndarray
+    commands: np.ndarray
+    state_names: tuple[str, ...]
+    command_names: tuple[str, ...]
+
+    def state(self, name: str) -> np.ndarray:
+        """One state of all runs, shape (b, n)."""
+        return self.states[:, :, self.state_names.index(name)]
+
+    def command(self, name: str) -> np.ndarray:
+        """One command of all runs, shape (b, n)."""
+        return self.commands[:, :, self.command_names.index(name)]
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """Which runs have diverged before the end, shape (b,)."""
+        return np.isnan(self.states[:, -1]).any(axis=1)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # runs that diverge are NaN
+def run_many(
+    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Progress | None
+) -> Runs:
+    """What `ClosedLoop.run_many` does."""
+    parts = loop.parts
+    start, to = loop.desired(scenario)
+    named = (*loop.vehicle.pose_names, *loop.vehicle.velocity_names)
+    problem = loop.problem(
+        scenario,
+        start,
+        to,
+        by.put_into("start of", by.starts, named, loop.first(scenario, start)),
+        by.put_into("parameter", by.parameters, parts.functions.parameter_names, parts.parameters),
+        by.put_into("gain", by.gains, parts.controller.gain_names, parts.gains),
+    )
+    t = np.arange(0, scenario.samples, scenario.stride) * scenario.dt
+    runs = Runs(
+        t,
+        np.full((by.runs, len(t), problem.x.shape[1]), np.nan),
+        np.full((by.runs, len(t), len(parts.commanded)), np.nan),
+        parts.functions.state_names,
+        parts.controller.command_names,
+    )
+
+    def simulate(share: slice) -> None:
+        _simulate(loop, scenario, problem.part(share), share, runs)
+
+    done = 0
+
+    def tell(share: slice) -> None:
+        nonlocal done
+        done += share.stop - share.start
+        if progress is not None:
+            progress(done, loop.gains.name)
+
+    steps = scenario.samples * problem.substeps
+    threads = threads if loop.stepper.parallel else 1
+    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, tell)
+    return runs
+
+
+def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share: slice, runs: Runs) -> None:
+    """Fill in the rows of some of the runs."""
+    row, numbers = 0, range(share.start, share.stop)
+    for block in blocks(loop.parts, scenario, numbers, scenario.stride, ("x", "u")):
+        found = loop.stepper.run(problem, block)
+        rows = slice(row, row + len(block.recorded))
+        runs.states[share, rows] = found.x
+        runs.commands[share, rows] = found.u[:, :, loop.parts.commanded]
+        row = rows.stop
+    pose = len(loop.vehicle.pose_names)
+    states = runs.states[share]
+    lost = CREDIBLE.broken(states, states[:, 0, :pose], runs.t).any(axis=2)
+    gone = np.maximum.accumulate(lost, axis=1)
+    if not gone[:, -1].any():
+        return
+    runs.states[share][gone] = np.nan
+    runs.commands[share][gone] = np.nan
+
+
+# --- blocks of runs -------------------------------------------------------------------------------
+_SAMPLES_PER_CALL = 20_000
+
+
+def blocks(
+    parts: Parts, scenario: Scenario, runs: range, stride: int = 1, wanted: tuple[str, ...] = ALL
+) -> Iterator[Block]:
+    """Blocks of samples one after the other, so that Ctrl-C is heard in between.
+
+    The noise of run i is that of seed + i.
+    """
+    spread = scenario.noise_of(parts.reported_names)
+    random = [np.random.default_rng(scenario.seed + i) for i in runs] if spread.any() else []
+    _check_pushes(parts, scenario)
+    for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
+        count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
+        noise = [r.standard_normal((count, len(spread))) * spread for r in random]
+        extra = _extra(parts, scenario, begin, count) if scenario.pushes else None
+        yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, wanted)
+
+
+def _check_pushes(parts: Parts, scenario: Scenario) -> None:
+    for push in scenario.pushes:
+        if f"tau_{push.axis}" not in parts.vehicle.command_names:
+            raise UndertowError(
+                f"force {push.axis} pushes where '{parts.vehicle.name}' does not move: it has "
+                f"{', '.join(parts.vehicle.degrees_of_freedom)}"
+            )
+
+
+def _extra(parts: Parts, scenario: Scenario, begin: int, count: int) -> np.ndarray:
+    commands = parts.vehicle.command_names
+    extra = np.zeros((count, len(commands)))
+    t = (begin + np.arange(count)) * scenario.dt
+    for push in scenario.pushes:
+        extra[(t >= push.begin) & (t < push.end), commands.index(f"tau_{push.axis}")] += push.value
+    return extra
 
 
 class ClosedLoop:
@@ -35,7 +221,7 @@ class ClosedLoop:
         The vehicle that moves; by default the one that the controller knows.
     compiled : bool, optional
         True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
-        compiled code is used where a compiler is found, else numba where it is installed.
+        compiled code is used where a compiler is found.
 
     Raises
     ------
@@ -59,12 +245,7 @@ class ClosedLoop:
         def virtual() -> LoopStepper:
             return VirtualLoop(self.parts)
 
-        def interpreted() -> LoopStepper:
-            from .interpreted import InterpretedLoop
-
-            return InterpretedLoop(self.parts)
-
-        return compiled_or_virtual(wish, compiled, virtual, interpreted)
+        return compiled_or_virtual(wish, compiled, virtual)
 
     @property
     def gains(self) -> GainSet:
@@ -73,13 +254,7 @@ class ClosedLoop:
 
     # --- set-points -----------------------------------------------------------------------------
     def desired(self, scenario: Scenario) -> tuple[dict[str, float], dict[str, float]]:
-        """Start and set-point of a run in the vehicle's coordinates, the heading worked out if not given.
-
-        Raises
-        ------
-        UndertowError
-            If the numbers of values do not fit the vehicle.
-        """
+        """Start and set-point of a run in the vehicle's coordinates, the heading worked out if not given."""
         names = self.vehicle.pose_names
         zero = dict.fromkeys(names, 0.0)
         start = zero | (scenario.pose(scenario.start, names, "start") if scenario.start else {})
@@ -182,13 +357,7 @@ class ClosedLoop:
         p: np.ndarray | None = None,
         k: np.ndarray | None = None,
     ) -> LoopProblem:
-        """Runs of a scenario from the states `first` on, with parameters and gains of their own if given.
-
-        Raises
-        ------
-        UndertowError
-            If dt is too long for the law and the vehicle as the files have them, or dead times differ.
-        """
+        """Runs of a scenario from the states `first` on, with parameters and gains of their own if given."""
         desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
         substeps = self._substeps(scenario, start, to, desired)
         return problem_of(self.parts, first, desired, scenario.dt, substeps, scenario.continuous, p, k)
@@ -213,3 +382,103 @@ def _with_forces(vehicle: Vehicle) -> Vehicle:
     """The vehicle with a channel for forces from outside in each of its degrees of freedom."""
     names = tuple(f"tau_{'XYZKMN'[i]}" for i in vehicle.dof_indices)
     return replace(vehicle, force_channels=names)
+
+
+_SWAY_FORCE = "tau_Y"
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Changes to what the vehicle file and the gain file say; None leaves what they say.
+
+    Attributes
+    ----------
+    order, heading, integrators : str, optional
+        As in [schedule] of a gain file.
+    gate : str, optional
+        Error of the heading that opens the gate, with its unit.
+    sway : str, optional
+        "actuated" gives the vehicle an ideal sway force, "unactuated" leaves that force out.
+    current : tuple of float, optional
+        Velocity of the water to the north and to the east, m/s; the controller does not know of it.
+    """
+
+    order: Literal["together", "yaw-first"] | None = None
+    heading: Literal["atan", "atan2"] | None = None
+    integrators: Literal["gate", "start"] | None = None
+    gate: str | None = None
+    sway: Literal["actuated", "unactuated"] | None = None
+    current: tuple[float, float] | None = None
+
+    def loop(
+        self,
+        gains: str | Path,
+        vehicle: Vehicle,
+        plant: Vehicle | None = None,
+        *,
+        compiled: bool | None = None,
+    ) -> ClosedLoop:
+        """A closed loop with these choices.
+
+        Parameters
+        ----------
+        gains : str or Path
+            Gain file, or the name of a bundled set.
+        vehicle : Vehicle
+            The vehicle that the controller knows.
+        plant : Vehicle, optional
+            The vehicle that moves; by default the same.
+        compiled : bool, optional
+            As for `ClosedLoop`.
+
+        Raises
+        ------
+        UndertowError
+            If a file is none, or vehicle, gains and choices do not fit.
+        """
+        known = self.with_sway(vehicle)
+        moving = self.in_current(self.with_sway(plant) if plant else known)
+        return ClosedLoop(load_gains(gains, known, self.changed), moving, compiled=compiled)
+
+    def changed(self, table: GainTable) -> GainTable:
+        """A gain file with these choices."""
+        names = ("order", "heading", "integrators", "gate")
+        wanted = {n: getattr(self, n) for n in names if getattr(self, n) is not None}
+        left_out = [d for d in table.unactuated if d != "sway" or self.sway is None]
+        if self.sway == "unactuated":
+            left_out.append("sway")
+        schedule = table.schedule.model_copy(update=wanted)
+        return table.model_copy(update={"schedule": schedule, "unactuated": left_out})
+
+    def with_sway(self, vehicle: Vehicle) -> Vehicle:
+        """The vehicle with a sway force if there is to be one."""
+        if self.sway != "actuated" or _SWAY_FORCE in vehicle.force_channels:
+            return vehicle
+        if "sway" not in vehicle.degrees_of_freedom:
+            raise UndertowError(f"vehicle '{vehicle.name}' has no sway that could be actuated")
+        return replace(vehicle, force_channels=(*vehicle.force_channels, _SWAY_FORCE))
+
+    def in_current(self, vehicle: Vehicle) -> Vehicle:
+        """The vehicle in the current if there is to be one."""
+        if self.current is None:
+            return vehicle
+        values = dict(zip(("V_N", "V_E"), map(Value, self.current), strict=True))
+        return vehicle.with_effect(catalogue()["ocean_current"], values)
+
+
+def without(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
+    """The vehicle with some of its effects left out.
+
+    Raises
+    ------
+    UndertowError
+        If it does not have one of them, or another one needs it.
+    """
+    present = [e.id for e in vehicle.effects]
+    for wanted in ids:
+        if wanted not in present:
+            raise UndertowError(
+                f"effect '{wanted}' cannot be left out, '{vehicle.name}' does not have it"
+                f"{nearest(wanted, present)}: it has {', '.join(present)}"
+            )
+    return replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in ids))

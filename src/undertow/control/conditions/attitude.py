@@ -21,13 +21,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 class Interval:
-    """An array of closed intervals; every operation contains all results that its operands allow.
-
-    Parameters
-    ----------
-    lo, hi : array
-        Lower and upper ends, of one shape.
-    """
+    """An array of closed intervals; every operation contains all results that its operands allow."""
 
     __array_ufunc__ = None  # so that array * Interval comes here
 
@@ -196,47 +190,41 @@ def least_eigenvalue(matrix: Any) -> Array:
     return np.where(usable, np.linalg.eigvalsh(lowered)[..., 0] - rounding, -np.inf)
 
 
-_ANGLES = ("phi", "theta", "psi")
-_MOST_BOXES = 40_000
-_GRID = 9
-# Into how many boxes a heading of a whole turn, and roll and pitch, are cut where a bound is not refined.
-_HEADING_CUTS, _TILT_CUTS = 36, 8
+ANGLES = ("phi", "theta", "psi")
+
+
+@dataclass(frozen=True)
+class BoundSettings:
+    """How finely attitudes are sampled and cut into boxes."""
+
+    most_boxes: int = 40_000
+    """A bound that is not positive by then counts as not proved; it limits time and memory."""
+    grid: int = 9
+    """Points for each angle from which the least margin is searched for."""
+    heading_cuts: int = 36
+    """Boxes of a whole turn where a bound is not refined."""
+    tilt_cuts: int = 8
+    """The same of roll and of pitch."""
+
+
+BOUNDS = BoundSettings()
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known of a number over all attitudes.
+    """What is known of a number over all attitudes."""
 
-    Attributes
-    ----------
-    bound : float
-        The number is nowhere below this.
-    found : float
-        The least value found at a point.
-    worst : dict of float
-        Angles of that point, rad.
-    proof : str
-        Why the bound holds, in words.
-    """
-
-    bound: float
-    found: float
-    worst: dict[str, float]
-    proof: str
+    bound: float  # the number is nowhere below this
+    found: float  # the least value found at a point
+    worst: dict[str, float]  # angles of that point, rad
+    proof: str  # why the bound holds, in words
 
 
 class Attitudes:
-    """The attitudes of a plant: J^-1 as numbers and as intervals.
+    """The attitudes of a plant, J^-1 as numbers and as intervals, with roll and pitch up to `tilt`, rad.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    tilt : float
-        Largest roll and pitch that conditions have to hold for, rad.
-    isotropic : bool
-        Whether every gain is the same for x, y and z. With J^-1 = diag(I, W) diag(R', I) the rotation R of
-        the translations then changes no eigenvalue, and J^-1 stands for diag(I, W) here.
+    `isotropic` says that every gain is the same for x, y and z. With J^-1 = diag(I, W) diag(R', I) the
+    rotation R of the translations then changes no eigenvalue, and J^-1 stands for diag(I, W) here.
     """
 
     def __init__(self, plant: Plant, tilt: float, isotropic: bool = False) -> None:
@@ -271,7 +259,7 @@ class Attitudes:
 
     def angles(self, turned: bool) -> tuple[str, ...]:
         """Angles that a matrix can depend on; the heading only if it is not `turned` out."""
-        found = [a for a in _ANGLES if symbol(a) in self._plant.J.free_symbols]
+        found = [a for a in ANGLES if symbol(a) in self._plant.J.free_symbols]
         return tuple(a for a in found if not (a == "psi" and turned and self.heading_turns_out))
 
     def box(self, angles: tuple[str, ...]) -> Array:
@@ -283,11 +271,11 @@ class Attitudes:
         inverse = self._plant.J_inverse
         if self._isotropic:
             inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:])))
-        return enclosing([symbol(a) for a in _ANGLES], inverse)
+        return enclosing([symbol(a) for a in ANGLES], inverse)
 
     @cached_property
     def _forward(self) -> Callable[..., Any]:
-        return enclosing([symbol(a) for a in _ANGLES], self._plant.J)
+        return enclosing([symbol(a) for a in ANGLES], self._plant.J)
 
     def inverse(self, values: dict[str, Interval]) -> Interval:
         """J^-1 for intervals of angles of shape (k,), zero where not given, shape (k, n, n)."""
@@ -301,14 +289,14 @@ class Attitudes:
         """Roll, pitch and heading, zero where not given."""
         k = len(next(iter(values.values())).lo) if values else 1
         zero = Interval(np.zeros(k), np.zeros(k))
-        return [values.get(a, zero) for a in _ANGLES]
+        return [values.get(a, zero) for a in ANGLES]
 
     def boxes(self, reach: dict[str, float]) -> dict[str, Interval]:
         """Intervals that cover |angle| <= reach for roll and pitch, and every heading, shape (k,)."""
         found = self.angles(False)
         ends = [np.pi if a == "psi" else min(reach.get(a, self.tilt), self.tilt) for a in found]
         cuts = [
-            np.linspace(-e, e, 1 + (_HEADING_CUTS if a == "psi" else _TILT_CUTS))
+            np.linspace(-e, e, 1 + (BOUNDS.heading_cuts if a == "psi" else BOUNDS.tilt_cuts))
             for a, e in zip(found, ends, strict=True)
         ]
         low = np.meshgrid(*[c[:-1] for c in cuts]) if cuts else []
@@ -345,16 +333,8 @@ def least(
     The bound is refined until it is above half of the least value that is found at a point, which is all that
     its sign needs; where that value is not positive, the point is a counterexample and no bound is sought.
 
-    Parameters
-    ----------
-    margin : callable
-        From J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below it.
-    attitudes : Attitudes
-        The range.
-    turned : bool
-        Whether the margin is the same at every heading.
-    depends : bool
-        Whether the margin contains J at all.
+    `margin` leads from J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below
+    it. `turned` says that it is the same at every heading, `depends` that it contains J at all.
     """
     angles = attitudes.angles(turned)
     if not depends or not angles or (attitudes.orthogonal and turned):
@@ -373,7 +353,7 @@ def _search(
 ) -> tuple[float, Array]:
     """The least margin on a grid, polished from there."""
     box = attitudes.box(angles)
-    axes = [np.linspace(low, high, _GRID) for low, high in box]
+    axes = [np.linspace(low, high, BOUNDS.grid) for low, high in box]
     grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
 
     def at(points: Array) -> Array:
@@ -395,7 +375,7 @@ def _bound(
     while len(boxes):
         seen += len(boxes)
         bounds = margin(_inverses(attitudes, angles, boxes))
-        enough = bounds >= best / 2 if seen < _MOST_BOXES else np.ones(len(boxes), dtype=bool)
+        enough = bounds >= best / 2 if seen < BOUNDS.most_boxes else np.ones(len(boxes), dtype=bool)
         done = min(done, float(bounds[enough].min(initial=np.inf)))
         boxes = _halved(boxes[~enough])
     return min(done, best), seen

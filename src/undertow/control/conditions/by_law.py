@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import abc
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import sympy as sm
@@ -19,14 +19,8 @@ FORMS = {
 """Where a condition comes from."""
 
 
-class Signs:
-    """What a condition may use: gains by name, M, D and iota, as symbols, numbers, matrices or intervals.
-
-    Parameters
-    ----------
-    quantities : mapping
-        Value by name.
-    """
+class Quantities:
+    """What a condition may use: gains by name, M, D and iota, as symbols, numbers, matrices or intervals."""
 
     def __init__(self, quantities: Mapping[str, Any]) -> None:
         self._quantities = dict(quantities)
@@ -53,7 +47,11 @@ class Signs:
         return np.swapaxes(value, -1, -2) if isinstance(value, np.ndarray) else value.T
 
 
-class Condition(abc.ABC):
+Side = Callable[[Quantities], Any]
+
+
+@dataclass(frozen=True)
+class Condition:
     """A demand `left > right` on gains.
 
     For a given iota the left side is concave and the right side convex in M and D together, so that over
@@ -75,369 +73,285 @@ class Condition(abc.ABC):
         What it is for, one sentence.
     source : str
         Where it is from.
+    left, smaller : callable
+        What has to be the larger and the smaller side; the smaller one is zero unless stated.
+    uses : str
+        Which of M and D it contains.
+    uses_iota : bool
+        Whether it contains iota.
     eigenvalues : bool
         Whether it compares the smallest eigenvalue of the left with the largest of the right side; otherwise
         the difference has to be positive definite.
-    uses_iota : bool
-        Whether it contains iota.
-    per_channel_only : bool
-        Whether it is stated for one channel (a scalar) and not for matrices.
-    matrix_only : bool
-        Whether a channel by itself adds nothing to what the matrices say.
-    uses : tuple of str
-        Which of M and D it contains.
     """
 
-    id: ClassVar[str]
-    form: ClassVar[str]
-    statement: ClassVar[str]
-    matrices: ClassVar[str] = ""
-    about: ClassVar[str]
-    source: ClassVar[str]
-    eigenvalues: ClassVar[bool] = False
-    uses_iota: ClassVar[bool] = False
-    per_channel_only: ClassVar[bool] = False
-    matrix_only: ClassVar[bool] = False
-    uses: ClassVar[tuple[str, ...]] = ()
+    id: str
+    form: str
+    statement: str
+    matrices: str
+    about: str
+    source: str
+    left: Side
+    smaller: Side | None = None
+    uses: str = ""
+    uses_iota: bool = False
+    eigenvalues: bool = False
 
-    @abc.abstractmethod
-    def left(self, s: Signs) -> Any:
-        """What has to be the larger side."""
+    @property
+    def per_channel_only(self) -> bool:
+        """Whether it is stated for one channel (a scalar) and not for matrices."""
+        return not self.matrices
 
-    def right(self, s: Signs) -> Any:
-        """What has to be the smaller side; zero unless stated."""
-        return 0.0 * self.left(s)
+    def right(self, s: Quantities) -> Any:
+        """What has to be the smaller side."""
+        return self.smaller(s) if self.smaller else 0.0 * self.left(s)
 
-    def margin(self, s: Signs) -> Any:
+    def margin(self, s: Quantities) -> Any:
         """How far the condition is from failing; a lower bound of it where the quantities are intervals."""
         left, right = self.left(s), self.right(s)
         if self.eigenvalues:
             return least_eigenvalue(left) + least_eigenvalue(-right)
         return least_eigenvalue(left - right)
 
-    def sides(self, s: Signs) -> tuple[float, float]:
+    def sides(self, s: Quantities) -> tuple[float, float]:
         """Smallest eigenvalue of the left and largest of the right side."""
         return float(least_eigenvalue(self.left(s))), -float(least_eigenvalue(-self.right(s)))
 
 
-_OWN = "derived here from V = q_dot' M q_dot/2 + e' K_P e/2 along the closed loop"
+# --- PD -------------------------------------------------------------------------------------------
+_FROM_PD_ENERGY = "derived here from V = q_dot' M q_dot/2 + e' K_P e/2 along the closed loop"
 
+PD_SPRING = Condition(
+    "K_P",
+    "printed",
+    "K_P > 0",
+    "K_P ≻ 0",
+    "The Lyapunov function (24) is positive, so that the set-point is its lowest place.",
+    "mini-AUV paper (2021), text of (20)",
+    lambda s: s.K_P,
+)
+PD_DAMPER = Condition(
+    "K_V",
+    "printed",
+    "K_V > 0",
+    "K_V ≻ 0",
+    "The law itself takes energy from every motion, as the paper demands it for (25).",
+    "mini-AUV paper (2021), text of (20) and (25)",
+    lambda s: s.K_V,
+)
+DERIVED_PD_DAMPER = Condition(
+    "K_V + D",
+    "derived",
+    "K_V + D > 0",
+    "K_V + D_q ≻ 0",
+    "Law and water together take energy from every motion; V_dot = -q_dot' (K_V + D_q) q_dot.",
+    _FROM_PD_ENERGY,
+    lambda s: s.K_V + s.D,
+    uses="D",
+)
 
-class PositiveSpring(Condition):
-    id = "K_P"
-    form = "printed"
-    statement = "K_P > 0"
-    matrices = "K_P ≻ 0"
-    about = "The Lyapunov function (24) is positive, so that the set-point is its lowest place."
-    source = "mini-AUV paper (2021), text of (20)"
-
-    def left(self, s: Signs) -> Any:
-        return s.K_P
-
-
-class PositiveDamper(Condition):
-    id = "K_V"
-    form = "printed"
-    statement = "K_V > 0"
-    matrices = "K_V ≻ 0"
-    about = "The law itself takes energy from every motion, as the paper demands it for (25)."
-    source = "mini-AUV paper (2021), text of (20) and (25)"
-
-    def left(self, s: Signs) -> Any:
-        return s.K_V
-
-
-class DampedMotion(Condition):
-    id = "K_V + D"
-    form = "derived"
-    statement = "K_V + D > 0"
-    matrices = "K_V + D_q ≻ 0"
-    about = "Law and water together take energy from every motion; V_dot = -q_dot' (K_V + D_q) q_dot."
-    source = _OWN
-    uses = ("D",)
-
-    def left(self, s: Signs) -> Any:
-        return s.K_V + s.D
-
-
-class Spring(PositiveSpring):
-    form = "derived"
-    source = _OWN
-
-
+# --- PID ------------------------------------------------------------------------------------------
 _PAPER = "mini-AUV paper (2021), text between (33) and (34)"
-_MENDED = f"{_PAPER}, with units mended"
-_PID_OWN = "derived here from V and V_dot along the closed loop"
+_UNITS = f"{_PAPER}, with units mended"
+_FROM_PID_CANDIDATE = "derived here from V and V_dot along the closed loop"
+
+PRINTED_DAMPER = Condition(
+    "K_V",
+    "printed",
+    "K_V > M",
+    "λmin(K_V) > λmax(M_q)",
+    "The paper asks the damping gains to exceed the inertia, though kg/s and kg cannot be compared.",
+    _PAPER,
+    lambda s: s.K_V,
+    lambda s: s.M,
+    uses="M",
+    eigenvalues=True,
+)
+PRINTED_INTEGRAL = Condition(
+    "K_I",
+    "printed",
+    "K_I > 0",
+    "K_I ≻ 0",
+    "The integral pushes towards the set-point.",
+    _PAPER,
+    lambda s: s.K_I,
+)
+PRINTED_SPRING = Condition(
+    "K_P",
+    "printed",
+    "K_P > K_V + 2 K_I/ι",
+    "λmin(K_P) > λmax(K_V + 2 K_I/ι)",
+    "The spring outweighs damper and integral; the smallest gain of all axes against the largest.",
+    _PAPER,
+    lambda s: s.K_P,
+    lambda s: s.K_V + 2 * s.K_I / s.iota,
+    uses_iota=True,
+    eigenvalues=True,
+)
+PRINTED_LAST = Condition(
+    "last",
+    "printed",
+    "(1 - ι) K_P/2 > ι M",
+    "(1 - ι) K_P/2 - ι M_q ≻ 0",
+    "The block of the velocities in V_dot at the set-point; K_V must be meant where K_P is printed.",
+    _PAPER,
+    lambda s: (1 - s.iota) * s.K_P / 2,
+    lambda s: s.iota * s.M,
+    uses="M",
+    uses_iota=True,
+)
+UNITS_DAMPER = replace(
+    PRINTED_DAMPER,
+    form="units",
+    statement="K_V > ι M",
+    matrices="λmin(K_V) > λmax(ι M_q)",
+    about="Damping gains exceed inertia times ι, both in kg/s.",
+    source=_UNITS,
+    smaller=lambda s: s.iota * s.M,
+    uses_iota=True,
+)
+UNITS_SPRING = replace(
+    PRINTED_SPRING,
+    form="units",
+    statement="K_P > ι K_V + 2 K_I/ι",
+    matrices="λmin(K_P) > λmax(ι K_V + 2 K_I/ι)",
+    about="The spring outweighs damper and integral, all in N/m.",
+    source=_UNITS,
+    smaller=lambda s: s.iota * s.K_V + 2 * s.K_I / s.iota,
+)
+# iota e' K q_dot is at most iota^2 e' K e/2 + q_dot' K q_dot/2, which leaves half of K_V here.
+UNITS_LAST = replace(
+    PRINTED_LAST,
+    form="units",
+    statement="K_V/2 > ι M",
+    matrices="K_V/2 - ι M_q ≻ 0",
+    about="The block of the velocities in V_dot with K_V in it, both sides in kg/s.",
+    source=_UNITS,
+    left=lambda s: s.K_V / 2,
+)
+POSITIVE_CANDIDATE = Condition(
+    "V",
+    "derived",
+    "K_P - K_I/ι > ι² M",
+    "K_P - K_I/ι - ι² M_q ≻ 0",
+    "The Lyapunov function is positive everywhere but at the set-point.",
+    _FROM_PID_CANDIDATE,
+    lambda s: s.K_P - s.K_I / s.iota,
+    lambda s: s.iota**2 * s.M,
+    uses="M",
+    uses_iota=True,
+)
 
 
-class PrintedDamper(Condition):
-    id = "K_V"
-    form = "printed"
-    statement = "K_V > M"
-    matrices = "λmin(K_V) > λmax(M_q)"
-    about = "The paper asks the damping gains to exceed the inertia, though kg/s and kg cannot be compared."
-    source = _PAPER
-    uses = ("M",)
-    eigenvalues = True
-
-    def left(self, s: Signs) -> Any:
-        return s.K_V
-
-    def right(self, s: Signs) -> Any:
-        return s.M
+def _minus_candidate_rate(s: Quantities) -> Any:
+    K = s.K_V + s.D
+    cross = s.iota * K / 2
+    return s.block([[s.iota * s.K_P - s.K_I, cross], [s.transposed(cross), K - s.iota * s.M]])
 
 
-class PrintedIntegral(Condition):
-    id = "K_I"
-    form = "printed"
-    statement = "K_I > 0"
-    matrices = "K_I ≻ 0"
-    about = "The integral pushes towards the set-point."
-    source = _PAPER
+FALLING_CANDIDATE = Condition(
+    "V_dot",
+    "derived",
+    "Q(ι) ≻ 0",
+    "Q(ι) ≻ 0",
+    "The Lyapunov function falls along every motion near the set-point; "
+    "Q = [[ι K_P - K_I, ι K/2], [ι K/2, K - ι M_q]] with K = K_V + D_q.",
+    _FROM_PID_CANDIDATE,
+    _minus_candidate_rate,
+    uses="MD",
+    uses_iota=True,
+)
+# The determinant of the block is a parabola in iota with discriminant (K k_p - M k_i)^2 - k_i K^3. Where it
+# is positive, V is as well: K^2/4 >= iota M (K - iota M) always.
+SOME_IOTA = Condition(
+    "some iota",
+    "derived",
+    "K k_p - M k_i > K √(K k_i), K = k_v + d",
+    "",
+    "Exactly then some ι makes the Lyapunov function of this channel work.",
+    _FROM_PID_CANDIDATE,
+    lambda s: (s.K_V + s.D) * s.K_P - s.M * s.K_I,
+    lambda s: (s.K_V + s.D) * s.root((s.K_V + s.D) * s.K_I),
+    uses="MD",
+)
+ROUTH = Condition(
+    "Routh",
+    "derived",
+    "K k_p > M k_i, K = k_v + d",
+    "",
+    "Exactly then the channel, linearised at rest, is stable (Routh-Hurwitz).",
+    "Routh-Hurwitz criterion on M s^3 + K s^2 + k_p s + k_i",
+    lambda s: (s.K_V + s.D) * s.K_P,
+    lambda s: s.M * s.K_I,
+    uses="MD",
+)
 
-    def left(self, s: Signs) -> Any:
-        return s.K_I
-
-
-class PrintedSpring(Condition):
-    id = "K_P"
-    form = "printed"
-    statement = "K_P > K_V + 2 K_I/ι"
-    matrices = "λmin(K_P) > λmax(K_V + 2 K_I/ι)"
-    about = "The spring outweighs damper and integral; the smallest gain of all axes against the largest."
-    source = _PAPER
-    eigenvalues = True
-    uses_iota = True
-
-    def left(self, s: Signs) -> Any:
-        return s.K_P
-
-    def right(self, s: Signs) -> Any:
-        return s.K_V + 2 * s.K_I / s.iota
-
-
-class PrintedLast(Condition):
-    id = "last"
-    form = "printed"
-    statement = "(1 - ι) K_P/2 > ι M"
-    matrices = "(1 - ι) K_P/2 - ι M_q ≻ 0"
-    about = "The block of the velocities in V_dot at the set-point; K_V must be meant where K_P is printed."
-    source = _PAPER
-    uses = ("M",)
-    uses_iota = True
-
-    def left(self, s: Signs) -> Any:
-        return (1 - s.iota) * s.K_P / 2
-
-    def right(self, s: Signs) -> Any:
-        return s.iota * s.M
-
-
-class MendedDamper(PrintedDamper):
-    form = "units"
-    statement = "K_V > ι M"
-    matrices = "λmin(K_V) > λmax(ι M_q)"
-    about = "Damping gains exceed inertia times ι, both in kg/s."
-    source = _MENDED
-    uses_iota = True
-
-    def right(self, s: Signs) -> Any:
-        return s.iota * s.M
-
-
-class MendedIntegral(PrintedIntegral):
-    form = "units"
-    source = _MENDED
-
-
-class MendedSpring(PrintedSpring):
-    form = "units"
-    statement = "K_P > ι K_V + 2 K_I/ι"
-    matrices = "λmin(K_P) > λmax(ι K_V + 2 K_I/ι)"
-    about = "The spring outweighs damper and integral, all in N/m."
-    source = _MENDED
-
-    def right(self, s: Signs) -> Any:
-        return s.iota * s.K_V + 2 * s.K_I / s.iota
-
-
-class MendedLast(PrintedLast):
-    """iota e' K q_dot is at most iota^2 e' K e/2 + q_dot' K q_dot/2, which leaves half of K_V here."""
-
-    form = "units"
-    statement = "K_V/2 > ι M"
-    matrices = "K_V/2 - ι M_q ≻ 0"
-    about = "The block of the velocities in V_dot with K_V in it, both sides in kg/s."
-    source = _MENDED
-
-    def left(self, s: Signs) -> Any:
-        return s.K_V / 2
-
-
-class Integral(PrintedIntegral):
-    form = "derived"
-    source = _PID_OWN
-
-
-class PositiveCandidate(Condition):
-    id = "V"
-    form = "derived"
-    statement = "K_P - K_I/ι > ι² M"
-    matrices = "K_P - K_I/ι - ι² M_q ≻ 0"
-    about = "The Lyapunov function is positive everywhere but at the set-point."
-    source = _PID_OWN
-    uses = ("M",)
-    uses_iota = True
-
-    def left(self, s: Signs) -> Any:
-        return s.K_P - s.K_I / s.iota
-
-    def right(self, s: Signs) -> Any:
-        return s.iota**2 * s.M
-
-
-class FallingCandidate(Condition):
-    id = "V_dot"
-    form = "derived"
-    statement = "Q(ι) ≻ 0"
-    matrices = statement
-    about = (
-        "The Lyapunov function falls along every motion near the set-point; "
-        "Q = [[ι K_P - K_I, ι K/2], [ι K/2, K - ι M_q]] with K = K_V + D_q."
-    )
-    source = _PID_OWN
-    uses = ("M", "D")
-    uses_iota = True
-
-    def left(self, s: Signs) -> Any:
-        K = s.K_V + s.D
-        cross = s.iota * K / 2
-        return s.block([[s.iota * s.K_P - s.K_I, cross], [s.transposed(cross), K - s.iota * s.M]])
-
-
-class SomeIota(Condition):
-    """The determinant of the block is a parabola in iota with discriminant (K k_p - M k_i)^2 - k_i K^3.
-
-    Where it is positive, V is as well: K^2/4 >= iota M (K - iota M) always.
-    """
-
-    id = "some iota"
-    form = "derived"
-    statement = "K k_p - M k_i > K √(K k_i), K = k_v + d"
-    about = "Exactly then some ι makes the Lyapunov function of this channel work."
-    source = _PID_OWN
-    uses = ("M", "D")
-    per_channel_only = True
-
-    def left(self, s: Signs) -> Any:
-        return (s.K_V + s.D) * s.K_P - s.M * s.K_I
-
-    def right(self, s: Signs) -> Any:
-        K = s.K_V + s.D
-        return K * s.root(K * s.K_I)
-
-
-class Routh(Condition):
-    id = "Routh"
-    form = "derived"
-    statement = "K k_p > M k_i, K = k_v + d"
-    about = "Exactly then the channel, linearised at rest, is stable (Routh-Hurwitz)."
-    source = "Routh-Hurwitz criterion on M s^3 + K s^2 + k_p s + k_i"
-    uses = ("M", "D")
-    per_channel_only = True
-
-    def left(self, s: Signs) -> Any:
-        return (s.K_V + s.D) * s.K_P
-
-    def right(self, s: Signs) -> Any:
-        return s.M * s.K_I
-
-
+# --- sliding modes --------------------------------------------------------------------------------
 _SLIDING_PAPER = "mini-AUV paper (2021), text of (34) and (35)"
 
-
-class Reaches(Condition):
-    id = "K_Z"
-    form = "printed"
-    statement = "K_Z > 0"
-    matrices = "K_Z ≻ 0"
-    about = "S' S_dot = -sum K_Z |S| is negative: the surface is reached in the time |S|/K_Z."
-    source = _SLIDING_PAPER
-
-    def left(self, s: Signs) -> Any:
-        return s.K_Z
-
-
-class Slides(Condition):
-    id = "Lambda"
-    form = "printed"
-    statement = "Λ > 0"
-    matrices = "Λ ≻ 0"
-    about = "On the surface e_dot = -Λ e, so that the error dies out."
-    source = _SLIDING_PAPER
-
-    def left(self, s: Signs) -> Any:
-        return s.Lambda
-
-
-class DerivedSlides(Slides):
-    form = "derived"
-    source = "derived here: S = 0 means q_dot = Λ (q_d - q)"
-
-
-class DerivedReaches(Reaches):
-    form = "derived"
-    source = "derived here from V = S' S/2 along the closed loop"
-
-
-class HasWidth(Condition):
-    id = "width"
-    form = "derived"
-    statement = "width > 0"
-    matrices = "width ≻ 0"
-    about = (
-        "Inside the layer S_dot = -(K_Z/width) S: S dies out, so on the exact model nothing is left of it."
-    )
-    source = "derived here from V = S' S/2; Slotine and Li (1991), chapter 7"
-
-    def left(self, s: Signs) -> Any:
-        return s.width
-
-
-class Root(Condition):
-    id = "K_1"
-    form = "derived"
-    statement = "K_1 > 0"
-    matrices = "K_1 ≻ 0"
-    about = "V = K_2 |S| + twist²/2 has V_dot = -K_1 K_2 √|S|; bounds on disturbances are not certified."
-    source = "derived here; finite time: Levant (1993)"
-
-    def left(self, s: Signs) -> Any:
-        return s.K_1
-
-
-class Twist(Root):
-    id = "K_2"
-    statement = "K_2 > 0"
-    matrices = "K_2 ≻ 0"
-    about = "V = K_2 |S| + twist²/2 is positive everywhere but at S = twist = 0."
-
-    def left(self, s: Signs) -> Any:
-        return s.K_2
-
+REACHES = Condition(
+    "K_Z",
+    "printed",
+    "K_Z > 0",
+    "K_Z ≻ 0",
+    "S' S_dot = -sum K_Z |S| is negative: the surface is reached in the time |S|/K_Z.",
+    _SLIDING_PAPER,
+    lambda s: s.K_Z,
+)
+SLIDES = Condition(
+    "Lambda",
+    "printed",
+    "Λ > 0",
+    "Λ ≻ 0",
+    "On the surface e_dot = -Λ e, so that the error dies out.",
+    _SLIDING_PAPER,
+    lambda s: s.Lambda,
+)
+DERIVED_REACHES = replace(
+    REACHES, form="derived", source="derived here from V = S' S/2 along the closed loop"
+)
+DERIVED_SLIDES = replace(SLIDES, form="derived", source="derived here: S = 0 means q_dot = Λ (q_d - q)")
+LAYER_WIDTH = Condition(
+    "width",
+    "derived",
+    "width > 0",
+    "width ≻ 0",
+    "Inside the layer S_dot = -(K_Z/width) S: S dies out, so on the exact model nothing is left of it.",
+    "derived here from V = S' S/2; Slotine and Li (1991), chapter 7",
+    lambda s: s.width,
+)
+TWISTING_ROOT = Condition(
+    "K_1",
+    "derived",
+    "K_1 > 0",
+    "K_1 ≻ 0",
+    "V = K_2 |S| + twist²/2 has V_dot = -K_1 K_2 √|S|; bounds on disturbances are not certified.",
+    "derived here; finite time: Levant (1993)",
+    lambda s: s.K_1,
+)
+TWIST = replace(
+    TWISTING_ROOT,
+    id="K_2",
+    statement="K_2 > 0",
+    matrices="K_2 ≻ 0",
+    about="V = K_2 |S| + twist²/2 is positive everywhere but at S = twist = 0.",
+    left=lambda s: s.K_2,
+)
 
 CONDITIONS: dict[str, tuple[Condition, ...]] = {
-    "pd": (PositiveSpring(), PositiveDamper(), Spring(), DampedMotion()),
+    "pd": (
+        PD_SPRING,
+        PD_DAMPER,
+        replace(PD_SPRING, form="derived", source=_FROM_PD_ENERGY),
+        DERIVED_PD_DAMPER,
+    ),
     "pid": (
-        *(PrintedDamper(), PrintedIntegral(), PrintedSpring(), PrintedLast()),
-        *(MendedDamper(), MendedIntegral(), MendedSpring(), MendedLast()),
-        *(Integral(), PositiveCandidate(), FallingCandidate(), SomeIota(), Routh()),
+        *(PRINTED_DAMPER, PRINTED_INTEGRAL, PRINTED_SPRING, PRINTED_LAST),
+        *(UNITS_DAMPER, replace(PRINTED_INTEGRAL, form="units", source=_UNITS), UNITS_SPRING, UNITS_LAST),
+        replace(PRINTED_INTEGRAL, form="derived", source=_FROM_PID_CANDIDATE),
+        *(POSITIVE_CANDIDATE, FALLING_CANDIDATE, SOME_IOTA, ROUTH),
     ),
-    "sliding-mode": (
-        *(Reaches(), Slides()),
-        *(DerivedReaches(), DerivedSlides()),
-    ),
-    "sliding-mode-boundary-layer": (DerivedReaches(), DerivedSlides(), HasWidth()),
-    "super-twisting": (Root(), Twist(), DerivedSlides()),
+    "sliding-mode": (REACHES, SLIDES, DERIVED_REACHES, DERIVED_SLIDES),
+    "sliding-mode-boundary-layer": (DERIVED_REACHES, DERIVED_SLIDES, LAYER_WIDTH),
+    "super-twisting": (TWISTING_ROOT, TWIST, DERIVED_SLIDES),
 }
 """Conditions by the id of the law, in the order in which they are shown."""

@@ -1,8 +1,9 @@
-"""Linearised channels: Routh arrays, and whether a sliding surface is reached."""
+"""The loop linearised at rest: Routh arrays, coupled axes, axes that nothing pushes; reaching a surface."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -10,29 +11,22 @@ import numpy as np
 import sympy as sm
 from scipy.special import ndtri
 
+from undertow.control.gains import GainSet
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import FUNCTIONS, Interval
-from .problem import Problem, SignSet, Uncertainty
-from .result import FAILS, HOLDS, Row
+from .attitude import ANGLES, FUNCTIONS, Interval
+from .problem import Problem, SignSet, Uncertainty, sign_sets
+from .result import FAILS, HOLDS, SETTINGS, Channel, LeftAlone, Row
 
 
 def routh_array(coefficients: Sequence[Any]) -> list[list[Any]]:
-    """The Routh array of a polynomial, numbers or symbols.
+    """The Routh array of a polynomial, numbers or symbols, highest power first; one row for each power.
 
-    Parameters
-    ----------
-    coefficients : sequence
-        Highest power first; the first is not zero.
-
-    Returns
-    -------
-    list of list
-        One row for each power. A row of zeros is replaced by the derivative of the row above it, and a zero
-        at the beginning of a row by a small positive symbol-free number times the largest coefficient.
+    A row of zeros is replaced by the derivative of the row above it, and a zero at the beginning of a row by
+    a small positive number times the largest coefficient.
     """
     terms = list(coefficients)
     width = (len(terms) + 1) // 2
@@ -43,36 +37,67 @@ def routh_array(coefficients: Sequence[Any]) -> list[list[Any]]:
             last = rows[-1] = [c * max(power + 2 - 2 * k, 0) for k, c in enumerate(above)]
         if last[0] == 0:
             last[0] = 1e-12 * max(abs(c) for c in terms)
-        rows.append(
-            _padded(
-                [(last[0] * above[k + 1] - above[0] * last[k + 1]) / last[0] for k in range(width - 1)], width
-            )
-        )
+        following = [(last[0] * above[k + 1] - above[0] * last[k + 1]) / last[0] for k in range(width - 1)]
+        rows.append(_padded(following, width))
     return rows[: len(terms)]
-
-
-def unstable_roots(coefficients: Sequence[float]) -> int:
-    """Number of roots in the open right half-plane: sign changes in the first column of the Routh array."""
-    first = [row[0] for row in routh_array(coefficients)]
-    return sum(a * b < 0 for a, b in pairwise(first))
 
 
 def _padded(row: list[Any], width: int) -> list[Any]:
     return row + [0] * (width - len(row))
 
 
-def channel_polynomial(gains: dict[str, float], inertia: float, damping: float) -> list[float] | None:
-    """Characteristic polynomial of a linearised channel, highest power first; None for sliding laws."""
-    if "K_P" not in gains:
-        return None
-    polynomial = [inertia, gains["K_V"] + damping, gains["K_P"]]
-    return [*polynomial, gains["K_I"]] if "K_I" in gains else polynomial
-
-
 def roots(coefficients: Sequence[float]) -> list[complex]:
     """Roots of a polynomial, those that grow fastest first."""
-    found = [complex(r) for r in np.roots(np.array(coefficients))]
-    return sorted(found, key=lambda r: (-r.real, -r.imag))
+    return _fastest_first(np.roots(np.array(coefficients)))
+
+
+def _fastest_first(values: Any) -> list[complex]:
+    return sorted((complex(v) for v in values), key=lambda r: (-r.real, -r.imag))
+
+
+# --- one axis at a time -----------------------------------------------------------------------
+def linear_channels(problem: Problem) -> list[Channel]:
+    """Every channel of a law without a jump, once where both sets of parameters agree."""
+    if "K_P" not in problem.values:
+        return []
+    found = []
+    for i, axis, name in problem.channels:
+        own = [_channel(problem, one, i, axis, name) for one in problem.sets[:2]]
+        if len(own) == 2 and own[0].polynomial == own[1].polynomial:
+            own = [replace(own[0], signs="both")]
+        found += own
+    return found
+
+
+def _channel(problem: Problem, one: SignSet, i: int, axis: int, name: str) -> Channel:
+    gains = {gain: float(v[i]) for gain, v in problem.values.items()}
+    damping = gains["K_V"] + float(one.damping[axis, axis])
+    polynomial = [float(one.inertia[axis, axis]), damping, gains["K_P"]]
+    polynomial += [gains["K_I"]] if "K_I" in gains else []
+    first = [float(row[0]) for row in routh_array(polynomial)]
+    found = roots(polynomial)
+    stable = all(a * b > 0 for a, b in pairwise(first)) and found[0].real < 0
+    return Channel(name, one.name, polynomial, first, found, stable)
+
+
+# --- all axes together ------------------------------------------------------------------------
+def coupled(problem: Problem) -> dict[str, list[complex]]:
+    """Roots with all axes together, where M or D couple them or gains tell north from east.
+
+    Of all headings, where they matter, the one with the root that grows fastest.
+    """
+    if (problem.decoupled and not problem.heading_counts) or "K_P" not in problem.values:
+        return {}
+    found = {}
+    for one in problem.sets[:2]:
+        tried = [
+            (coupled_roots(problem.values, one.inertia, one.damping, problem.plant, J), degrees)
+            for degrees, J in problem.headings
+        ]
+        roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
+        of = "" if not problem.heading_counts else f"worst of {len(tried)} headings: {degrees:.0f} deg"
+        found[", ".join(filter(None, (one.name, of)))] = roots_there
+    return found
 
 
 def coupled_roots(
@@ -80,18 +105,8 @@ def coupled_roots(
 ) -> list[complex]:
     """Eigenvalues of the loop linearised at rest, all axes together.
 
-    What no thruster can push keeps its own dynamics.
-
-    Parameters
-    ----------
-    gains : dict of array
-        Diagonals of the gain matrices by name, pose coordinates.
-    inertia, damping : array, shape (n, n)
-        M and D(0), body frame.
-    plant : Plant
-        What is pushed.
-    J : array, shape (n, n), optional
-        The attitude; heading north on an even keel unless given.
+    What no thruster can push keeps its own dynamics. `gains` are diagonals in pose coordinates, M and D(0)
+    are of the body frame; without J the vehicle heads north on an even keel.
     """
     n = len(inertia)
     J = np.eye(n) if J is None else J
@@ -108,22 +123,60 @@ def coupled_roots(
     matrix = np.block(rows)
     if "K_I" not in gains:
         matrix = matrix[: 2 * n, : 2 * n]
-    return sorted((complex(v) for v in np.linalg.eigvals(matrix)), key=lambda r: (-r.real, -r.imag))
+    return _fastest_first(np.linalg.eigvals(matrix))
 
 
-def routh_symbols() -> sm.Expr:
-    """The third entry of the first column for M s^3 + K s^2 + k_p s + k_i, symbolically."""
-    M, K, p, i = sm.symbols("M K k_p k_i", positive=True)
-    return sm.simplify(routh_array([M, K, p, i])[2][0])
+# --- what nothing pushes ----------------------------------------------------------------------
+def left_alone(gains: GainSet) -> LeftAlone | None:
+    """The zero dynamics of the axes that no thruster pushes, the others at their set-points; None without."""
+    if not gains.unactuated:
+        return None
+    plant = gains.plant
+    own = [plant.vehicle.degrees_of_freedom.index(d) for d in gains.unactuated]
+    force, stiffness = _static(plant, own)
+    poles: list[complex] = []
+    for one in sign_sets(plant):
+        M, D = (m[np.ix_(own, own)] for m in (one.inertia, one.damping))
+        falling = -np.linalg.solve(M, np.hstack([stiffness, D]))
+        rates = np.vstack([np.eye(len(own), 2 * len(own), len(own)), falling])
+        poles += map(complex, np.linalg.eigvals(rates))
+    poles = sorted(set(poles), key=lambda p: (-p.real, p.imag))
+    stable, text = _fate(gains.unactuated, poles, force, stiffness)
+    return LeftAlone(gains.unactuated, poles, stable, text)
 
 
-_STATEMENT = "K_Z M > |error of g|"
-_ABOUT = (
-    "With M, D, g off by dM, dD, dg the surface is still reached in a straight run at speed s while "
-    "K_Z M > |dg| + (|dD| + Λ |dM|) s."
-)
+def _static(plant: Plant, own: list[int]) -> tuple[Array, Array]:
+    """Force at the set-point on an even keel, and its slope in the displacements, on the left-hand side."""
+    level = dict.fromkeys(plant.eta, 0)
+    force = plant.g.xreplace(plant.numbers)
+    slope = force.jacobian(plant.eta).xreplace(level)
+    at_rest, stiffness = (np.array(m.evalf().tolist(), dtype=float) for m in (force.xreplace(level), slope))
+    return at_rest[own, 0], stiffness[np.ix_(own, own)]
 
 
+def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness: Array) -> tuple[bool, str]:
+    """Whether axes left alone come to rest, and where they go, in words."""
+    names = ", ".join(axes)
+    if poles[0].real > SETTINGS.slowest:
+        return False, f"{names}: unstable, left alone it leaves its place with {poles[0].real:.4g} 1/s"
+    free = [a for a, row in zip(axes, stiffness, strict=True) if not np.any(row)]
+    loaded = {a: abs(f) for a, f in zip(axes, forces, strict=True) if a in free and abs(f) > 1e-9}
+    if loaded:
+        force = float(max(loaded.values()))
+        return False, (
+            f"{', '.join(loaded)}: a force of {force:.4g} (N, N m) acts at the set-point and nothing holds it"
+        )
+    decaying = [p.real for p in poles if p.real < -SETTINGS.slowest]
+    if len(poles) - len(decaying) > 2 * len(free) or not decaying:
+        return False, f"{names}: left alone, its motion neither decays nor grows"
+    text = f"{names}: left alone, its speed dies out with {-max(decaying):.4g} 1/s"
+    if free:
+        axes_free = ", ".join(free)
+        text += f"; it comes to rest where that leaves it: an error along {axes_free} is never corrected"
+    return True, text
+
+
+# --- sliding surfaces -------------------------------------------------------------------------
 def reaching(problem: Problem, uncertainty: Uncertainty) -> list[Row]:
     """One row for each channel and the sets of parameters that differ; none where g is known exactly.
 
@@ -135,35 +188,36 @@ def reaching(problem: Problem, uncertainty: Uncertainty) -> list[Row]:
     weight = _weight_error(problem, uncertainty)
     if not weight.any():
         return []
-    chosen = problem.sets[:1] if len(problem.sets) == 1 else problem.sets[:2]
-    return [_row(problem, one, i, float(weight[i]), uncertainty) for one in chosen for i in problem.driven]
+    rows = ((one, i) for one in problem.sets[:2] for i in problem.driven)
+    return [_reaching_row(problem, one, i, float(weight[i]), uncertainty) for one, i in rows]
 
 
-def _row(problem: Problem, one: SignSet, i: int, weight: float, uncertainty: Uncertainty) -> Row:
+def _reaching_row(problem: Problem, one: SignSet, i: int, weight: float, uncertainty: Uncertainty) -> Row:
     drive = float(problem.values["K_Z"][i] * one.inertia[i, i])
-    reach = _reach(uncertainty, one.names)
     slopes = np.abs(one.D.slopes[:, i, i]) + problem.values["Lambda"][i] * np.abs(one.M.slopes[:, i, i])
-    per_speed = float(slopes @ reach)
+    per_speed = float(slopes @ _half_widths(uncertainty, one.names))
     speed = (drive - weight) / per_speed if per_speed > 0 else np.inf
-    where = f"reached up to {speed:.3g} {'m/s' if i < 3 and problem.coordinates[i] in 'xyz' else 'rad/s'}"
+    unit = "m/s" if i < 3 and problem.coordinates[i] in "xyz" else "rad/s"
     holds = drive > weight
     return Row(
-        "derived",
-        "reaching",
-        _STATEMENT,
-        _ABOUT,
-        "derived here",
-        problem.coordinates[i],
-        one.name,
-        drive,
-        weight,
-        drive - weight,
-        HOLDS if holds else FAILS,
-        where=where if holds else "not even at rest",
+        form="derived",
+        condition="reaching",
+        statement="K_Z M > |error of g|",
+        about="With M, D, g off by dM, dD, dg the surface is still reached in a straight run at speed s "
+        "while K_Z M > |dg| + (|dD| + Λ |dM|) s.",
+        source="derived here",
+        scope=problem.coordinates[i],
+        signs=one.name,
+        left=drive,
+        right=weight,
+        margin=drive - weight,
+        verdict=HOLDS if holds else FAILS,
+        where=f"reached up to {speed:.3g} {unit}" if holds else "not even at rest",
     )
 
 
-def _reach(uncertainty: Uncertainty, names: tuple[str, ...]) -> Array:
+def _half_widths(uncertainty: Uncertainty, names: tuple[str, ...]) -> Array:
+    """Half the width of the interval of each parameter."""
     spread = np.sqrt(np.diag(uncertainty.covariance(names))) if names else np.zeros(0)
     return ndtri(0.5 + uncertainty.confidence / 2) * spread
 
@@ -172,17 +226,17 @@ def _weight_error(problem: Problem, uncertainty: Uncertainty) -> Array:
     """Largest error of each row of g over all attitudes, when every parameter is within its interval."""
     plant = problem.plant
     symbols = sorted(plant.g.free_symbols & set(plant.numbers), key=str)
-    reach = _reach(uncertainty, tuple(map(str, symbols)))
+    widths = _half_widths(uncertainty, tuple(map(str, symbols)))
     total = np.zeros(len(plant.g))
-    for x, r in zip(symbols, reach, strict=True):
+    for x, width in zip(symbols, widths, strict=True):
         slope = plant.g.diff(x).xreplace(plant.numbers)
-        total += r * np.array([_largest(e, problem) for e in slope])
+        total += width * np.array([_largest(e, problem) for e in slope])
     return total
 
 
 def _largest(expression: sm.Expr, problem: Problem) -> float:
     """Bound on the magnitude of an expression of the attitude."""
-    angles = [symbol(a) for a in ("phi", "theta", "psi")]
+    angles = [symbol(a) for a in ANGLES]
     if expression.free_symbols - set(angles):
         return np.inf
     tilt = problem.attitudes.tilt

@@ -10,17 +10,17 @@ from typing import cast
 import numpy as np
 import sympy as sm
 
-from undertow.control.controller import allocation_of
+from undertow.control.allocation import allocation_of
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import Interval, enclose, enclosing
+from .attitude import ANGLES, Interval, enclose, enclosing
 from .problem import Problem, SignSet
 from .result import Command
 
-_ANGLES = [symbol(a) for a in ("phi", "theta", "psi")]
+_ANGLES = [symbol(a) for a in ANGLES]
 
 
 class Commands:
@@ -28,36 +28,18 @@ class Commands:
 
     Commands are B's weighted inverse times the force that the law asks for. As long as all of them are within
     their limits the force is given exactly, and neither the redistribution at limits nor anti-windup acts.
-
-    Parameters
-    ----------
-    problem : Problem
-        The law with its gains on its vehicle.
-
-    Raises
-    ------
-    UndertowError
-        If the thrusters cannot give the forces that the law asks for.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         allocation = allocation_of(problem.gains)
-        share = np.zeros((len(allocation.limits), problem.size))
-        share[:, list(allocation.rows)] = allocation.pseudo_inverse
         limited = np.isfinite(allocation.limits)
-        self.share, self.limits = share[limited], allocation.limits[limited]
+        self.share, self.limits = allocation.share[limited], allocation.limits[limited]
         names = problem.plant.vehicle.command_names
         self.names = [n for n, there in zip(names, limited, strict=True) if there]
 
     def steady(self) -> Array:
-        """Magnitude of each command at a set-point on an even keel, any heading, shape (m,).
-
-        Raises
-        ------
-        UndertowError
-            If the force at rest depends on more than the attitude.
-        """
+        """Magnitude of each command at a set-point on an even keel, any heading, shape (m,)."""
         level = {str(a): enclose(np.zeros(1)) for a in _ANGLES}
         return self.at_rest(self.problem.attitudes.boxes({"phi": 0.0, "theta": 0.0}) or level)
 
@@ -65,11 +47,11 @@ class Commands:
         """Bound on the part of each command that compensates weight and buoyancy, shape (m,)."""
         if not len(self.limits):
             return np.zeros(0)
-        held = self._held(*self.problem.attitudes.every_angle(boxes))
+        held = self._holding(*self.problem.attitudes.every_angle(boxes))
         return np.asarray(held.size[..., 0].max(axis=0))
 
     @cached_property
-    def _held(self) -> Callable[..., Interval]:
+    def _holding(self) -> Callable[..., Interval]:
         plant = self.problem.plant
         force = plant.g.xreplace(plant.numbers)
         others = force.free_symbols - set(_ANGLES)
@@ -91,16 +73,7 @@ def pd_commands(commands: Commands, level: float, reach: dict[str, float]) -> Ar
 
     With w = J b for the row b of a command, b' J' (K_P e - K_V q_dot) is linear in e and nu, and V =
     nu' M nu/2 + e' K_P e/2 < level bounds it by sqrt(2 level (w' K_P w + w' K_V J M^-1 J' K_V w)): proved by
-    interval arithmetic over boxes of attitudes.
-
-    Parameters
-    ----------
-    commands : Commands
-        The thrusters.
-    level : float
-        Level of V, J.
-    reach : dict of float
-        Largest roll and pitch while V < level, rad.
+    interval arithmetic over boxes of attitudes. `reach` has the largest roll and pitch while V < level, rad.
     """
     problem = commands.problem
     boxes = problem.attitudes.boxes(reach)
@@ -139,11 +112,6 @@ class SlidingCommands:
 
     With S = -q_dot + Lambda e the box |S_i| <= Lambda_i e_i, |error_i| <= e_i is invariant: S falls in
     magnitude, and the error follows error_dot = -Lambda error + S. In it |q_dot_i| <= 2 Lambda_i e_i.
-
-    Parameters
-    ----------
-    commands : Commands
-        The thrusters.
     """
 
     def __init__(self, commands: Commands) -> None:
@@ -204,14 +172,7 @@ class SlidingCommands:
 def per_root_of_level(commands: Commands, form: Array, J: Array) -> Array:
     """How far each command of PID control can move at one attitude, divided by the root of the level of V.
 
-    Parameters
-    ----------
-    commands : Commands
-        The thrusters.
-    form : array, shape (3n, 3n)
-        Matrix of V = z' form z/2 in z = (q_dot, error, integral).
-    J : array, shape (n, n)
-        Kinematics at the attitude.
+    V = z' form z/2 in z = (q_dot, error, integral), form of shape (3n, 3n); J is that of the attitude.
     """
     gains = commands.problem.values
     w = J @ commands.share.T
@@ -223,7 +184,7 @@ Term = tuple[int, int, tuple[int, ...], float]
 """Row, column, exponents of the magnitudes of the velocities, size of the coefficient."""
 
 
-def extra_damping(plant: Plant, one: SignSet) -> sm.Matrix:
+def _extra_damping(plant: Plant, one: SignSet) -> sm.Matrix:
     """D(nu) - D(0) in one sign set, with the numbers of the vehicle, shape (n, n)."""
     D = plant.one_way(plant.D, one.way).xreplace(plant.numbers)
     return (D - D.xreplace(dict.fromkeys(plant.nu, sm.Integer(0)))).applyfunc(sm.expand)
@@ -233,19 +194,12 @@ def extra_damping(plant: Plant, one: SignSet) -> sm.Matrix:
 class FastDamping:
     """A bound on |D(nu) - D(0)| by magnitudes of velocities.
 
-    Attributes
-    ----------
-    size : int
-        Number of velocities.
-    terms : tuple of Term
-        |D_ij(nu) - D_ij(0)| is at most the sum of coefficient times powers of |nu|; coefficients positive.
-    falling : tuple of Term
-        Those that may take damping away: all but terms of the diagonal that are nowhere negative.
+    |D_ij(nu) - D_ij(0)| is at most the sum of coefficient times powers of |nu|; coefficients are positive.
     """
 
-    size: int
+    size: int  # number of velocities
     terms: tuple[Term, ...]
-    falling: tuple[Term, ...]
+    falling: tuple[Term, ...]  # may take damping away: all but those of the diagonal that are never negative
 
     @property
     def falls(self) -> bool:
@@ -276,7 +230,7 @@ class FastDamping:
 
 def fast_damping(plant: Plant, one: SignSet) -> FastDamping | None:
     """The bound for one sign set, or None where damping is no polynomial in velocities and magnitudes."""
-    more, n = extra_damping(plant, one), len(plant.nu)
+    more, n = _extra_damping(plant, one), len(plant.nu)
     terms: list[Term] = []
     falling: list[Term] = []
     for i in range(n):
@@ -290,7 +244,7 @@ def fast_damping(plant: Plant, one: SignSet) -> FastDamping | None:
 
 
 def _monomials(entry: sm.Expr, nu: Sequence[sm.Symbol]) -> list[tuple[tuple[int, ...], float, bool]] | None:
-    """Powers of the magnitudes, coefficient, and whether the monomial itself is nowhere negative."""
+    """Powers of the magnitudes, coefficient, and whether the monomial itself is never negative."""
     sizes = [sm.Symbol(f"size_{v}", nonnegative=True) for v in nu]
     plain = sm.expand(entry).xreplace({sm.Abs(v): s for v, s in zip(nu, sizes, strict=True)})
     if not plain.is_polynomial(*nu, *sizes) or plain.free_symbols - {*nu, *sizes}:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 from random import Random
 from typing import ClassVar, cast
 
 import sympy as sm
 
-from undertow.control.laws import Law, LawSignals
+from undertow.control.laws import Law, LawSignals, sliding_surface
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
@@ -17,29 +20,33 @@ from undertow.model.symbols import symbol
 from .result import Lyapunov
 
 IOTA = symbol("iota")
-_SEED, _POINTS, _TOLERANCE = 20210405, 3, 1e-9
+
+
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """How the stated derivative of a candidate is compared with the one worked out from the model."""
+
+    seed: int = 20210405
+    points: int = 3
+    """At least so many random points, and one for each set of signs."""
+    tolerance: float = 1e-9
+    """Relative difference that counts as rounding."""
+
+
+COMPARISON = ComparisonSettings()
 
 
 class Candidate(abc.ABC):
     """A Lyapunov candidate and what its derivative is said to be.
 
     Errors are q~ = q_d - q as in the paper, so that the integral of a PID law is that of q~.
-
-    Attributes
-    ----------
-    V, V_dot : str
-        Both as text.
-    equation : str
-        What they are in the paper.
-    zero_set, invariant : str
-        Where V_dot is zero, and the largest invariant subset of it, if every axis is pushed.
     """
 
     V: ClassVar[str]
     V_dot: ClassVar[str]
-    equation: ClassVar[str]
-    zero_set: ClassVar[str]
-    invariant: ClassVar[str]
+    equation: ClassVar[str]  # what they are in the paper
+    zero_set: ClassVar[str]  # where V_dot is zero
+    invariant: ClassVar[str]  # the largest invariant subset of it, if every axis is pushed
 
     @abc.abstractmethod
     def value(self, s: LawSignals) -> sm.Expr:
@@ -99,13 +106,10 @@ class _Sliding(Candidate):
     )
 
     def value(self, s: LawSignals) -> sm.Expr:
-        return _form(self.surface(s), sm.eye(len(s.error))) / 2
+        return _form(sliding_surface(s), sm.eye(len(s.error))) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
-        return -sum((s.K_Z * self.surface(s).applyfunc(sm.Abs)), sm.Integer(0))
-
-    def surface(self, s: LawSignals) -> sm.Matrix:
-        return -s.plant.J * s.plant.nu + s.Lambda * s.error
+        return -sum((s.K_Z * sliding_surface(s).applyfunc(sm.Abs)), sm.Integer(0))
 
 
 class _Layer(_Sliding):
@@ -113,7 +117,7 @@ class _Layer(_Sliding):
     equation = "(39), with a boundary layer"
 
     def derivative(self, s: LawSignals) -> sm.Expr:
-        size = self.surface(s).applyfunc(sm.Abs)
+        size = sliding_surface(s).applyfunc(sm.Abs)
         share = (s.width.inv() * size).applyfunc(lambda e: sm.Min(1, e))
         return -(size.T * s.K_Z * share)[0]
 
@@ -126,11 +130,11 @@ class _Twisting(_Sliding):
     invariant = "S = 0, twist = 0: elsewhere S_dot = -twist leads away from S = 0"
 
     def value(self, s: LawSignals) -> sm.Expr:
-        size = self.surface(s).applyfunc(sm.Abs)
+        size = sliding_surface(s).applyfunc(sm.Abs)
         return sum(s.K_2 * size, sm.Integer(0)) + _form(s.states, sm.eye(len(s.states))) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
-        root = self.surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)))
+        root = sliding_surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)))
         return -sum(s.K_1 * s.K_2 * root, sm.Integer(0))
 
 
@@ -165,9 +169,9 @@ def along_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
     return sum((value.diff(x) * v for x, v in rates), sm.Integer(0))
 
 
-def identity(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
-    """The derivative worked out from the model, and what it is said to be, all parameters forward."""
-    candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _Forward(plant)), law)
+def derivatives(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
+    """The derivative of a law's candidate worked out from the model, and what it is said to be."""
+    candidate, s = CANDIDATES[law.id], LawSignals(plant, law)
     return along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
 
 
@@ -176,12 +180,12 @@ def compare(plant: Plant, law: Law) -> float:
 
     Points are random, with random signs of pose, error and motion; gains are positive.
     """
-    candidate, s = CANDIDATES[law.id], LawSignals(cast(Plant, _InNumbers(plant)), law)
-    worked, stated = along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
+    worked, stated = derivatives(in_numbers(plant), law)
+    s = LawSignals(plant, law)
     names = sorted(worked.free_symbols | stated.free_symbols, key=str)
     function = function_of(names, [worked, stated])
     signed = {*plant.eta, *plant.nu, *s.error, *s.states}
-    random, worst = Random(_SEED), 0.0
+    random, worst = Random(COMPARISON.seed), 0.0
     for way in _ways(plant):
         signs = {x: random.choice((-1.0, 1.0)) if x in signed else 1.0 for x in names} | way
         values = {x: signs[x] * random.uniform(0.2, 1.2) for x in names}
@@ -196,7 +200,7 @@ def _ways(plant: Plant) -> list[dict[sm.Symbol, float]]:
     ways = [
         dict(zip(plant.reversing, w, strict=True)) for w in product((1.0, -1.0), repeat=len(plant.reversing))
     ]
-    return ways * max(1, -(-_POINTS // len(ways)))
+    return ways * max(1, -(-COMPARISON.points // len(ways)))
 
 
 def _switch(velocity: sm.Symbol) -> sm.Symbol:
@@ -208,40 +212,40 @@ def lyapunov(plant: Plant, law: Law, equilibria: str) -> Lyapunov:
     """The candidate of a law with the comparison, and the equilibria of what is not pushed."""
     candidate = CANDIDATES[law.id]
     difference = compare(plant, law)
-    agrees = "equal" if difference < _TOLERANCE else "NOT equal"
+    agrees = "equal" if difference < COMPARISON.tolerance else "NOT equal"
     points = f"{len(_ways(plant))} random points, {difference:.0e} apart"
-    told = f"{agrees} to V_dot worked out from the model ({points})"
     return Lyapunov(
         candidate.V,
         candidate.V_dot,
         candidate.equation,
-        told,
+        f"{agrees} to V_dot worked out from the model ({points})",
         candidate.zero_set,
         equilibria or candidate.invariant,
     )
 
 
-class _Forward:
-    """A plant with every switched parameter at its forward value."""
+class _Filled:
+    """A plant whose matrices have values put in for symbols, one mapping after another."""
 
-    def __init__(self, plant: Plant) -> None:
-        self._plant = plant
-        self._way = dict.fromkeys(plant.reversing, 1)
+    def __init__(self, plant: Plant, *values: Mapping[sm.Expr, sm.Expr]) -> None:
+        self._plant, self._values = plant, values
 
     def __getattr__(self, name: str) -> sm.Matrix:
         found = getattr(self._plant, name)
-        return self._filled(found) if isinstance(found, sm.MatrixBase) else found
+        return (
+            reduce(lambda m, v: m.xreplace(v), self._values, found) if hasattr(found, "xreplace") else found
+        )
 
-    def _filled(self, matrix: sm.Matrix) -> sm.Matrix:
-        return self._plant.one_way(matrix, self._way)
 
-
-class _InNumbers(_Forward):
+def in_numbers(plant: Plant) -> Plant:
     """A plant with numbers for the parameters, and symbols for the signs that switch them."""
+    switches = {sm.sign(v): _switch(v) for v in plant.reversing}
+    return cast(Plant, _Filled(plant, switches, plant.numbers))
 
-    def _filled(self, matrix: sm.Matrix) -> sm.Matrix:
-        switches = {sm.sign(v): _switch(v) for v in self._plant.reversing}
-        return matrix.xreplace(switches).xreplace(self._plant.numbers)
+
+def one_direction(plant: Plant) -> Plant:
+    """A plant with every switched parameter at its forward value."""
+    return cast(Plant, _Filled(plant, {sm.sign(v): sm.Integer(1) for v in plant.reversing}))
 
 
 def equilibria_without_thrust(plant: Plant, law: Law) -> str:

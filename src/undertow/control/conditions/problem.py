@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -22,23 +22,38 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .attitude import Attitudes, Certificate, least
-from .by_law import CONDITIONS, Condition, Signs
+from .by_law import CONDITIONS, Condition, Quantities
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How finely conditions are searched through and sampled."""
+
+    low: float = 1e-9
+    """Least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero."""
+    high: float = 1e9
+    """Largest one; what holds there holds without end."""
+    points: int = 181
+    """Points in between, ten for each power of ten, before the search is refined."""
+    headings: int = 13
+    """Samples of a whole turn: every 30 degrees."""
+    tilts: int = 7
+    """Samples of roll and of pitch: every 20 degrees at the range of conditions unless stated."""
+    most_corners: int = 12
+    """Of more parameters than this the corners (two to this power) are not tried."""
+    sides: int = 96
+    """Sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse."""
+
+
+SEARCH = SearchSettings()
 
 
 @dataclass(frozen=True)
 class Affine:
-    """A matrix that depends on parameters: constant + sum of theta_j slopes_j.
+    """A matrix that depends on parameters: constant + sum of theta_j slopes_j."""
 
-    Attributes
-    ----------
-    constant : array, shape (n, n)
-        The part without parameters.
-    slopes : array, shape (n_parameters, n, n)
-        Derivative in each parameter.
-    """
-
-    constant: Array
-    slopes: Array
+    constant: Array  # shape (n, n)
+    slopes: Array  # derivative in each parameter, shape (n_parameters, n, n)
 
     def at(self, theta: Array) -> Array:
         """The matrix for parameters of shape (..., n_parameters)."""
@@ -47,28 +62,14 @@ class Affine:
 
 @dataclass(frozen=True)
 class SignSet:
-    """The plant at rest while every velocity that switches parameters keeps one sign.
+    """The plant at rest while every velocity that switches parameters keeps one sign."""
 
-    Attributes
-    ----------
-    name : str
-        "forward", "backward", or the signs of the velocities where they are mixed.
-    way : mapping
-        1 or -1 by velocity.
-    names : tuple of str
-        Parameters that M and D depend on here.
-    theta : array, shape (n_parameters,)
-        Their values, SI, SNAME signs.
-    M, D : Affine
-        Inertia and damping at rest, body frame, shape (n, n).
-    """
-
-    name: str
-    way: Mapping[sm.Symbol, int]
-    names: tuple[str, ...]
-    theta: Array
-    M: Affine
-    D: Affine
+    name: str  # "forward", "backward", or the signs of the velocities where they are mixed
+    way: Mapping[sm.Symbol, int]  # 1 or -1 by velocity
+    names: tuple[str, ...]  # parameters that M and D depend on here
+    theta: Array  # their values, SI, SNAME signs, shape (n_parameters,)
+    M: Affine  # inertia, body frame, shape (n, n)
+    D: Affine  # damping at rest, body frame, shape (n, n)
 
     @property
     def inertia(self) -> Array:
@@ -82,13 +83,7 @@ class SignSet:
 
 
 def sign_sets(plant: Plant) -> list[SignSet]:
-    """All sign sets of a plant: all forward and all backward first, then the mixed ones.
-
-    Raises
-    ------
-    UndertowError
-        If M is not positive definite, or D is not finite at rest.
-    """
+    """All sign sets of a plant: all forward and all backward first, then the mixed ones."""
     ways = [dict(zip(plant.reversing, w, strict=True)) for w in product((1, -1), repeat=len(plant.reversing))]
     ways.sort(key=lambda way: len(set(way.values())) > 1)
     found = [_sign_set(plant, way) for way in ways]
@@ -102,10 +97,8 @@ def _sign_set(plant: Plant, way: Mapping[sm.Symbol, int]) -> SignSet:
     M, D = (plant.one_way(m, way).xreplace(rest).applyfunc(sm.expand) for m in (plant.M, plant.D))
     symbols = sorted((M.free_symbols | D.free_symbols) & set(plant.numbers), key=str)
     theta = np.array([float(plant.numbers[x]) for x in symbols])
-    names = tuple(map(str, symbols))
-    return SignSet(
-        _name(way), way, names, theta, _affine(M, symbols, plant.numbers), _affine(D, symbols, plant.numbers)
-    )
+    inertia, damping = (_affine(matrix, symbols, plant.numbers) for matrix in (M, D))
+    return SignSet(_name(way), way, tuple(map(str, symbols)), theta, inertia, damping)
 
 
 def _name(way: Mapping[sm.Symbol, int]) -> str:
@@ -147,35 +140,31 @@ def _check(one: SignSet, plant: Plant) -> None:
 
 
 Span = tuple[float, float]
-_LOW, _HIGH, _POINTS = 1e-9, 1e9, 181
 
 
-def where_positive(margin: Callable[[float], float], low: float = _LOW, high: float = _HIGH) -> Span | None:
+def where_positive(margin: Callable[[float], float]) -> Span | None:
     """The interval on which a margin of one positive number is positive, or None.
 
-    Parameters
-    ----------
-    margin : callable
-        Rises and then falls (either part may be missing); conditions are concave in iota and in each gain.
-    low, high : float
-        Where to look; an interval that reaches an end is open there, and 0 or infinity is returned for it.
+    The margin rises and then falls (either part may be missing): conditions are concave in iota and in each
+    gain. An interval that reaches an end of the range is open there; 0 or infinity is returned for it.
     """
-    peak = _peak(margin, math.log(low), math.log(high))
+    low, high = math.log(SEARCH.low), math.log(SEARCH.high)
+    peak = _peak(margin)
     if not margin(math.exp(peak)) > 0:
         return None
-    return _edge(margin, peak, math.log(low), 0.0), _edge(margin, peak, math.log(high), math.inf)
+    return _edge(margin, peak, low, 0.0), _edge(margin, peak, high, math.inf)
 
 
-def peak_of(margin: Callable[[float], float], low: float = _LOW, high: float = _HIGH) -> float:
+def peak_of(margin: Callable[[float], float]) -> float:
     """Where such a margin is largest."""
-    return math.exp(_peak(margin, math.log(low), math.log(high)))
+    return math.exp(_peak(margin))
 
 
-def _peak(margin: Callable[[float], float], low: float, high: float) -> float:
-    grid = np.linspace(low, high, _POINTS)
+def _peak(margin: Callable[[float], float]) -> float:
+    grid = np.linspace(math.log(SEARCH.low), math.log(SEARCH.high), SEARCH.points)
     values = [margin(math.exp(x)) for x in grid]
     best = int(np.argmax(values))
-    around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _POINTS - 1)])
+    around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, SEARCH.points - 1)])
     found = minimize_scalar(
         lambda x: -margin(math.exp(x)), bounds=around, method="bounded", options={"xatol": 1e-10}
     )
@@ -198,20 +187,8 @@ def inside(span: Span) -> float:
     return 2 * low if math.isinf(high) else math.sqrt(low * high)
 
 
-# Every 30 degrees of heading, every 20 of roll and pitch as they are unless stated.
-_HEADINGS, _TILTS = 13, 7
-
-
 class Problem:
-    """The margins of every condition of a law.
-
-    Parameters
-    ----------
-    gains : GainSet
-        The law with its numbers and the plant.
-    tilt : float
-        Largest roll and pitch that conditions have to hold for, rad.
-    """
+    """The margins of every condition of a law, for roll and pitch up to `tilt`, rad."""
 
     def __init__(self, gains: GainSet, tilt: float = np.pi / 3) -> None:
         self.gains, self.plant = gains, gains.plant
@@ -304,7 +281,8 @@ class Problem:
         if not angles or (self.attitudes.orthogonal and self.turned):
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
-        axes = [np.linspace(low, high, _HEADINGS if a == "psi" else _TILTS) for a, (low, high) in pairs]
+        counts = {"psi": SEARCH.headings}
+        axes = [np.linspace(low, high, counts.get(a, SEARCH.tilts)) for a, (low, high) in pairs]
         rows = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
         points = [dict(zip(angles, map(float, row), strict=True)) for row in rows]
         return [(point, self.attitudes.at(point)) for point in points]
@@ -319,7 +297,9 @@ class Problem:
         return self._samples[:: max(1, len(self._samples) // 8)]
 
     # --- margins ------------------------------------------------------------------------------
-    def signs(self, one: SignSet, inverse: Any, iota: float | None, theta: Array | None = None) -> Signs:
+    def quantities(
+        self, one: SignSet, inverse: Any, iota: float | None, theta: Array | None = None
+    ) -> Quantities:
         """All quantities in the pose coordinates that are driven, for J^-1 as numbers or intervals."""
         theta = one.theta if theta is None else theta
         own = self.driven
@@ -327,11 +307,11 @@ class Problem:
         columns = inverse[..., own] if isinstance(inverse, np.ndarray) else inverse.columns(own)
         turn = columns.T if not isinstance(columns, np.ndarray) else np.swapaxes(columns, -1, -2)
         M, D = (turn @ m.at(theta) @ columns for m in (one.M, one.D))
-        return Signs({**gains, "M": M, "D": D, "iota": iota})
+        return Quantities({**gains, "M": M, "D": D, "iota": iota})
 
-    def channel_signs(
+    def channel_quantities(
         self, one: SignSet, i: int, iota: Any, theta: Array | None = None, axis: int | None = None
-    ) -> Signs:
+    ) -> Quantities:
         """The quantities of one channel at rest on an even keel, shape (..., 1, 1).
 
         A coordinate acts on its own axis (heading north) unless another one is given.
@@ -340,34 +320,33 @@ class Problem:
         k = i if axis is None else axis
         gains = {name: v[i].reshape(1, 1) for name, v in self.values.items()}
         M, D = (m.at(theta)[..., k : k + 1, k : k + 1] for m in (one.M, one.D))
-        return Signs({**gains, "M": M, "D": D, "iota": iota})
+        return Quantities({**gains, "M": M, "D": D, "iota": iota})
 
-    def margin(
-        self, condition: Condition, one: SignSet, iota: float | None, theta: Array | None = None
-    ) -> float:
+    def margin(self, condition: Condition, one: SignSet, iota: float | None) -> float:
         """Margin of a condition as matrices, the least over some attitudes."""
-        if theta is None:
-            return float(np.min(condition.margin(self.signs(one, self._samples, iota))))
-        return float(np.min([condition.margin(self.signs(one, J, iota, theta)) for J in self._samples]))
+        return float(np.min(condition.margin(self.quantities(one, self._samples, iota))))
 
-    def channel_margin(
-        self, condition: Condition, one: SignSet, i: int, iota: float | None, theta: Array | None = None
-    ) -> float:
+    def channel_margin(self, condition: Condition, one: SignSet, i: int, iota: float | None) -> float:
         """Margin of a condition for one channel."""
-        return float(np.min(condition.margin(self.channel_signs(one, i, iota, theta))))
+        return float(np.min(condition.margin(self.channel_quantities(one, i, iota))))
 
     def certificate(self, condition: Condition, one: SignSet, iota: float | None) -> Certificate:
         """The margin over all attitudes with its proof."""
 
         def margins(inverse: Any) -> Array:
             count = len(inverse) if isinstance(inverse, np.ndarray) else len(inverse.lo)
-            return np.broadcast_to(condition.margin(self.signs(one, inverse, iota)), count)
+            return np.broadcast_to(condition.margin(self.quantities(one, inverse, iota)), count)
 
         return least(margins, self.attitudes, self.turned, bool(condition.uses))
 
+    def with_damping(self, damping: Array) -> SignSet:
+        """The first sign set with other damping at rest, whatever the parameters."""
+        one = self.sets[0]
+        return replace(one, D=Affine(damping, np.zeros_like(one.D.slopes)))
+
     # --- iota ---------------------------------------------------------------------------------
     def iota(
-        self, conditions: list[Condition], sets: list[SignSet], channel: int | None = None
+        self, conditions: Sequence[Condition], sets: list[SignSet], channel: int | None = None
     ) -> Span | None:
         """The values of iota for which conditions hold together in all of these sets, or None."""
 
@@ -380,6 +359,7 @@ class Problem:
 
 
 def inverse_of(matrix: Array) -> Array:
+    """Inverse of a matrix of numbers."""
     return np.asarray(np.linalg.inv(matrix), dtype=float)
 
 
@@ -388,40 +368,23 @@ Margins = Callable[[Array], Array]
 
 ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "not settled"
 SAMPLED, NO_IOTA_THERE = "not settled (attitudes sampled)", "no iota at the values of the file"
-_MOST_CORNERS = 12
-_SIDES = 96
 
 
 @dataclass(frozen=True)
 class Range:
-    """A verdict over a set of parameter values.
+    """A verdict over a set of parameter values."""
 
-    Attributes
-    ----------
-    verdict : str
-        `ALL`, `SOME`, `NOMINAL`, `NO_IOTA_THERE`, or `OPEN` or `SAMPLED` (neither proved nor refuted).
-    margin : float
-        Least margin found at a point of the set.
-    counterexample : dict of float
-        Values that the condition fails with, SI, in the sign convention of the vehicle file.
-    """
-
-    verdict: str
-    margin: float
-    counterexample: dict[str, float]
+    verdict: str  # ALL, SOME, NOMINAL, NO_IOTA_THERE, or OPEN or SAMPLED (neither proved nor refuted)
+    margin: float  # the least found at a point of the set
+    counterexample: dict[str, float]  # values that it fails with, SI, in the signs of the vehicle file
 
 
 class Uncertainty:
     """How far the parameters of a vehicle are known.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle, with standard deviations where they are known.
-    confidence : float
-        Probability of the interval of each parameter, and of the ellipsoid of all of them.
-    covariance : (names, matrix)
-        Covariance of an identification, SI, SNAME signs; standard deviations alone where it has none.
+    `confidence` is the probability of the interval of each parameter, and of the ellipsoid of all of them.
+    `covariance` (names, matrix) is that of an identification, SI, SNAME signs; without it the standard
+    deviations of the vehicle count alone.
     """
 
     def __init__(
@@ -446,34 +409,18 @@ class Uncertainty:
         return result
 
     def over_box(self, margins: Margins, one: SignSet, matters: Flags) -> Range:
-        """Over every value within its own interval and its physical bounds.
-
-        Parameters
-        ----------
-        margins : callable
-            The margin of a condition.
-        one : SignSet
-            Whose parameters.
-        matters : array of bool
-            The parameters that the margin depends on.
-        """
-        if np.count_nonzero(matters) > _MOST_CORNERS:
-            return self._range(margins(one.theta[None]), one.theta[None], one, settled=False)
+        """Over every value of what `matters` within its own interval and its physical bounds."""
+        if np.count_nonzero(matters) > SEARCH.most_corners:
+            return self._range(margins(one.theta[None]), one.theta[None], one, proved=False)
         corners = self._corners(one, matters, float(ndtri(0.5 + self.confidence / 2)))
         return self._range(margins(corners), corners, one, margins(one.theta[None])[0])
 
     def over_ellipsoid(self, margins: Margins, one: SignSet, features: Array) -> Range:
         """Over the ellipsoid of all uncertain parameters together.
 
-        Parameters
-        ----------
-        margins : callable
-            The margin of a condition.
-        one : SignSet
-            Whose parameters.
-        features : array, shape (m, n_parameters)
-            Linear combinations of parameters that the margin depends on; with two of them the verdict is
-            practically exact, with more the bound is that of a box around the ellipsoid.
+        `features` are the linear combinations of parameters that the margin depends on, shape
+        (m, n_parameters); with two of them the verdict is practically exact, with more the bound is that of a
+        box around the ellipsoid.
         """
         covariance = self.covariance(one.names)
         count = int(np.count_nonzero(np.diag(covariance)))
@@ -485,26 +432,23 @@ class Uncertainty:
         kept = values > 1e-14 * max(values[-1], 1e-300)
         # Columns: how the parameters move along each axis of the ellipse of the features.
         axes = reach * (covariance @ features.T @ vectors[:, kept]) / np.sqrt(values[kept])
-        around, on = _around(axes.shape[1])
+        around, on = _polytope(axes.shape[1])
         if around is None:
-            return self._range(margins(one.theta + on @ axes.T), one.theta + on @ axes.T, one, settled=False)
+            return self._range(margins(one.theta + on @ axes.T), one.theta + on @ axes.T, one, proved=False)
         points = np.concatenate([one.theta[None], one.theta + on @ axes.T])
         physical = self._within(points, covariance, reach, one)
         found = self._range(margins(physical), physical, one)
         if found.verdict != ALL:
             return found
         # Concave margins are least at a corner of any polytope around the set: of two, either will do.
-        for corners in (
-            one.theta + around @ axes.T,
-            self._corners(one, np.any(features != 0, axis=0), reach),
-        ):
-            if float(margins(corners).min()) > 0:
-                return found
-        return Range(OPEN, found.margin, {})
+        if float(margins(one.theta + around @ axes.T).min()) > 0:
+            return found
+        box = self._corners(one, np.any(features != 0, axis=0), reach)
+        return found if float(margins(box).min()) > 0 else Range(OPEN, found.margin, {})
 
     def _within(self, points: Array, covariance: Array, reach: float, one: SignSet) -> Array:
         """Points moved to physical values, those of them that are still in the ellipsoid."""
-        bounds = self._all_bounds(one)
+        bounds = self._bounds(one)
         moved = np.clip(points, bounds[:, 0], bounds[:, 1])
         away = moved - one.theta
         distance = np.einsum("ij,jk,ik->i", away, np.linalg.pinv(covariance, hermitian=True), away)
@@ -512,57 +456,48 @@ class Uncertainty:
 
     def _corners(self, one: SignSet, matters: Flags, reach: float) -> Array:
         """Corners of the box of all physical values within `reach` standard deviations."""
-        low, high = self._intervals(one, reach)
+        spread, bounds = reach * np.sqrt(np.diag(self.covariance(one.names))), self._bounds(one)
+        low, high = np.maximum(one.theta - spread, bounds[:, 0]), np.minimum(one.theta + spread, bounds[:, 1])
         free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
         corners = np.tile(one.theta, (2 ** len(free), 1))
         for row, choice in zip(corners, product(*[(low[j], high[j]) for j in free]), strict=True):
             row[free] = choice
         return corners
 
-    def _intervals(self, one: SignSet, reach: float) -> tuple[Array, Array]:
-        spread = reach * np.sqrt(np.diag(self.covariance(one.names)))
-        bounds = self._all_bounds(one)
-        return np.maximum(one.theta - spread, bounds[:, 0]), np.minimum(one.theta + spread, bounds[:, 1])
-
-    def _all_bounds(self, one: SignSet) -> Array:
-        return np.array([self._bounds(n) for n in one.names]).reshape(-1, 2)
-
-    def _bounds(self, name: str) -> tuple[float, float]:
-        parameter = self.vehicle.parameter_of(name)
-        return parameter.bounds if parameter else (-np.inf, np.inf)
+    def _bounds(self, one: SignSet) -> Array:
+        """Physical bounds of the parameters, shape (n_parameters, 2)."""
+        declared = map(self.vehicle.parameter_of, one.names)
+        return np.array([p.bounds if p else (-np.inf, np.inf) for p in declared]).reshape(-1, 2)
 
     def _range(
-        self, values: Array, points: Array, one: SignSet, nominal: float | None = None, settled: bool = True
+        self, values: Array, points: Array, one: SignSet, nominal: float | None = None, proved: bool = True
     ) -> Range:
         worst = int(np.argmin(values))
         least = float(values[worst])
         if least > 0:
-            return Range(ALL if settled else OPEN, least, {})
+            return Range(ALL if proved else OPEN, least, {})
         if nominal is not None and nominal <= 0:
             return Range(NOMINAL, least, {})
         return Range(SOME, least, self._stated(points[worst], one))
 
     def _stated(self, theta: Array, one: SignSet) -> dict[str, float]:
         """The parameters that differ from the file's, as the file would write them."""
-        signs = self.vehicle.signs
-        told = {}
-        for name, value, own in zip(one.names, theta, one.theta, strict=True):
-            if abs(value - own) > 1e-9 * max(abs(own), 1e-9):
-                told[name] = printed(self.vehicle.declaration(name), float(value), signs)
-        return told
+        vehicle, triples = self.vehicle, zip(one.names, theta, one.theta, strict=True)
+        changed = {n: v for n, v, own in triples if abs(v - own) > 1e-9 * max(abs(own), 1e-9)}
+        return {n: printed(vehicle.declaration(n), float(v), vehicle.signs) for n, v in changed.items()}
 
 
-def _around(size: int) -> tuple[Array | None, Array]:
+def _polytope(size: int) -> tuple[Array | None, Array]:
     """Corners of a polytope around the unit ball, and points on the ball, shape (k, size)."""
     if size == 1:
         ends = np.array([[-1.0], [1.0]])
         return ends, ends
     if size == 2:
-        turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
+        turn = 2 * np.pi * np.arange(SEARCH.sides) / SEARCH.sides
         circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return circle / np.cos(np.pi / _SIDES), circle
+        return circle / np.cos(np.pi / SEARCH.sides), circle
     on = np.concatenate([np.eye(size), -np.eye(size)])
-    if size > _MOST_CORNERS:
+    if size > SEARCH.most_corners:
         return None, on
     corners = np.array(list(product((-1.0, 1.0), repeat=size)))
     return corners, np.concatenate([on, corners / np.sqrt(size)])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sm
@@ -17,7 +16,8 @@ from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import least, least_eigenvalue
+from .attitude import ANGLES
+from .by_law import DERIVED_PD_DAMPER
 from .commands import (
     Commands,
     FastDamping,
@@ -31,27 +31,22 @@ from .commands import (
 from .problem import Problem, SignSet, Span, inside, inverse_of
 from .result import SETTINGS, Region
 
-_SMALL = 1e-12
+# Levels of V, J, below and above which a region counts as none and as everything.
 _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
-_NO_POLYNOMIAL = "damping is no polynomial in velocities and their magnitudes"
+_NO_THRUST = "commands are not proved to stay within their limits for any error"
 
 
 def region(problem: Problem, iota: Span | None) -> Region:
-    """The largest region that is certified for a law whose conditions hold.
+    """The largest region that is certified for a law whose conditions hold, every axis pushed.
 
-    Parameters
-    ----------
-    problem : Problem
-        Gains on their vehicle, every axis pushed.
-    iota : (float, float) or None
-        The values of iota for which the derived conditions of PID control hold together.
+    `iota` are the values for which the derived conditions of PID control hold together.
     """
     try:
         commands = Commands(problem)
-        refused = _not_held(commands)
-        if refused:
-            return _none(refused)
+        fault = _holding_fault(commands)
+        if fault:
+            return _none(fault)
         law = problem.gains.law.id
         return _pd(commands) if law == "pd" else _pid(commands, iota) if law == "pid" else _sliding(commands)
     except UndertowError as error:
@@ -64,7 +59,7 @@ def _none(reason: str) -> Region:
     return Region("none", f"no region: {reason}")
 
 
-def _not_held(commands: Commands) -> str:
+def _holding_fault(commands: Commands) -> str:
     """Why the set-point itself cannot be held, or nothing."""
     steady = commands.steady()
     share = steady / commands.limits
@@ -82,13 +77,21 @@ def _pd(commands: Commands) -> Region:
     """V = nu' M nu/2 + e' K_P e/2 never rises while angles are in range and damping outweighs its losses."""
     problem = commands.problem
     upper = _tilt_level(problem)
-    falling = _largest_level(_PDDamping(problem), upper)
+    falling = _largest_level(_damping_outlasts(problem), upper)
     if falling == 0.0:
         return _none("damping at speed is not proved to be positive at any speed")
-    used = _largest_level(lambda level: _used(commands, level), min(upper, falling))
-    if used == 0.0:
-        return _none("commands are not proved to stay within their limits for any error")
-    ends = {"roll and pitch stay in range": upper, "damping stays positive": falling, "thrust suffices": used}
+
+    def within_limits(level: float) -> bool:
+        return bool(np.all(_pd_bounds(commands, level) <= commands.limits))
+
+    thrust = _largest_level(within_limits, min(upper, falling))
+    if thrust == 0.0:
+        return _none(_NO_THRUST)
+    ends = {
+        "roll and pitch stay in range": upper,
+        "damping stays positive": falling,
+        "thrust suffices": thrust,
+    }
     return _region_of_level(commands, min(ends.values()), min(ends, key=lambda name: ends[name]))
 
 
@@ -104,52 +107,39 @@ def _tilt_level(problem: Problem) -> float:
     return min((0.5 * k * problem.attitudes.tilt**2 for c, k in pairs if c in angles), default=np.inf)
 
 
-def _used(commands: Commands, level: float) -> bool:
-    return bool(np.all(_pd_bounds(commands, level) <= commands.limits))
-
-
 def _pd_bounds(commands: Commands, level: float) -> Array:
     if not len(commands.limits):
         return np.zeros(0)
     return pd_commands(commands, level, _starts(commands.problem, level))
 
 
-class _PDDamping:
+def _damping_outlasts(problem: Problem) -> Callable[[float], bool]:
     """Whether K_V + D(nu) is positive at all speeds that a level of V allows, over all attitudes, proved."""
+    fast = _fast_dampings(problem)
+    if not any(d.falls for d in fast):
+        return lambda level: True  # the conditions at rest are those at any speed
+    rest = dampings(problem.sets)
+    body = problem.quantities(problem.sets[0], problem.attitudes.at({}), None)
+    size = np.sqrt(np.diag(body.K_V) + np.maximum(np.min([np.diag(d) for d in rest], axis=0), 0))
+    scale = np.outer(size, size)
 
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
-        found = [fast_damping(problem.plant, one) for one in problem.sets]
-        self._fast = [d for d in found if d is not None]
-        if len(self._fast) < len(found):
-            raise UndertowError(_NO_POLYNOMIAL)
-        self._rest = dampings(problem.sets)
-        body = problem.signs(problem.sets[0], problem.attitudes.at({}), None)
-        self._scale = np.sqrt(
-            np.diag(body.K_V) + np.maximum(np.min([np.diag(d) for d in self._rest], axis=0), 0)
-        )
+    def outlasts(level: float) -> bool:
+        speeds = _pd_speeds(problem, level)
+        most = max(float(np.linalg.eigvalsh(d.loss(speeds) / scale)[-1]) for d in fast)
+        lost = np.diag(max(most, 0.0) * size**2)  # outweighs what damping loses in any sign set
+        left = (problem.with_damping(d - lost) for d in rest)
+        return all(problem.certificate(DERIVED_PD_DAMPER, one, None).bound > 0 for one in left)
 
-    def __call__(self, level: float) -> bool:
-        if not any(d.falls for d in self._fast):
-            return True  # the conditions at rest are those at any speed
-        lost = self._lost(_pd_speeds(self._problem, level))
-        return all(self._proved(rest - lost) for rest in self._rest)
+    return outlasts
 
-    def _lost(self, speeds: Array) -> Array:
-        """A diagonal matrix that outweighs what damping loses in any sign set."""
-        scale = np.outer(self._scale, self._scale)
-        most = max(float(np.linalg.eigvalsh(d.loss(speeds) / scale)[-1]) for d in self._fast)
-        return np.diag(max(most, 0.0) * self._scale**2)
 
-    def _proved(self, damping: Array) -> bool:
-        problem = self._problem
-        K_V = np.diag(problem.values["K_V"])
-
-        def margins(inverse: Any) -> Array:
-            turn = np.swapaxes(inverse, -1, -2) if isinstance(inverse, np.ndarray) else inverse.T
-            return np.asarray(least_eigenvalue(turn @ damping @ inverse + K_V))
-
-        return least(margins, problem.attitudes, problem.turned).bound > 0
+def _fast_dampings(problem: Problem) -> list[FastDamping]:
+    """The bound of damping at speed in every sign set."""
+    found = [fast_damping(problem.plant, one) for one in problem.sets]
+    known = [d for d in found if d is not None]
+    if len(known) < len(found):
+        raise UndertowError("damping is no polynomial in velocities and their magnitudes")
+    return known
 
 
 def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
@@ -170,9 +160,7 @@ def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
     if level >= _HIGHEST:
         return Region("everywhere", "everywhere: V falls at any speed, from any error (half a turn aside)")
     reach = _starts(problem, level)
-    speeds = dict(
-        zip(problem.plant.vehicle.velocity_names, map(float, _pd_speeds(problem, level)), strict=True)
-    )
+    speeds = _by_velocity(problem, _pd_speeds(problem, level))
     text = f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})"
     asked = commands.result(_pd_bounds(commands, level))
     return _bounded(problem, Region("level", text, level, reach, speeds, commands=asked))
@@ -211,26 +199,21 @@ def _pid(commands: Commands, iota: Span | None) -> Region:
     problem = commands.problem
     if iota is None:
         return _none("no ι satisfies the derived conditions together")
-    damping = [fast_damping(problem.plant, one) for one in problem.sets]
-    known = [d for d in damping if d is not None]
-    if len(known) < len(damping):
-        return _none(_NO_POLYNOMIAL)
-    chosen = inside(iota)
-    places = _Places(commands, chosen, known)
+    places = _Places(commands, inside(iota), _fast_dampings(problem))
     falling = places.level()
     level = _largest_level(lambda level: bool(np.all(places.bounds(level) <= commands.limits)), falling)
     if level == 0.0:
-        return _none("commands are not proved to stay within their limits for any error")
-    return _told(places, level, "thrust suffices" if level < falling else "V falls")
+        return _none(_NO_THRUST)
+    return _estimate(places, level, "thrust suffices" if level < falling else "V falls")
 
 
-def _told(places: _Places, level: float, ends: str) -> Region:
+def _estimate(places: _Places, level: float, ends: str) -> Region:
     problem = places.problem
     if level >= _HIGHEST:
         return Region("everywhere", "everywhere: inertia and damping are constant", iota=places.iota)
     weights, lost = places.weights(level)
     pairs = zip(problem.coordinates, weights, strict=True)
-    shares = {c: (1.0 - lost) / (places.iota * w) for c, w in pairs if w > _SMALL}
+    shares = {c: (1.0 - lost) / (places.iota * w) for c, w in pairs if w > 1e-12}
     bounds = " + ".join(f"|q~_{c}|/{limit:.4g} {_unit(c)}" for c, limit in shares.items()) or "0"
     claim = (
         f"an estimate at sampled attitudes: V_dot < 0 where {bounds} < 1 at ι = {places.iota:.4g} 1/s"
@@ -244,25 +227,27 @@ def _told(places: _Places, level: float, ends: str) -> Region:
 
 
 def _unit(coordinate: str) -> str:
-    return "rad" if coordinate in ("phi", "theta", "psi") else "m"
+    return "rad" if coordinate in ANGLES else "m"
+
+
+def _by_coordinate(problem: Problem, values: Array) -> dict[str, float]:
+    return dict(zip(problem.coordinates, map(float, values), strict=True))
+
+
+def _by_velocity(problem: Problem, values: Array) -> dict[str, float]:
+    return dict(zip(problem.plant.vehicle.velocity_names, map(float, values), strict=True))
 
 
 class _Place(NamedTuple):
     """One sign set at one attitude, velocities in the body frame."""
 
-    left: Array
-    """What the quadratic form leaves for the velocities."""
-    H: Array
-    """The forms of third order of the inertia for each coordinate, shape (n, n, n)."""
-    inverse: Array
-    """J^-1."""
+    left: Array  # what the quadratic form leaves for the velocities
+    H: Array  # the forms of third order of the inertia for each coordinate, shape (n, n, n)
+    inverse: Array  # J^-1
     damping: FastDamping
-    spring: Array
-    """What V leaves for the error: V >= q~' spring q~/2."""
-    mass: Array
-    """What V leaves for the velocities: V >= nu' mass nu/2."""
-    form: Array
-    """V = z' form z/2 in z = (q_dot, q~, integral)."""
+    spring: Array  # what V leaves for the error: V >= q~' spring q~/2
+    mass: Array  # what V leaves for the velocities: V >= nu' mass nu/2
+    form: Array  # V = z' form z/2 in z = (q_dot, q~, integral)
 
 
 class _Places:
@@ -294,13 +279,11 @@ class _Places:
 
     def reach(self, level: float) -> dict[str, float]:
         """Largest error of each coordinate while V < level, m and rad."""
-        errors = np.sqrt(2 * level * np.diag(self._reach))
-        return dict(zip(self.problem.coordinates, map(float, errors), strict=True))
+        return _by_coordinate(self.problem, np.sqrt(2 * level * np.diag(self._reach)))
 
     def fastest(self, level: float) -> dict[str, float]:
         """Largest velocities while V < level, m/s and rad/s."""
-        speeds = np.sqrt(2 * level) * self._speeds
-        return dict(zip(self.problem.plant.vehicle.velocity_names, map(float, speeds), strict=True))
+        return _by_velocity(self.problem, np.sqrt(2 * level) * self._speeds)
 
     def bounds(self, level: float) -> Array:
         """Bound on the magnitude of each command while V < level, shape (m,)."""
@@ -315,7 +298,7 @@ class _Places:
         That is half a turn for the heading, beyond which V jumps, and the range of the conditions for roll
         and pitch.
         """
-        angles = {c: np.pi if c == "psi" else self.problem.attitudes.tilt for c in ("phi", "theta", "psi")}
+        angles = {c: np.pi if c == "psi" else self.problem.attitudes.tilt for c in ANGLES}
         pairs = zip(self.problem.coordinates, np.diag(self._reach), strict=True)
         highest = min((angles[c] ** 2 / (2 * r) for c, r in pairs if c in angles), default=np.inf)
 
@@ -363,7 +346,7 @@ def _place(
     values: dict[str, float],
     inverse: Array,
 ) -> _Place:
-    s = problem.signs(one, inverse, iota)
+    s = problem.quantities(one, inverse, iota)
     K = s.K_V + s.D
     rest = 0.5 * (K + K.T) - iota * s.M
     cross = iota * K / 2
@@ -380,21 +363,18 @@ class _ThirdOrder:
     """All H_i at an attitude: symmetric matrices of nu' (C - M J^-1 J_dot) J^-1 q~ for q~ along i."""
 
     def __init__(self, plant: Plant, one: SignSet) -> None:
-        self._angles = [symbol(a) for a in ("phi", "theta", "psi")]
         moving = plant.C - plant.M * plant.J_inverse * plant.J_dot
         whole = (plant.one_way(moving, one.way) * plant.J_inverse).xreplace(plant.numbers)
         forms = [_hessian((plant.nu.T * whole[:, i])[0], plant.nu).tolist() for i in range(len(plant.nu))]
-        self._function = function_of(self._angles, forms)
+        self._function = function_of([symbol(a) for a in ANGLES], forms)
 
     def __call__(self, values: dict[str, float]) -> Array:
-        forms = self._function(*(values.get(str(a), 0.0) for a in self._angles))
-        return np.array(forms, dtype=float)
+        return np.array(self._function(*(values.get(a, 0.0) for a in ANGLES)), dtype=float)
 
 
 def _hessian(form: sm.Expr, nu: sm.Matrix) -> sm.Matrix:
     """Half the second derivative in the velocities, of which the form is quadratic."""
-    gradient = sm.Matrix([form]).jacobian(nu)
-    return reduce(lambda m, f: f(m), (lambda m: m.jacobian(nu), lambda m: m / 2), gradient.T)
+    return sm.Matrix([form]).jacobian(nu).T.jacobian(nu) / 2
 
 
 # --- sliding modes --------------------------------------------------------------------------------
@@ -402,33 +382,25 @@ def _sliding(commands: Commands) -> Region:
     """The largest box of errors and surfaces, which is invariant, whose commands the thrusters can give."""
     problem = commands.problem
     tilted = set(problem.attitudes.angles(False)) - {"psi"}
-    caps = np.array(
-        [
-            problem.attitudes.tilt if c in tilted else np.pi if c == "psi" else np.inf
-            for c in problem.coordinates
-        ]
-    )
+    caps = dict.fromkeys(tilted, problem.attitudes.tilt) | {"psi": np.pi}
+    largest_box = np.array([caps.get(c, np.inf) for c in problem.coordinates])
     if not len(commands.limits) and not tilted:
         return Region("everywhere", "everywhere: S falls at any speed, from any error (half a turn aside)")
     bounds = SlidingCommands(commands)
 
-    def box_of(scale: float) -> Array:
-        return np.minimum(scale, caps)
-
     def allowed(scale: float) -> bool:
-        return bool(np.all(bounds.bounds(box_of(scale)) <= commands.limits))
+        return bool(np.all(bounds.bounds(np.minimum(scale, largest_box)) <= commands.limits))
 
-    scale = (
-        _largest_level(allowed, SETTINGS.largest_error) if len(commands.limits) else SETTINGS.largest_error
-    )
+    scale = SETTINGS.largest_error
+    if len(commands.limits):
+        scale = _largest_level(allowed, scale)
     if scale == 0.0:
-        return _none("commands are not proved to stay within their limits for any error")
-    box = box_of(scale)
+        return _none(_NO_THRUST)
+    box = np.minimum(scale, largest_box)
     largest = bounds.bounds(box) if len(commands.limits) else np.zeros(0)
     claim = (
         "motions that begin with |q~_i| within these errors and |S_i| < Lambda_i times them stay there and "
         f"come to rest ({_BEYOND} {'thrust suffices' if len(largest) else 'roll and pitch stay in range'})"
     )
-    speeds = dict(zip(problem.plant.vehicle.velocity_names, map(float, bounds.speeds(box)), strict=True))
-    errors = dict(zip(problem.coordinates, map(float, box), strict=True))
+    errors, speeds = _by_coordinate(problem, box), _by_velocity(problem, bounds.speeds(box))
     return _bounded(problem, Region("level", claim, None, errors, speeds, commands=commands.result(largest)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +13,33 @@ from scipy.optimize import minimize_scalar, nnls
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-from .by_law import Condition, FallingCandidate, PrintedDamper, PrintedLast, PrintedSpring, Routh, SomeIota
+from .by_law import (
+    FALLING_CANDIDATE,
+    PRINTED_DAMPER,
+    PRINTED_LAST,
+    PRINTED_SPRING,
+    ROUTH,
+    SOME_IOTA,
+    Condition,
+)
 from .problem import Problem, SignSet, where_positive
 
-_ROUNDS = 80
-_LEAST = 1e-3
+
+@dataclass(frozen=True)
+class RepairSettings:
+    """How repairs are searched for."""
+
+    rounds: int = 80
+    """Most rounds of cutting planes."""
+    least_gain: float = 1e-3
+    """Every gain keeps at least this part of itself."""
+    slacks: tuple[float, ...] = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+    """Distances inside every demand, tried until the gains hold in the six digits that are printed."""
+    iota_grid: tuple[float, float, int] = (-4, 1, 26)
+    """Powers of ten of iota, 1/s, and points between which its best value is searched for."""
+
+
+SETTINGS = RepairSettings()
 
 
 class Cut(NamedTuple):
@@ -34,20 +56,11 @@ Cuts = Callable[[Array], Iterable[Cut]]
 def least_change(cuts: Cuts, size: int, slack: float) -> Array | None:
     """The relative changes x with the least sum of squares that satisfy all demands, or None.
 
-    Every gain keeps at least a thousandth of itself.
-
-    Parameters
-    ----------
-    cuts : callable
-        The demands.
-    size : int
-        Number of variables.
-    slack : float
-        How far inside every demand x lies, as a distance.
+    `slack` is how far inside every demand x lies, as a distance.
     """
     x = np.zeros(size)
-    slopes, floors = [*np.eye(size)], [_LEAST - 1.0] * size
-    for _ in range(_ROUNDS):
+    slopes, floors = [*np.eye(size)], [SETTINGS.least_gain - 1.0] * size
+    for _ in range(SETTINGS.rounds):
         violated = [c for c in map(_scaled, cuts(x)) if c.slope @ x + c.offset < 0.5 * slack]
         if not violated:
             return x
@@ -81,29 +94,9 @@ def _least_distance(slopes: Array, floors: Array) -> Array | None:
     return -rest[:-1] / rest[-1] * scale
 
 
-_SLACKS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-_GRID = np.log(np.logspace(-4, 1, 26))
-
-
-class _LastByEigenvalues(PrintedLast):
-    """The printed last condition in the manner of the others: smallest gain against largest inertia."""
-
-    eigenvalues = True
-
-
 @dataclass(frozen=True)
-class Repairs:
-    """A kind of repair.
-
-    Attributes
-    ----------
-    conditions : tuple of Condition
-        What has to hold afterwards.
-    changes : tuple of str
-        The gains that may change.
-    method : str
-        How the change is found.
-    """
+class RepairKind:
+    """What has to hold after a repair, the gains that may change, and how the change is found."""
 
     conditions: tuple[Condition, ...]
     changes: tuple[str, ...]
@@ -114,11 +107,13 @@ _LINEAR = (
     "convex for a given iota: cutting planes, each a least-distance problem solved by scipy.optimize.nnls; "
     "iota by a search in one dimension"
 )
+# The last one in the manner of the others: smallest gain against largest inertia.
+_LITERAL = (PRINTED_DAMPER, PRINTED_SPRING, replace(PRINTED_LAST, eigenvalues=True))
 KINDS = {
-    "literal": Repairs((PrintedDamper(), PrintedSpring(), _LastByEigenvalues()), ("K_P", "K_V"), _LINEAR),
-    "lyapunov": Repairs((FallingCandidate(),), ("K_P", "K_V", "K_I"), _LINEAR),
-    "routh": Repairs(
-        (Routh(),),
+    "literal": RepairKind(_LITERAL, ("K_P", "K_V"), _LINEAR),
+    "lyapunov": RepairKind((FALLING_CANDIDATE,), ("K_P", "K_V", "K_I"), _LINEAR),
+    "routh": RepairKind(
+        (ROUTH,),
         ("K_P", "K_V", "K_I"),
         "convex in k_p, k_v and sqrt(k_i): cutting planes, each a least-distance problem solved by "
         "scipy.optimize.nnls",
@@ -129,60 +124,34 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Repair:
-    """Gains with which a set of conditions holds.
+    """Gains with which a set of conditions holds."""
 
-    Attributes
-    ----------
-    kind, method : str
-        Which conditions, and how the change was found.
-    gains : dict of dict of float
-        New value by gain and coordinate, SI; only what changes.
-    factors : dict of dict of float
-        New over old value.
-    iota : float or None
-        The iota that belongs to them.
-    found : bool
-        False where no change of the gains was found to do it.
-    """
-
-    kind: str
-    method: str
-    gains: dict[str, dict[str, float]]
-    factors: dict[str, dict[str, float]]
-    iota: float | None
-    found: bool
+    kind: str  # which conditions
+    method: str  # how the change was found
+    gains: dict[str, dict[str, float]]  # new value by gain and coordinate, SI; only what changes
+    factors: dict[str, dict[str, float]]  # new over old value
+    iota: float | None  # that belongs to them
+    found: bool  # False where no change of the gains was found to do it
 
 
 @dataclass(frozen=True)
-class Single:
-    """What one gain would have to be if it alone changed.
+class SingleRepair:
+    """What one gain would have to be if it alone changed."""
 
-    Attributes
-    ----------
-    kind : str
-        "routh" or "lyapunov".
-    gain, coordinate, signs : str
-        Which one, in which channel and set of parameters.
-    bound : float or None
-        The value it has to pass; None where no value of it does.
-    above : bool
-        Whether it has to be larger than that.
-    """
-
-    kind: str
+    kind: str  # "routh" or "lyapunov"
     gain: str
-    coordinate: str
-    signs: str
-    bound: float | None
-    above: bool
+    coordinate: str  # of the channel
+    signs: str  # set of parameters
+    bound: float | None  # the value it has to pass; None where no value of it does
+    above: bool  # whether it has to be larger than that
 
 
 # --- one gain alone -----------------------------------------------------------------------------
-def singles(problem: Problem) -> list[Single]:
+def single_repairs(problem: Problem) -> list[SingleRepair]:
     """For every channel that fails a condition: what each of its gains would have to be alone."""
     if "K_I" not in problem.values:
         return []
-    kinds: tuple[tuple[str, Condition], ...] = (("routh", Routh()), ("lyapunov", SomeIota()))
+    kinds = (("routh", ROUTH), ("lyapunov", SOME_IOTA))
     return [
         found
         for kind, condition in kinds
@@ -193,7 +162,9 @@ def singles(problem: Problem) -> list[Single]:
     ]
 
 
-def _single(problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str) -> Single:
+def _single(
+    problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str
+) -> SingleRepair:
     def margin(value: float) -> float:
         values = {**problem.values, name: problem.values[name].copy()}
         values[name][i] = value
@@ -203,7 +174,7 @@ def _single(problem: Problem, kind: str, condition: Condition, one: SignSet, i: 
     present = float(problem.values[name][i])
     above = span is not None and present <= span[0]
     bound = None if span is None else span[0] if above else span[1]
-    return Single(kind, name, problem.coordinates[i], one.name, bound, above)
+    return SingleRepair(kind, name, problem.coordinates[i], one.name, bound, above)
 
 
 # --- all gains together -------------------------------------------------------------------------
@@ -211,18 +182,13 @@ def repair(problem: Problem, kind: str) -> Repair:
     """The smallest change, in the sum of squared relative changes, after which conditions hold in every set.
 
     Where the heading matters, gains that are the same for x and y stay the same.
-
-    Raises
-    ------
-    UndertowError
-        If the law has no such conditions.
     """
     if "K_I" not in problem.values:
         raise UndertowError(
             f"--repair {kind} is for PID gains: the conditions of law '{problem.gains.law.id}' are signs only"
         )
     variables = _Variables(problem, KINDS[kind].changes)
-    for slack in _SLACKS:
+    for slack in SETTINGS.slacks:
         found = _with_slack(problem, kind, variables, slack)
         if not found.found or _still_holds(problem, found):
             return found
@@ -237,9 +203,10 @@ def six_digits(value: float) -> float:
 def _with_slack(problem: Problem, kind: str, variables: _Variables, slack: float) -> Repair:
     size, conditions = variables.size, KINDS[kind].conditions
     if kind == "routh":
-        return _told(problem, kind, variables, least_change(_routh_cuts(variables), size, slack), None)
+        change = least_change(_routh_cuts(variables), size, slack)
+        return _result(kind, variables, variables.from_roots(change), None)
     iota, change = _best_iota(lambda value: least_change(_cuts(variables, conditions, value), size, slack))
-    return _told(problem, kind, variables, change, iota)
+    return _result(kind, variables, change, iota)
 
 
 def _still_holds(problem: Problem, found: Repair) -> bool:
@@ -250,9 +217,9 @@ def _still_holds(problem: Problem, found: Repair) -> bool:
             values[name][problem.coordinates.index(coordinate)] = six_digits(value)
     there, conditions = problem.changed(values), KINDS[found.kind].conditions
     if found.iota is not None:
-        return there.iota(list(conditions), there.distinct) is not None
+        return there.iota(conditions, there.distinct) is not None
     return all(
-        np.min(c.margin(there.channel_signs(one, i, None, axis=axis))) > 0
+        np.min(c.margin(there.channel_quantities(one, i, None, axis=axis))) > 0
         for c in conditions
         for one in there.sets[:2]
         for i, axis, _ in there.channels
@@ -265,10 +232,7 @@ class _Variables:
     def __init__(self, problem: Problem, names: tuple[str, ...]) -> None:
         self.problem, self.names = problem, names
         self.groups = _groups(problem)
-
-    @property
-    def size(self) -> int:
-        return len(self.names) * len(self.groups)
+        self.size = len(self.names) * len(self.groups)
 
     def place(self, name: str, i: int) -> int:
         """Which variable a gain is."""
@@ -282,6 +246,15 @@ class _Variables:
             for i in range(self.problem.size):
                 result[name][i] *= 1.0 + x[self.place(name, i)]
         return result
+
+    def from_roots(self, x: Array | None) -> Array | None:
+        """The change where that of an integral gain is counted as twice that of its root."""
+        if x is None:
+            return None
+        changed, n = x.copy(), len(self.groups)
+        own = slice(self.names.index("K_I") * n, (self.names.index("K_I") + 1) * n)
+        changed[own] = (1 + x[own] / 2) ** 2 - 1
+        return changed
 
     def directions(self) -> list[dict[str, Array]]:
         """The gains that each variable moves by one."""
@@ -306,16 +279,18 @@ def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Ar
         x = solve(math.exp(logarithm))
         return math.inf if x is None else float(x @ x)
 
-    costs = [cost(v) for v in _GRID]
+    low, high, points = SETTINGS.iota_grid
+    grid = np.log(np.logspace(low, high, points))
+    costs = [cost(v) for v in grid]
     best = int(np.argmin(costs))
     if math.isinf(costs[best]):
         return None, None
-    around = float(_GRID[max(best - 1, 0)]), float(_GRID[min(best + 1, len(_GRID) - 1)])
+    around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, points - 1)])
     big = 1e6 * (1.0 + costs[best])
     found = minimize_scalar(
         lambda v: min(cost(v), big), bounds=around, method="bounded", options={"xatol": 1e-7}
     )
-    iota = math.exp(found.x if found.fun < costs[best] else _GRID[best])
+    iota = math.exp(found.x if found.fun < costs[best] else grid[best])
     return iota, solve(iota)
 
 
@@ -346,7 +321,7 @@ def _matrix_cuts(
     x: Array,
 ) -> Iterator[Cut]:
     def sides(values: dict[str, Array]) -> tuple[Array, Array]:
-        s = here.changed(values).signs(one, inverse, iota)
+        s = here.changed(values).quantities(one, inverse, iota)
         return condition.left(s), condition.right(s)
 
     left, right = sides(here.values)
@@ -384,18 +359,10 @@ def _routh_cuts(variables: _Variables) -> Callable[[Array], Iterator[Cut]]:
     return at
 
 
-def _told(
-    problem: Problem, kind: str, variables: _Variables, change: Array | None, iota: float | None
-) -> Repair:
+def _result(kind: str, variables: _Variables, change: Array | None, iota: float | None) -> Repair:
     if change is None:
         return Repair(kind, KINDS[kind].method, {}, {}, None, False)
-    if kind == "routh":  # from the change of the root to that of the gain
-        change = change.copy()
-        for i in range(problem.size):
-            place = variables.place("K_I", i)
-            if i == next(m for m in variables.groups if i in m)[0]:
-                change[place] = (1 + change[place] / 2) ** 2 - 1
-    new = variables.values(change)
+    problem, new = variables.problem, variables.values(change)
     gains: dict[str, dict[str, float]] = {}
     factors: dict[str, dict[str, float]] = {}
     for name in variables.names:

@@ -5,48 +5,70 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undertow.control.controller import allocation_of
+from undertow.control.allocation import allocation_of
 from undertow.control.gains import GainSet
-from undertow.control.laws import LAMBDA, LAWS
+from undertow.control.laws import JUMPING, LAMBDA, LAWS
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .problem import Problem, sign_sets
-from .result import SETTINGS, LeftAlone, Region, WholeLoop
+from .attitude import ANGLES
+from .check import Progress, check, no_progress
+from .problem import Problem, Uncertainty
+from .result import SETTINGS, Region, Report, WholeLoop
 
 if TYPE_CHECKING:
     from undertow.control.linear.systems import LinearLoop
 
-_ANGLES = ("phi", "theta", "psi")
-_PADE = 4
-_JUMPING = ("sliding-mode", "super-twisting")
-# The layer that stands for a jump is left this much faster than the surface leads to the set-point.
-_STEEP = 20.0
+
+def certify(
+    gains: GainSet,
+    uncertainty: Uncertainty | None = None,
+    *,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> Report:
+    """As `check`, which has the options, with the whole loop where effects or axes are outside conditions."""
+    report = check(gains, uncertainty, progress=progress, **options)
+    progress(0.9, "the whole loop")
+    if not (report.alone or report.left_out):
+        return report
+    return replace(report, whole=whole_loop(gains, report.region))
+
+
+def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
+    """Verdict and margin by condition; the margin only of what is derived from the model."""
+    report = certify(gains)
+    found: dict[str, tuple[str, float | None]] = {}
+    for r in report.rows:
+        where = " ".join(filter(None, (r.scope, r.signs)))
+        margin = r.margin if r.form == "derived" else None
+        found[f"{r.form} condition {r.condition}, {where}"] = (r.verdict, margin)
+    for a in report.agreements:
+        found[f"{a.form} conditions with one iota"] = (a.verdict, None)
+    found["certified region"] = (report.region.kind, report.region.level)
+    if report.whole is not None:
+        found["whole loop"] = (report.whole.verdict, None)
+    return found
 
 
 def whole_loop(gains: GainSet, region: Region) -> WholeLoop:
     """The loop of a law with everything in its vehicle: effects, sensors, limits, axes that nothing pushes.
 
     It is linearised at rest at several headings and in all directions of motion that have parameters of their
-    own, dead time as a Padé approximation; the law is told what the sensors report. Then it is simulated from
+    own, dead time as a Padé approximation; the law gets what the sensors report. Then it is simulated from
     starts within the region, or near the set-point where there is none.
-
-    Returns
-    -------
-    WholeLoop
-        Its fastest growing pole, or why it was not judged.
     """
     try:
         loops = [*_loops(gains)]
-        found = [_judged(case, loop) for case, loop in loops]
+        found = [_linear_verdict(case, loop) for case, loop in loops]
         worst = max(found, key=lambda w: (w.verdict == "unstable", not w.stable, _growth(w)))
-        return _tried(gains, region, worst, loops[0][1].rest) if worst.stable else worst
+        return _simulated(gains, region, worst, loops[0][1].rest) if worst.stable else worst
     except UndertowError as error:
         return WholeLoop("not judged", None, f"not judged: {error}")
     except np.linalg.LinAlgError as error:
@@ -60,12 +82,11 @@ def _growth(found: WholeLoop) -> float:
 # --- linearised -----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Case:
-    """A rest that the loop is linearised at: what is held, and the direction of motion by velocity."""
+    """A rest that the loop is linearised at."""
 
     held: Mapping[str, float]
-    direction: Mapping[str, int]
-    idle: int
-    """How many axes nothing pushes."""
+    direction: Mapping[str, int]  # of motion, by velocity
+    idle: int  # how many axes nothing pushes
 
     @property
     def where(self) -> str:
@@ -87,7 +108,7 @@ def _loops(gains: GainSet) -> Iterator[tuple[_Case, LinearLoop]]:
         law = law_for(smooth, gains.plant.vehicle, direction)
         for held in _rests(gains):
             trim = find_trim(vehicle, held, direction=direction, numeric=numeric)
-            loop = LinearLoop(linear_with_delays(numeric, trim, _PADE), law, trim)
+            loop = LinearLoop(linear_with_delays(numeric, trim, SETTINGS.pade), law, trim)
             yield _Case(held, direction, len(gains.unactuated)), loop
 
 
@@ -104,22 +125,20 @@ def _with_limits(gains: GainSet) -> Vehicle:
 def _without_jump(gains: GainSet) -> GainSet:
     """A law that jumps with a thin layer in its place: on its surface both lead to the same motion.
 
-    Raises
-    ------
-    UndertowError
-        If there are effects beside, with which a jump ends in a limit cycle that no linear loop shows.
+    With effects beside, a jump ends in a limit cycle that no linear loop shows: an error.
     """
-    if gains.law.id not in _JUMPING:
+    if gains.law.id not in JUMPING:
         return gains
     if gains.plant.left_out:
         raise UndertowError(
             f"law '{gains.law.id}' jumps at its set-point: with {', '.join(gains.plant.left_out)} it has no "
             "linear form there; take 'sliding-mode-boundary-layer'"
         )
-    values, drive = dict(gains.values), {"sliding-mode": "K_Z", "super-twisting": "K_1"}[gains.law.id]
+    values, drive = dict(gains.values), JUMPING[gains.law.id]
     for c in gains.signals.coordinates:
         driven = bool(values[f"{drive}_{c}"])
-        values[f"width_{c}"] = 1.0 / (_STEEP * values[str(LAMBDA.symbol(c))]) if driven else 1.0
+        speed = SETTINGS.layer_speed * values[str(LAMBDA.symbol(c))]
+        values[f"width_{c}"] = 1.0 / speed if driven else 1.0
         values[f"K_Z_{c}"] = float(driven)
     return replace(gains, law=LAWS["sliding-mode-boundary-layer"](), values=values)
 
@@ -138,8 +157,8 @@ def _rests(gains: GainSet) -> Iterator[dict[str, float]]:
         yield {**rest, "psi": math.remainder(2 * math.pi * k / SETTINGS.headings, 2 * math.pi)}
 
 
-def _judged(case: _Case, loop: LinearLoop) -> WholeLoop:
-    matrix = _felt(loop)
+def _linear_verdict(case: _Case, loop: LinearLoop) -> WholeLoop:
+    matrix = _without_idle_integrals(loop)
     poles = np.linalg.eigvals(matrix)
     worst = complex(max(poles, key=lambda p: (p.real, p.imag)))
     if worst.real > SETTINGS.slowest:
@@ -154,11 +173,11 @@ def _judged(case: _Case, loop: LinearLoop) -> WholeLoop:
         return WholeLoop("not judged", worst, text)
     moving = [complex(p) for p in poles if p.real < -SETTINGS.slowest]
     slowest = max(moving, key=lambda p: (p.real, p.imag), default=worst)
-    return _offset(WholeLoop("stable", slowest, case.where), loop)
+    return _with_offset(WholeLoop("stable", slowest, case.where), loop)
 
 
-def _felt(loop: LinearLoop) -> Array:
-    """The closed loop without integrals that nothing depends on."""
+def _without_idle_integrals(loop: LinearLoop) -> Array:
+    """A of the closed loop without integrals that nothing depends on."""
     system, own = loop.closed, set(loop.law.state_labels)
     kept = list(range(system.nstates))
     for i, name in enumerate(system.state_labels):
@@ -176,82 +195,22 @@ def _rank(matrix: Array) -> int:
     return int(np.sum(singular > 1e-9 * singular[0]))
 
 
-def _offset(found: WholeLoop, loop: LinearLoop) -> WholeLoop:
+def _with_offset(found: WholeLoop, loop: LinearLoop) -> WholeLoop:
     """How far from its set-point the loop comes to rest: a law without integrals leaves an error."""
     offset = loop.offset
     far = {c: v for c, v in offset.items() if abs(v) > SETTINGS.largest_offset}
     if not far:
         return replace(found, offset=offset)
-    told = ", ".join(
-        f"{abs(v):.3g} {'rad' if c in ('phi', 'theta', 'psi') else 'm'} in {c}" for c, v in far.items()
-    )
-    text = f"it comes to rest {told} off its set-point ({found.text or 'at rest'})"
+    errors = ", ".join(f"{abs(v):.3g} {'rad' if c in ANGLES else 'm'} in {c}" for c, v in far.items())
+    text = f"it comes to rest {errors} off its set-point ({found.text or 'at rest'})"
     return WholeLoop("off the set-point", found.pole, text, offset)
 
 
-# --- what nothing pushes --------------------------------------------------------------------------
-def left_alone(gains: GainSet) -> LeftAlone | None:
-    """The zero dynamics of the axes that no thruster pushes, the others at their set-points; None without."""
-    if not gains.unactuated:
-        return None
-    plant = gains.plant
-    own = [plant.vehicle.degrees_of_freedom.index(d) for d in gains.unactuated]
-    pushed, stiff = _static(gains, own)
-    poles: list[complex] = []
-    for one in sign_sets(plant):
-        M, D = (m[np.ix_(own, own)] for m in (one.inertia, one.damping))
-        falling = -np.linalg.solve(M, np.hstack([stiff, D]))
-        rates = np.vstack([np.eye(len(own), 2 * len(own), len(own)), falling])
-        poles += map(complex, np.linalg.eigvals(rates))
-    return _alone(gains.unactuated, sorted(set(poles), key=lambda p: (-p.real, p.imag)), pushed, stiff)
-
-
-def _static(gains: GainSet, own: list[int]) -> tuple[Array, Array]:
-    """Force at the set-point on an even keel, and its slope in the displacements, on the left-hand side."""
-    plant = gains.plant
-    level = dict.fromkeys(plant.eta, 0)
-    force = plant.g.xreplace(plant.numbers)
-    slope = force.jacobian(plant.eta).xreplace(level)
-    found = (np.array(m.evalf().tolist(), dtype=float) for m in (force.xreplace(level), slope))
-    at_rest, stiffness = found
-    return at_rest[own, 0], stiffness[np.ix_(own, own)]
-
-
-def _alone(axes: tuple[str, ...], poles: list[complex], pushed: Array, stiff: Array) -> LeftAlone:
-    names = ", ".join(axes)
-    grows = poles[0].real > SETTINGS.slowest
-    free = [
-        a for a, row, force in zip(axes, stiff, pushed, strict=True) if not np.any(row) and abs(force) > 1e-9
-    ]
-    if grows:
-        text = f"{names}: unstable, left alone it leaves its place with {poles[0].real:.4g} 1/s"
-        return LeftAlone(axes, poles, False, text)
-    if free:
-        force = max(float(abs(f)) for a, f in zip(axes, pushed, strict=True) if a in free)
-        text = (
-            f"{', '.join(free)}: a force of {force:.4g} (N, N m) acts at the set-point and nothing holds it"
-        )
-        return LeftAlone(axes, poles, False, text)
-    decaying = [p for p in poles if p.real < -SETTINGS.slowest]
-    still = [a for a, row in zip(axes, stiff, strict=True) if not np.any(row)]
-    if len(poles) - len(decaying) > 2 * len(still) or not decaying:
-        text = f"{names}: left alone, its motion neither decays nor grows"
-        return LeftAlone(axes, poles, False, text)
-    slowest = max(decaying, key=lambda p: p.real).real
-    words = [f"{names}: left alone, its speed dies out with {-slowest:.4g} 1/s"]
-    if still:
-        words.append(
-            f"it comes to rest where that leaves it: an error along {', '.join(still)} is never corrected"
-        )
-    return LeftAlone(axes, poles, True, "; ".join(words))
-
-
 # --- tried by simulation --------------------------------------------------------------------------
-def _tried(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, float]) -> WholeLoop:
+def _simulated(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, float]) -> WholeLoop:
     """The verdict after simulations of the whole loop; a start that it does not come back from refutes it."""
-    from undertow.control.closed_loop.many import Runs
     from undertow.control.closed_loop.scenario import Scenario
-    from undertow.control.closed_loop.simulate import ClosedLoop
+    from undertow.control.closed_loop.simulate import ClosedLoop, Runs
 
     starts = _starts(gains, region)
     slowest = -found.pole.real if found.pole is not None else 1.0
@@ -266,13 +225,13 @@ def _tried(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, 
         runs = run(SETTINGS.dt)
     except UndertowError:
         runs = run(SETTINGS.dt / 10)
-    left = _left(gains, runs.states[:, -1], rest, starts)
-    bad = int(np.argmax(left))
+    left = _errors_left(gains, runs.states[:, -1], rest, starts)
+    worst = int(np.argmax(left))
     # A loop too slow for the longest simulation has to do what its slowest pole says, with some slack.
     allowed = max(SETTINGS.comes_back, SETTINGS.slack * math.exp(-slowest * duration))
     words = f"{len(left)} starts at rest, errors of {_sizes(starts)}, {duration:.0f} s each"
-    if not left[bad] <= allowed:
-        start = ", ".join(f"{n} = {float(v[bad] + rest[n]):.3g}" for n, v in starts.items())
+    if not left[worst] <= allowed:
+        start = ", ".join(f"{n} = {float(v[worst] + rest[n]):.3g}" for n, v in starts.items())
         text = f"simulated for {duration:.0f} s from {start} it does not come back"
         return replace(found, verdict="unstable", pole=None, text=text, simulated=words)
     return replace(found, simulated=f"{words}: all come back")
@@ -282,14 +241,14 @@ def _sizes(starts: Mapping[str, Array]) -> str:
     """How far off the starts are, in words."""
     sizes = {c: float(np.abs(values).max()) for c, values in starts.items()}
     return ", ".join(
-        f"{c} {math.degrees(v):.3g} deg" if c in _ANGLES else f"{c} {v:.3g} m" for c, v in sizes.items()
+        f"{c} {math.degrees(v):.3g} deg" if c in ANGLES else f"{c} {v:.3g} m" for c, v in sizes.items()
     )
 
 
 def _starts(gains: GainSet, region: Region) -> dict[str, Array]:
     """Corners of the errors that the region allows, at most a metre and half a radian, signs mixed."""
     rng = np.random.default_rng(SETTINGS.starts)
-    most = {c: (0.5 if c in _ANGLES else 1.0) for c in gains.signals.coordinates}
+    most = {c: (0.5 if c in ANGLES else 1.0) for c in gains.signals.coordinates}
     share = 1 / math.sqrt(len(most))  # a corner of a box within an ellipsoid of V
     return {
         c: rng.choice((-1.0, 1.0), SETTINGS.starts) * min(m, share * region.errors.get(c, math.inf))
@@ -297,12 +256,14 @@ def _starts(gains: GainSet, region: Region) -> dict[str, Array]:
     }
 
 
-def _left(gains: GainSet, states: Array, rest: Mapping[str, float], starts: Mapping[str, Array]) -> Array:
+def _errors_left(
+    gains: GainSet, states: Array, rest: Mapping[str, float], starts: Mapping[str, Array]
+) -> Array:
     """Largest error at the end, from where the loop rests, of pushed axes, in units of the start's."""
     plant, names = gains.plant, gains.signals.coordinates
     inverse = function_of(list(plant.eta), plant.J_inverse.tolist())
     pushed = [i for i, d in enumerate(plant.vehicle.degrees_of_freedom) if d not in gains.unactuated]
-    turns = np.array([c in _ANGLES for c in names])
+    turns = np.array([c in ANGLES for c in names])
     begun = np.abs([starts[c][0] for c in names])
     scale = np.array([max(begun[turns == turn]) for turn in turns])
     error = states[:, : len(names)] - np.array([rest[c] for c in names])

@@ -13,7 +13,7 @@ import numpy as np
 
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
-from undertow.control.laws import SlidingMode, SuperTwisting
+from undertow.control.laws import JUMPING
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
@@ -203,8 +203,7 @@ class LawSystem:
         self.forces = [f"force_{name}" for name in vehicle.degrees_of_freedom]
         allocation = self._controller.allocation
         self.acting = allocation.rows
-        self.share = np.zeros((len(vehicle.command_names), len(self.forces)))
-        self.share[:, list(self.acting)] = allocation.pseudo_inverse
+        self.share = allocation.share
         self._k = self._controller.gain_values()
 
     def asked(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
@@ -277,7 +276,7 @@ class LawSystem:
 
     def _check(self, trim: Trim) -> None:
         law = self.gains.law
-        if isinstance(law, SlidingMode | SuperTwisting):
+        if law.id in JUMPING:
             raise UndertowError(
                 f"law '{law.id}' of '{self.gains.name}' jumps at its set-point, so it has no linear form "
                 "there: take 'sliding-mode-boundary-layer', or simulate it"
@@ -300,8 +299,7 @@ def as_controller(gains: GainSet) -> ct.NonlinearIOSystem:
 
 def forces_of(vehicle: Vehicle) -> tuple[list[str], Array]:
     """Names of the body-frame forces that commands give, and commands for a unit of each, shape (nu, k)."""
-    plant = Plant(vehicle)
-    matrix = np.array(plant.B.xreplace(plant.numbers).tolist(), dtype=float).reshape(plant.B.shape)
+    matrix = Plant(vehicle).thrust_matrix
     rows = [i for i, row in enumerate(matrix) if np.any(row)]
     inverse = np.linalg.pinv(matrix[rows], rcond=1e-10)
     return [f"force_{vehicle.degrees_of_freedom[i]}" for i in rows], inverse

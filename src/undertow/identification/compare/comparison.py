@@ -8,19 +8,18 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 from scipy.special import chdtrc
 
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.doctor.findings import ResultTable
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.predictor import Predictor, predict
 from undertow.identification.estimation.windows import Prediction, cut, prediction_error
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags, Progress
+from undertow.typing import Array, Flags, Index, Progress
 from undertow.version import __version__
 
 from .forces import Forces, residual_forces
@@ -28,13 +27,7 @@ from .forces import Forces, residual_forces
 SCHEMA = "undertow/comparison/1"
 
 
-class Table(BaseModel):
-    """A table of the result; numbers that do not exist (a simulation that diverged) are null."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class ComparedRun(Table):
+class ComparedRun(ResultTable):
     """A log and what was done with it."""
 
     name: str
@@ -45,7 +38,7 @@ class ComparedRun(Table):
     notes: list[str]
 
 
-class ChannelResult(Table):
+class ChannelResult(ResultTable):
     """One measured channel: error of the prediction over the horizon and of the free run.
 
     `normalised` is the error over the noise, `relative` (velocities only) over the rms of the measurement,
@@ -63,7 +56,7 @@ class ChannelResult(Table):
     free_run_fit: float | None
 
 
-class DofResult(Table):
+class DofResult(ResultTable):
     """One degree of freedom: the force that the model lacks, N or N m.
 
     `explained_by_noise` is the share of its mean square that the noise of the channels accounts for,
@@ -82,7 +75,7 @@ class DofResult(Table):
     inputs: dict[str, float]
 
 
-class Cell(Table):
+class Cell(ResultTable):
     """One field of the error map; without numbers where there are too few samples."""
 
     degree_of_freedom: str
@@ -96,7 +89,7 @@ class Cell(Table):
     normalised: float | None = None
 
 
-class BudgetShare(Table):
+class BudgetShare(ResultTable):
     """Part of one effect in the forces of one degree of freedom: rms along the logs, and share of all."""
 
     degree_of_freedom: str
@@ -105,7 +98,7 @@ class BudgetShare(Table):
     share: float
 
 
-class ComparisonResult(Table):
+class ComparisonResult(ResultTable):
     """Outcome of `undertow compare`."""
 
     schema_id: str = SCHEMA
@@ -131,49 +124,42 @@ def finite(value: float | None) -> float | None:
     return float(value) if value is not None and isfinite(value) else None
 
 
-# Share of the largest command below which a command counts as none.
-_NO_COMMAND = 0.01
-# Test functions after the first command that count as starting up: four make one width of a function.
-_STARTING = 8
-_FAST_TURN = 0.7
-# A velocity counts as reversed when it passes this many standard deviations of its noise on both sides.
-_CLEAR = 3.0
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """Numbers of the comparison of a model with logs."""
+
+    horizon: float = 5.0  # s
+    no_command: float = 0.01  # share of the largest command below which a command counts as none
+    # Test functions after the first command that count as starting up: four make one width of a function.
+    starting: int = 8
+    fast_turn: float = 0.7  # quantile of the turning rate from which a turn is fast
+    # A velocity counts as reversed when it passes this many standard deviations of its noise on both sides.
+    reversed: float = 3.0
+    bins: int = 12  # of a profile
+    fewest_in_bin: int = 12  # test functions
+    fewest_in_cell: int = 20  # test functions
+    # Standard deviations by which the mean square of a cell must exceed that of noise to be called a failure.
+    failure: float = 4.0
+    # Sum of the correlations between test functions under white process noise.
+    correlated: float = 2.1
+    lags: int = 20  # of the autocorrelation of the residual
+
+
+SETTINGS = ComparisonSettings()
 
 
 @dataclass(frozen=True)
 class Regime:
-    """One part of the logs.
+    """One part of the logs."""
 
-    Attributes
-    ----------
-    group : str
-        What it is one part of: speed, reversal, turning, depth, thrust, commands, time.
-    name : str
-        Its name.
-    phrase : str
-        How a sentence names it: "when turning".
-    inside : (K, n) array of bool
-        Test functions that belong to it, for each degree of freedom.
-    """
-
-    group: str
+    group: str  # What it is one part of: speed, reversal, turning, depth, thrust, commands, time
     name: str
-    phrase: str
-    inside: Flags
+    phrase: str  # How a sentence names it: "when turning"
+    inside: Flags  # (K, n) test functions that belong to it, for each degree of freedom
 
 
 def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
-    """All regimes that the degrees of freedom and the commands of a vehicle let one tell apart.
-
-    Parameters
-    ----------
-    forces : Forces
-        Averages over test functions.
-    vehicle : Vehicle
-        Whose degrees of freedom are meant.
-    sigma : (2n,) array
-        Noise of pose and velocity.
-    """
+    """All regimes that the vehicle's degrees of freedom and commands distinguish; noise `sigma` (2n,)."""
     size = len(vehicle.dof_indices)
     parts = [_speeds, _reversal, _turning, _depths, _thrust, _commands, _thirds]
     found = [r for part in parts for r in part(forces, vehicle, sigma)]
@@ -204,7 +190,7 @@ def _bands(group: str, names: tuple[str, ...], phrases: tuple[str, ...], value: 
 
 
 def _reversal(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
-    clear = _CLEAR * sigma[len(vehicle.dof_indices) :]
+    clear = SETTINGS.reversed * sigma[len(vehicle.dof_indices) :]
     low, high = forces.velocity.copy(), forces.velocity.copy()
     for step in (1, 2):
         for ahead, behind in (
@@ -222,9 +208,9 @@ def _turning(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
     if "r" not in vehicle.velocity_names:
         return
     rate = np.abs(forces.velocity[:, vehicle.velocity_names.index("r")])
-    fast = rate > max(np.quantile(rate, _FAST_TURN), _CLEAR * sigma[-1])
+    fast = rate > max(np.quantile(rate, SETTINGS.fast_turn), SETTINGS.reversed * sigma[-1])
     yield "turning", "turning", "when turning", fast
-    yield "turning", "straight", "when going straight", rate <= np.quantile(rate, 1 - _FAST_TURN)
+    yield "turning", "straight", "when going straight", rate <= np.quantile(rate, 1 - SETTINGS.fast_turn)
 
 
 def _depths(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
@@ -232,14 +218,14 @@ def _depths(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
         return
     place = vehicle.pose_names.index("z")
     depth = forces.pose[:, place]
-    if np.ptp(depth) > 2 * _CLEAR * sigma[place]:
+    if np.ptp(depth) > 2 * SETTINGS.reversed * sigma[place]:
         phrases = ("near its least depth", "at middle depth", "near its greatest depth")
         yield from _bands("depth", ("shallow", "middle", "deep"), phrases, depth)
 
 
 def _thrust(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
     drive = forces.drive
-    least = _NO_COMMAND * np.max(np.abs(drive), axis=0, initial=0.0)
+    least = SETTINGS.no_command * np.max(np.abs(drive), axis=0, initial=0.0)
     for name, side in (("positive", drive > least), ("negative", drive < -least)):
         if side.any():
             yield "thrust", f"thrust {name}", f"under {name} thrust", side
@@ -249,9 +235,9 @@ def _commands(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
     if forces.commands.size == 0:
         return
     largest = np.max(np.abs(forces.commands), axis=0)
-    idle = np.all(np.abs(forces.commands) <= _NO_COMMAND * largest, axis=1)
+    idle = np.all(np.abs(forces.commands) <= SETTINGS.no_command * largest, axis=1)
     woken = np.zeros(len(idle), dtype=bool)
-    for step in range(1, _STARTING + 1):
+    for step in range(1, SETTINGS.starting + 1):
         woken[step:] |= idle[:-step] & (forces.segment[step:] == forces.segment[:-step])
     yield "commands", "start-up", "when starting up", woken & ~idle
     yield "commands", "coasting", "when coasting", idle
@@ -267,55 +253,27 @@ def _thirds(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
         yield "time", f"{name} third", f"in the {name} third of the runs", third == i
 
 
-BINS = 12
-_FEWEST = 12
-# Sum of the correlations between test functions under a white disturbance.
-CORRELATED = 2.1
-
-
 @dataclass(frozen=True)
 class Profile:
-    """Mean residual force over bins of one variable.
+    """Mean residual force over bins of one variable."""
 
-    Attributes
-    ----------
-    degree_of_freedom, variable, unit : str
-        What is plotted against what; `unit` is the variable's.
-    centre : (bins,) array
-        Mean of the variable in each bin.
-    force, error : (bins,) array
-        Mean residual force and its standard error, N or N m.
-    count : (bins,) array
-        Test functions in each bin.
-    """
-
-    degree_of_freedom: str
+    degree_of_freedom: str  # What is plotted against what; `unit` is the variable's
     variable: str
     unit: str
-    centre: Array
-    force: Array
+    centre: Array  # (bins,) mean of the variable in each bin
+    force: Array  # (bins,) mean residual force and its standard error, N or N m
     error: Array
-    count: NDArray[np.intp]
+    count: Index  # (bins,) test functions in each bin
 
 
 def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -> list[Profile]:
-    """Residual force of every degree of freedom against every variable that varies.
-
-    Parameters
-    ----------
-    forces : Forces
-        Averages over test functions.
-    vehicle : Vehicle
-        Whose degrees of freedom are meant.
-    measured_pose : tuple of str
-        Pose channels that the logs have.
-    """
+    """Residual force of every degree of freedom against every variable that varies."""
     known = list(_variables(forces, vehicle, measured_pose))
     return [
         _profile(dof, name, unit, forces.missing[:, i], value)
         for i, dof in enumerate(vehicle.degrees_of_freedom)
         for name, unit, value in known
-        if len(value) >= _FEWEST and np.ptp(value) > 0
+        if len(value) >= SETTINGS.fewest_in_bin and np.ptp(value) > 0
     ]
 
 
@@ -342,7 +300,7 @@ def _principal(angle: Array) -> Array:
 
 
 def _profile(dof: str, name: str, unit: str, force: Array, value: Array) -> Profile:
-    bins = min(BINS, len(value) // _FEWEST)
+    bins = min(SETTINGS.bins, len(value) // SETTINGS.fewest_in_bin)
     limits = np.unique(np.quantile(value, np.linspace(0, 1, bins + 1)[1:-1]))
     band = np.searchsorted(limits, value, side="right")
     groups = [np.flatnonzero(band == i) for i in range(len(limits) + 1)]
@@ -353,42 +311,21 @@ def _profile(dof: str, name: str, unit: str, force: Array, value: Array) -> Prof
         unit,
         np.array([value[g].mean() for g in groups]),
         np.array([force[g].mean() for g in groups]),
-        np.array([force[g].std(ddof=1) * np.sqrt(CORRELATED / len(g)) for g in groups]),
+        np.array([force[g].std(ddof=1) * np.sqrt(SETTINGS.correlated / len(g)) for g in groups]),
         np.array([len(g) for g in groups], dtype=np.intp),
     )
 
 
-HORIZON = 5.0
-# Test functions that a field of the error map needs.
-_COMPARISON_FEWEST = 20
-# Standard deviations by which the mean square of a field must exceed that of noise to be called a failure.
-_COMPARISON_CLEAR = 4.0
-
-
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison with what its pictures are drawn from.
-
-    Attributes
-    ----------
-    result : ComparisonResult
-        Numbers and words.
-    vehicle : Vehicle
-        The model.
-    ahead, free_run : Prediction
-        Predictions over the horizon, and over whole stretches without gaps.
-    forces : Forces
-        Force that the model lacks, along the logs.
-    profiles : list of Profile
-        The same against every variable.
-    """
+    """A comparison with what its pictures are drawn from."""
 
     result: ComparisonResult
     vehicle: Vehicle
-    ahead: Prediction
+    ahead: Prediction  # Predictions over the horizon, and over whole stretches without gaps
     free_run: Prediction
-    forces: Forces
-    profiles: list[Profile]
+    forces: Forces  # Force that the model lacks, along the logs
+    profiles: list[Profile]  # The same against every variable
 
     def to_json(self) -> str:
         """The result as JSON."""
@@ -399,7 +336,7 @@ def compare(
     vehicle: Vehicle,
     runs: Sequence[Run],
     *,
-    horizon: float = HORIZON,
+    horizon: float = SETTINGS.horizon,
     compiled: bool | None = None,
     progress: Progress = lambda done, words: None,
     trust_log: bool = False,
@@ -414,17 +351,8 @@ def compare(
         Logs with the velocities and commands of the vehicle.
     horizon : float
         How far ahead is predicted from each measured start, s; shorter where the logs are.
-    compiled : bool, optional
-        As for `Simulator`.
-    progress : callable
-        Told what share is done, and what is being done.
     trust_log : bool
         Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log cannot be, or no stretch without gaps is long enough.
     """
     began = time.perf_counter()
     refuse_impossible(vehicle, runs, trust_log=trust_log)
@@ -547,7 +475,7 @@ def _cell(forces: Forces, vehicle: Vehicle, i: int, regime: Regime) -> Cell:
         phrase=regime.phrase,
         samples=int(inside.sum()),
     )
-    if cell.samples < _COMPARISON_FEWEST:
+    if cell.samples < SETTINGS.fewest_in_cell:
         return cell
     missing, noise = _rms(forces.missing[inside, i]), _rms(forces.noise[inside, i])
     numbers = {
@@ -574,7 +502,7 @@ def headline(worst: Cell | None) -> str:
     told = "under 1" if percent < 1 else f"{percent:.0f}"
     share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {told} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
-    if worst.normalised**2 < 1.0 + _COMPARISON_CLEAR * np.sqrt(2 * CORRELATED / worst.samples):
+    if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
         return f"nothing stands out from the noise; the most is {place}: {share}"
     return f"fails most {place}: {share}"
 
@@ -595,40 +523,19 @@ def _budget(forces: Forces, vehicle: Vehicle) -> list[BudgetShare]:
 
 
 # --- whether what is left is noise ----------------------------------------------------------------
-LAGS = 20
 
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Autocorrelation of a series and the test of Ljung and Box (1978) on it.
+    """Autocorrelation of a series and the test of Ljung and Box (1978) on it."""
 
-    Attributes
-    ----------
-    autocorrelation : (lags,) array
-        At lags 1, 2 ...
-    statistic : float
-        Q = n (n + 2) sum of autocorrelation^2 / (n - lag).
-    p_value : float
-        Chance of a Q at least as large if the series is white.
-    """
-
-    autocorrelation: Array
-    statistic: float
-    p_value: float
+    autocorrelation: Array  # (lags,) at lags 1, 2, ...
+    statistic: float  # Q = n (n + 2) sum of autocorrelation^2 / (n - lag)
+    p_value: float  # Chance of a Q at least as large if the series is white
 
 
-def whiteness(r: Array, segment: NDArray[np.intp], lags: int = LAGS) -> Whiteness:
-    """Test a series for whiteness; products never reach across a gap.
-
-    Parameters
-    ----------
-    r : (K,) array
-        Series.
-    segment : (K,) array of int
-        Stretch without gaps that each entry belongs to.
-    lags : int
-        Lags that are looked at, at most a quarter of the series.
-    """
+def whiteness(r: Array, segment: Index, lags: int = SETTINGS.lags) -> Whiteness:
+    """Test a series (K,) for whiteness over at most a quarter of it; products never reach across a gap."""
     count = len(r)
     lags = min(lags, count // 4)
     centred = r - r.mean()
@@ -640,7 +547,7 @@ def whiteness(r: Array, segment: NDArray[np.intp], lags: int = LAGS) -> Whitenes
     return Whiteness(rho, q, float(chdtrc(lags, q)))
 
 
-def _product(r: Array, segment: NDArray[np.intp], lag: int) -> float:
+def _product(r: Array, segment: Index, lag: int) -> float:
     return float(np.sum((r[lag:] * r[:-lag])[segment[lag:] == segment[:-lag]]))
 
 

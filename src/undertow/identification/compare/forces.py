@@ -9,55 +9,34 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
-from undertow.identification.estimation.pointwise import Pointwise, mapped
-from undertow.identification.estimation.residual import Lateness, WeakModel, whitened
+from undertow.identification.estimation.pointwise import Pointwise
+from undertow.identification.estimation.residual import SensorDelay, WeakModel, whitened
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Force that the motion needs and the model lacks, averaged with K test functions.
+    """Force that the motion needs and the model lacks, averaged with K test functions."""
 
-    Attributes
-    ----------
-    run : (K,) array of int
-        Run that a test function belongs to.
-    segment : (K,) array of int
-        Stretch without gaps that it belongs to.
-    t : (K,) array
-        Its middle, s.
-    missing : (K, n) array
-        Force to be added to the model, body axes, N and N m.
-    noise : (K, n) array
-        Standard deviation of `missing` from the noise of the channels alone.
-    whitened : (K, n) array
-        `missing` in units of its noise, free of the correlation that the noise brings in.
-    pose, velocity : (K, n) array
-        Measured motion, averaged likewise.
-    commands : (K, n_commands) array
-        Commands, averaged likewise.
-    wrenches : dict of (K, n) arrays
-        Force of every effect along the measured motion, by effect id, N and N m.
-    """
-
-    run: NDArray[np.intp]
-    segment: NDArray[np.intp]
-    t: Array
-    missing: Array
-    noise: Array
+    run: Index  # (K,) run that a test function belongs to
+    segment: Index  # (K,) stretch without gaps that it belongs to
+    t: Array  # (K,) its middle, s
+    missing: Array  # (K, n) force to be added to the model, body axes, N and N m
+    noise: Array  # (K, n) standard deviation of `missing` from the noise of the channels alone
+    # (K, n) `missing` in units of its noise, free of the correlation that the noise brings in
     whitened: Array
-    pose: Array
+    pose: Array  # (K, n) measured motion, averaged likewise
     velocity: Array
-    commands: Array
-    wrenches: dict[str, Array]
+    commands: Array  # (K, n_commands) commands, averaged likewise
+    wrenches: dict[str, Array]  # Force of every effect along the measured motion, by effect id, N and N m
 
     def __len__(self) -> int:
         return len(self.t)
@@ -70,23 +49,7 @@ class Forces:
 
 
 def residual_forces(model: Vehicle | Functions, runs: Sequence[Run], data: WeakData | None = None) -> Forces:
-    """Forces that logs show and a model lacks.
-
-    Parameters
-    ----------
-    model : Vehicle or Functions
-        The model, at its values.
-    runs : sequence of Run
-        Logs with the velocities and commands of the vehicle.
-    data : WeakData, optional
-        The same logs prepared already.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, no stretch without gaps is long enough, or the model has no finite force
-        somewhere in the logs.
-    """
+    """Forces that logs show and a model lacks; `data` are the same logs if they are prepared already."""
     functions = model if isinstance(model, Functions) else Functions(model)
     data = prepare(runs, functions.vehicle) if data is None else data
     return _Evaluation(functions, data).forces()
@@ -102,7 +65,7 @@ class _Evaluation:
         self._weak = WeakModel(functions, ())
         self._points = Pointwise(functions, ())
         self._chain = ActuatorStates(functions, ())
-        self._lateness = Lateness(functions)
+        self._sensor_delay = SensorDelay(functions)
         self._memory = Memory(functions, (), self._points.measured, self._points.true_motion)
 
     def forces(self) -> Forces:
@@ -116,7 +79,7 @@ class _Evaluation:
         ]
         pieces = []
         for i, reported in enumerate(self.data.segments):
-            s = self._lateness.in_time(reported, self.p)
+            s = self._sensor_delay.in_time(reported, self.p)
             mass, along = self._along(s, actuation[s.run][s.samples])
             # The weak residual is the acceleration of the model minus the measured one.
             acceleration = -self._table(parts[i].r) / _weight(s)[:, None]

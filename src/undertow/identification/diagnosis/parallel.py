@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from undertow.codegen.lanes import processors
+from undertow.codegen.trajectories import processors
 
 T = TypeVar("T")
 _log = logging.getLogger("undertow")

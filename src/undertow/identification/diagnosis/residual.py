@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
+from undertow.codegen.engine import mapped
 from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
-from undertow.identification.estimation.pointwise import Pointwise, mapped
-from undertow.identification.estimation.residual import Lateness, Linearised, whitened
+from undertow.identification.estimation.pointwise import Pointwise
+from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
 from undertow.identification.estimation.step import prior_of
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, VELOCITY
 from undertow.typing import Array
@@ -201,7 +202,7 @@ class ForceRows:
     @cached_property
     def _along(self) -> list[tuple[Segment, Along, Array]]:
         functions, p, data = self._fit.model.functions, self._fit.p, self.data
-        chain, motion, late = ActuatorStates(functions, ()), self._motion, Lateness(functions)
+        chain, motion, late = ActuatorStates(functions, ()), self._motion, SensorDelay(functions)
         driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
         found = []
         for s in (late.in_time(s, p) for s in data.segments):

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field
 
-from undertow.identification.doctor.findings import Finding
+from undertow.identification.doctor.findings import Finding, ResultTable
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]
 
 
-class Table(BaseModel):
-    """A table of the result."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class RunInfo(Table):
+class RunInfo(ResultTable):
     """A log and what was done with it."""
 
     name: str
@@ -30,7 +24,7 @@ class RunInfo(Table):
     notes: list[str]
 
 
-class Estimate(Table):
+class Estimate(ResultTable):
     """A parameter after the fit, in the sign convention of the vehicle file."""
 
     name: str
@@ -43,7 +37,7 @@ class Estimate(Table):
     prior_sigma: float | None = None
 
 
-class Ranked(Table):
+class Ranked(ResultTable):
     """A candidate: what it would add and what that does to the error on kept-aside data.
 
     `error_before` and `error_after` are normalised (1 is the noise floor); `explained` is the share of what
@@ -87,7 +81,7 @@ def how_sure(significant: bool, before: float, after: float) -> str:
     return "no" if not significant else "yes" if after < before else IN_PART
 
 
-class Step(Table):
+class Step(ResultTable):
     """The model with one more effect, on kept-aside data.
 
     `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
@@ -100,8 +94,8 @@ class Step(Table):
     error: float
     prediction: float | None = None
     simulation: float | None = None
-    ahead: dict[str, float] = {}
-    freed: list[str] = []
+    ahead: dict[str, float] = Field(default_factory=dict)
+    freed: list[str] = Field(default_factory=list)
 
     @property
     def changes(self) -> list[str]:
@@ -109,7 +103,7 @@ class Step(Table):
         return [*(["other values"] if self.freed else []), *self.added]
 
 
-class Indistinguishable(Table):
+class Indistinguishable(ResultTable):
     """Effects that these data cannot tell apart, why, and which manoeuvre would."""
 
     effects: list[str]
@@ -117,7 +111,7 @@ class Indistinguishable(Table):
     separated_by: str = ""
 
 
-class Equivalent(Table):
+class Equivalent(ResultTable):
     """Parameters that moved far from what was stated, effects that would do the same, and why that is so.
 
     `separated_by` says what would tell the explanations apart.
@@ -129,7 +123,7 @@ class Equivalent(Table):
     separated_by: str = ""
 
 
-class Dependence(Table):
+class Dependence(ResultTable):
     """A term that a residual force goes with: an association, not a cause.
 
     `columns` are the factors that are multiplied, one list for each coefficient; `share` is the share of what
@@ -148,7 +142,7 @@ class Dependence(Table):
     alike: list[str]
 
 
-class Spectrum(Table):
+class Spectrum(ResultTable):
     """A period (s) that stands out of a residual force; `in_step` if its phase is the same in every run."""
 
     period: float
@@ -158,7 +152,7 @@ class Spectrum(Table):
     in_step: bool
 
 
-class Trend(Table):
+class Trend(ResultTable):
     """How much the coefficient of a residual force changes in 100 s of a run; `of` says of what."""
 
     of: str
@@ -167,7 +161,7 @@ class Trend(Table):
     share: float
 
 
-class BetweenRuns(Table):
+class BetweenRuns(ResultTable):
     """A residual force that differs from run to run: its coefficients by run."""
 
     of: str
@@ -176,7 +170,7 @@ class BetweenRuns(Table):
     chance: float
 
 
-class Remaining(Table):
+class Remaining(ResultTable):
     """What the final model leaves in one degree of freedom on kept-aside data.
 
     `residual_rms` and `noise_rms` are those of the force averaged under the test functions, `excess_rms` is
@@ -191,14 +185,14 @@ class Remaining(Table):
     unit: str
     note: str
     excess_rms: float = 0.0
-    depends_on: list[Dependence] = []
+    depends_on: list[Dependence] = Field(default_factory=list)
     spectrum: Spectrum | None = None
     trend: Trend | None = None
-    between_runs: list[BetweenRuns] = []
+    between_runs: list[BetweenRuns] = Field(default_factory=list)
     summary: str = ""
 
 
-class Diagnosis(Table):
+class Diagnosis(ResultTable):
     """Outcome of `undertow diagnose`."""
 
     schema_id: str = SCHEMA
@@ -213,9 +207,9 @@ class Diagnosis(Table):
     ranking: list[Ranked]
     steps: list[Step]
     indistinguishable: list[Indistinguishable]
-    equivalent: list[Equivalent] = []
+    equivalent: list[Equivalent] = Field(default_factory=list)
     warnings: list[str]
-    doctor: list[Finding] = []
+    doctor: list[Finding] = Field(default_factory=list)
     remaining: list[Remaining]
     parameters: list[Estimate]
     false_alarm_rate: float

@@ -14,7 +14,12 @@ from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import SURE
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import inverse_of
-from undertow.identification.estimation.weak_form import WeakFit, fit_weak, free_parameters, settled
+from undertow.identification.estimation.weak_form import (
+    WeakFit,
+    fit_weak,
+    free_parameters,
+    with_reestimated_noise,
+)
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -370,8 +375,8 @@ def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Benc
     plain = [fitted(vehicle, [f], bench) for f in near if len(f.parameters) < most]
     if not plain:
         return []
-    best = bench.judge(settled(chain.fit))
-    return [c for c in plain if as_good(best, bench.judge(settled(c.fit)), bench.test)]
+    best = bench.judge(with_reestimated_noise(chain.fit))
+    return [c for c in plain if as_good(best, bench.judge(with_reestimated_noise(c.fit)), bench.test)]
 
 
 def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], bench: Bench) -> list[Chain]:
@@ -400,7 +405,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
     candidates : sequence of Candidate
         The effects that it got.
     """
-    fit = settled(fit)
+    fit = with_reestimated_noise(fit)
     names = fit.model.functions.parameter_names
     removable = {n for c in candidates for n in c.removable if n in names}
     left_out = removable - set(fit.model.free)
@@ -409,7 +414,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
     kept = parameters_that_matter(whole, tuple(sorted(removable)), SURE)
     free = (*fit.model.free, *(n for n in kept if n in left_out))
-    return fit if free == fit.model.free else settled(_refitted(whole, free))
+    return fit if free == fit.model.free else with_reestimated_noise(_refitted(whole, free))
 
 
 def _refitted(fit: WeakFit, free: Collection[str]) -> WeakFit:

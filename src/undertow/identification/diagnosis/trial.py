@@ -16,17 +16,17 @@ from undertow.identification.estimation.step import (
     bounds_of,
     inverse_of,
     prior_of,
-    reach_of,
-    within_reach,
+    step_limits,
+    within_limits,
 )
 from undertow.identification.estimation.weak_form import (
     WeakFit,
-    disturbed,
     fit_weak,
     mean_square,
-    opened,
-    promise,
-    settled,
+    predicted_cost,
+    start_fit,
+    with_process_noise,
+    with_reestimated_noise,
 )
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -195,8 +195,8 @@ class Bench:
 
     def sharpened(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        fit = settled(fit, most=_SHARPENING)
-        test = disturbed(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
+        fit = with_reestimated_noise(fit, most=_SHARPENING)
+        test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
         refitted = self._base_under(fit.whitening, fit.disturbance, _ROUGH)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
@@ -242,7 +242,7 @@ def open_bench(
     """Fit the model as it is and take its noise model for both parts of the data."""
     base = fit_weak(vehicle, train)
     quiet = base.model.whitening(test, base.p)
-    noise = base.whitening, disturbed(quiet, base.disturbance, test)
+    noise = base.whitening, with_process_noise(quiet, base.disturbance, test)
     return Bench(train, test, *noise, base, false_alarms)
 
 
@@ -283,7 +283,7 @@ def try_candidate(
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
     if fit.cost < 0.5 * len(fit.at.r):
-        fit = settled(fit, most=1)
+        fit = with_reestimated_noise(fit, most=1)
     kept = parameters_that_matter(fit, candidate.removable)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
@@ -403,8 +403,8 @@ class Scouted:
         at = None if steps else self._beside(*known)
         noise = (bench.train_whitening, bench.base.disturbance)
         begin = bench.base.values | dict(start)
-        self.start = opened(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
-        self.cost, after = promise(self.start)
+        self.start = start_fit(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
+        self.cost, after = predicted_cost(self.start)
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
@@ -492,14 +492,14 @@ def _promising(
     Parameters keep within their bounds: a negative mass may promise what no mass can do.
     """
     model = candidate.model()
-    bounds, prior, reach = bounds_of(model), prior_of(model), reach_of(model)
+    bounds, prior, reach = bounds_of(model), prior_of(model), step_limits(model)
     costs = []
     for start in starts:
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
         beside = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
         now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
-        step = bounded_step(beside, now, within_reach(bounds, now, reach), prior)
+        step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
         costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
     return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
 

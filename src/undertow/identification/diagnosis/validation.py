@@ -251,7 +251,7 @@ class Referee:
 
     def _settled(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         shooting = self._shooting(fit, horizon)
-        return shooting, shooting.settled_starts(np.asarray(fit.p))
+        return shooting, shooting.fitted_starts(np.asarray(fit.p))
 
     def _shooting(self, fit: Fitted, horizon: float, free: Sequence[str] = ()) -> Shooting:
         windows = self.windows if horizon == DECIDING else self._long_windows

@@ -15,8 +15,8 @@ from undertow.identification.estimation.step import (
     bounded_step,
     bounds_of,
     prior_of,
-    reach_of,
-    within_reach,
+    step_limits,
+    within_limits,
 )
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.parameter import Parameter, printed
@@ -354,7 +354,7 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     model, now = start.model, start.p[list(start.model.places)]
     centre, weight = prior_of(model)
     stiffness = PRIOR_WIDTH * weight
-    bounds = within_reach(bounds_of(model), now, reach_of(model))
+    bounds = within_limits(bounds_of(model), now, step_limits(model))
     step = bounded_step(start.at, now, bounds, (centre, stiffness))
     off = np.abs(stiffness * (now + step - centre))
     home = all(off[model.free.index(n)] < _HOME for n in moved)

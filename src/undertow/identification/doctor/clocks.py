@@ -22,29 +22,36 @@ _GROUPS = {
     "linear": (("u", "v", "w"), ("x", "y", "z")),
     "angular": (("p", "q", "r"), ("phi", "theta", "psi")),
 }
-_ROUNDS = 5
-_SETTLED = 0.02  # of a sampling step
-_SURE = 5.0  # standard errors
-_STEPS = 0.5  # sampling steps below which a shift does not matter
+
+
+@dataclass(frozen=True)
+class ClockSettings:
+    """From where on clocks differ."""
+
+    rounds: int = 5  # Gauss-Newton steps for velocities
+    converged: float = 0.02  # change, in sampling steps, that ends them
+    sure: float = 5.0  # standard errors of a shift of velocities
+    steps: float = 0.5  # sampling steps below which such a shift does not matter
+    command_rounds: int = 8  # the same for commands
+    command_sure: float = 6.0
+    command_steps: float = 3.0
+    cluster: int = 8  # neighbouring test functions that count as one
+    starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays of commands to begin with, s
+    gained: float = 0.1  # share of the misfit that a delay or drift of commands must explain
+
+
+SETTINGS = ClockSettings()
 
 
 @dataclass(frozen=True)
 class Shift:
-    """How late velocities are against the rate of the pose.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The velocities.
-    delay, delay_error : float
-        In the middle of the runs, s.
-    drift, drift_error : float
-        From the first to the last sample of a run, s.
-    """
+    """How late velocities are against the rate of the pose."""
 
     names: tuple[str, ...]
+    # delay, delay_error: in the middle of the runs, s.
     delay: float
     delay_error: float
+    # drift, drift_error: from the first to the last sample of a run, s.
     drift: float
     drift_error: float
 
@@ -62,12 +69,12 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...]) -> S
     found = np.zeros(2)
     step = float(np.median(np.diff(runs[0].t)))
     sensor = Sensor("sensor_delay", ("delay s", "drift s"), _columns(names, runs))
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         moved = [_moved(run, names, found) for run in runs]
         fit = fit_sensor(kinematics, moved, kinematics.rates(moved), sensor)
         change = np.clip(fit.value, -1.0, 1.0)
         found = found + change
-        if np.all(np.abs(change) < _SETTLED * step):
+        if np.all(np.abs(change) < SETTINGS.converged * step):
             break
     return Shift(names, float(found[0]), float(fit.error[0]), float(found[1]), float(fit.error[1]))
 
@@ -75,6 +82,18 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...]) -> S
 def _along(t: Array) -> Array:
     """Time as a share of the run, from -1/2 to 1/2."""
     return (t - t[0]) / max(t[-1] - t[0], 1e-9) - 0.5
+
+
+def _two_clocks(who: str, how: str, delay: float, drift: float, error: float) -> Finding:
+    """A delay that drifts; `how` has places for the delays at the beginning and at the end of a run."""
+    delays = how.format(delay - drift / 2, delay + drift / 2)
+    return Finding(
+        id="two_clocks",
+        severity="warning",
+        text=f"{who} are on two clocks: {delays} (drift {drift:+.2f} ± {error:.1g} s); write both with the "
+        "stamps of one clock",
+        evidence={"delay": delay, "drift": drift},
+    )
 
 
 def _moved(run: Run, names: tuple[str, ...], shift: Array) -> Run:
@@ -102,25 +121,17 @@ def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Find
     for one in shifts(kinematics, runs):
         names = ", ".join(one.names)
         verb = "is" if len(one.names) == 1 else "are"
-        evidence = {"delay": one.delay, "drift": one.drift}
-        if abs(one.drift) > max(_SURE * one.drift_error, step):
-            start, end = one.delay - one.drift / 2, one.delay + one.drift / 2
-            yield Finding(
-                id="two_clocks",
-                severity="warning",
-                text=f"{names} and the pose are on two clocks: {names} {verb} {start:+.2f} s late at the "
-                f"beginning of a run and {end:+.2f} s at its end (drift {one.drift:+.2f} ± "
-                f"{one.drift_error:.1g} s); write both with the stamps of one clock",
-                evidence=evidence,
-            )
-        elif abs(one.delay) > max(_SURE * one.delay_error, _STEPS * step):
+        if abs(one.drift) > max(SETTINGS.sure * one.drift_error, step):
+            how = f"{names} {verb} {{:+.2f}} s late at the beginning of a run and {{:+.2f}} s at its end"
+            yield _two_clocks(f"{names} and the pose", how, one.delay, one.drift, one.drift_error)
+        elif abs(one.delay) > max(SETTINGS.sure * one.delay_error, SETTINGS.steps * step):
             way = "late" if one.delay > 0 else "early"
             yield Finding(
                 id="late_velocity",
                 severity="warning",
                 text=f"{names} {verb} {abs(one.delay):.3f} ± {one.delay_error:.1g} s {way} against the pose; "
                 + _remedy(one),
-                evidence=evidence,
+                evidence={"delay": one.delay, "drift": one.drift},
             )
 
 
@@ -129,14 +140,6 @@ def _remedy(one: Shift) -> str:
     if one.delay > 0 and set(one.names) <= set(_GROUPS["linear"][0]):
         return "the effect sensor_delay describes it"
     return f"add {-one.delay:+.3f} s to their stamps, and interpolate them to those of the pose"
-
-
-_LATE_ROUNDS = 8
-_LATE_SURE = 6.0  # standard errors
-_LATE_STEPS = 3.0  # sampling steps below which a drift does not matter
-_CLUSTER = 8  # neighbouring test functions that count as one
-_LATE = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays to begin with, s
-_GAINED = 0.1  # share of the misfit that a drift must explain
 
 
 def command_clock(at: Dynamics) -> Finding | None:
@@ -153,12 +156,14 @@ def command_clock(at: Dynamics) -> Finding | None:
         return None
     # A drift is judged beside the best constant delay: alone it would take a share of that, too.
     (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
-    if both[2] < (1 - _GAINED) * min(constant[2], start) and abs(drift) > max(
-        _LATE_SURE * spread, _LATE_STEPS * step
+    if both[2] < (1 - SETTINGS.gained) * min(constant[2], start) and abs(drift) > max(
+        SETTINGS.command_sure * spread, SETTINGS.command_steps * step
     ):
-        return _drifting(both[0], float(spread))
-    if constant[2] < (1 - _GAINED) * start and abs(found[0]) > max(
-        _LATE_SURE * float(error[0]), _LATE_STEPS * step
+        follows = "the motion follows the commands by {:+.2f} s at the beginning of a run"
+        how = f"{follows} and by {{:+.2f}} s at its end"
+        return _two_clocks("commands and motion", how, float(both[0][0]), float(drift), float(spread))
+    if constant[2] < (1 - SETTINGS.gained) * start and abs(found[0]) > max(
+        SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
     ):
         return _late(at, float(found[0]), float(error[0]))
     return None
@@ -166,7 +171,7 @@ def command_clock(at: Dynamics) -> Finding | None:
 
 def _nearest(at: Dynamics, step: float) -> float:
     """The delay to begin with: of commands that step, Gauss-Newton does not find one of many samples, s."""
-    tried = np.unique([0.0, *(sign * max(late, step) for late in _LATE for sign in (1, -1))])
+    tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
     return float(min(tried, key=lambda late: _misfit(at, late)))
 
 
@@ -182,7 +187,7 @@ def _misfit(at: Dynamics, late: float) -> float:
 def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
     """Delay, and drift if free, by Gauss-Newton, their errors, and the misfit that is left."""
     found, error, left = start, np.full(2, np.inf), np.inf
-    for _ in range(_LATE_ROUNDS):
+    for _ in range(SETTINGS.command_rounds):
         stepped = _step(at, found, 2 * step, drifts)
         if stepped is None:
             return None
@@ -193,18 +198,6 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
     return found, error, left
 
 
-def _drifting(found: Array, spread: float) -> Finding:
-    begin, end = (found[0] - found[1] / 2, found[0] + found[1] / 2)
-    return Finding(
-        id="two_clocks",
-        severity="warning",
-        text=f"commands and motion are on two clocks: the motion follows the commands by {begin:+.2f} s at "
-        f"the beginning of a run and by {end:+.2f} s at its end (drift {found[1]:+.2f} ± {spread:.1g} s); "
-        "write both with the stamps of one clock",
-        evidence={"delay": float(found[0]), "drift": float(found[1])},
-    )
-
-
 def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
     """A delay, where the refitted model is decisively better for it."""
     fit = at.refitted(undo=_later(delay, 0.0))
@@ -212,16 +205,18 @@ def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
         return None
     size = f"{abs(delay):.2f} ± {error:.1g} s"
     if delay > 0:
-        told = (
+        clause = (
             f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
+            "actuation_delay or thruster_lag), or commands that are logged too early"
         )
-        told += "actuation_delay or thruster_lag), or commands that are logged too early"
     else:
-        told = f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
+        clause = (
+            f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
+        )
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",
-        text=f"{told}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
+        text=f"{clause}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
         evidence={"delay": delay, "error": error},
     )
 
@@ -237,7 +232,7 @@ def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array
     late = (moved - here) / small
     table = np.column_stack([at.fit.at.J, late, *([late * _late_along(at)] if drifts else [])])
     rows = len(at.data.rows)
-    value, error = clustered_least_squares(table, -here, _CLUSTER * rows)
+    value, error = clustered_least_squares(table, -here, SETTINGS.cluster * rows)
     known = at.fit.at.J.shape[1]
     unmoved = np.zeros(1 - int(drifts))
     left = float(np.sum((here + table @ value) ** 2))
@@ -259,8 +254,7 @@ def _later(delay: float, drift: float) -> Undo:
     """Commands as they would be logged that much later."""
 
     def undo(run: Run) -> Run:
-        share = (run.t - run.t[0]) / (run.t[-1] - run.t[0]) - 0.5
-        then = run.t - delay - drift * share
+        then = run.t - delay - drift * _along(run.t)
         held = np.clip(np.searchsorted(run.t, then + 1e-9, side="right") - 1, 0, len(run.t) - 1)
         others = {*run.channels} - {*POSE, *VELOCITY}
         return with_channels(run, {n: run.channels[n][held] for n in others})

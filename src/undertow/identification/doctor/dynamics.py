@@ -20,7 +20,7 @@ from undertow.identification.estimation.weak_form import (
     fit_weak,
     free_parameters,
     mean_square,
-    settled,
+    with_reestimated_noise,
 )
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
@@ -29,66 +29,87 @@ from undertow.model.symbols import FORCE, POSE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edits, column_edit, reassigned
-from .kinematics import Kinematics, jacobian, liveliest
-from .mistakes import SPEEDS, UNITS_OF_MOTION, Mistake, Undo, reading_mistakes, scaling, with_channels
+from .findings import Edits, Finding, column_edit
+from .kinematics import Kinematics, jacobian, most_active
+from .mistakes import (
+    SPEEDS,
+    UNITS_OF_MOTION,
+    Explanation,
+    Mistake,
+    Undo,
+    exchanged,
+    reading_mistakes,
+    rescaled,
+    with_channels,
+)
 from .sensors import inconsistent
 
-# Samples that are looked at, all runs together, in three and in six degrees of freedom.
-_MOST, _MOST_OF_MANY = 1600, 600
-_MANY = 4
-# Mean square, in units of the noise, beyond which a model that was refitted does not explain its log.
-_UNEXPLAINED = 2.0
-# Undoing a mistake must take this factor off what an equation leaves beyond the noise: less is enough where
-# noise is all that remains, since a feedback loop, too, makes a model with a wrong sign look better.
-DECISIVE, ENOUGH = 10.0, 4.0
-# Spread of a velocity over its noise from which its equation of motion is a witness.
-_MOVED = 5.0
-# No other equation may get worse by more than this factor.
-_WORSE = 1.25
-# Change of a channel's spread that only another unit explains.
-_UNIT = 5.0
-# Excess over the noise that cannot be told from none.
-_SMALL = 0.5
+
+@dataclass(frozen=True)
+class DynamicsSettings:
+    """From where on the fit of a model says that a log is read wrongly."""
+
+    samples: int = 1600  # samples that are fitted, all runs together, in three degrees of freedom
+    samples_of_many: int = 600  # the same with more than `many` degrees of freedom
+    many: int = 4
+    # Mean square, in units of the noise, beyond which a model that was refitted does not explain its log.
+    unexplained: float = 2.0
+    # Factor that undoing a mistake must take off what an equation leaves beyond the noise.
+    decisive: float = 10.0
+    # Less is enough where noise is all that remains, since a feedback loop, too, makes a model with a wrong
+    # sign look better.
+    enough: float = 4.0
+    moved: float = 5.0  # spread of a velocity over its noise from which its equation of motion is evidence
+    worse: float = 1.25  # no other equation may get worse by more than this factor
+    unit: float = 5.0  # change of a channel's spread that only another unit explains
+    small: float = 0.5  # excess over the noise that cannot be told from none
+    pwm_middle: float = 1500.0  # pulse width of a servo signal at rest, microseconds
+    pwm_travel: float = 400.0  # its travel to either side
+    alike: float = 0.02  # share by which two thrusters must differ to be exchanged
+    fitted: int = 4  # mistakes that are fitted to the end after a first look at all of them
+    units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
+    worth_a_fit: float = 1.1  # predicted reduction from which a mistake is fitted
+    as_good: float = 1.5  # explanations within this factor of the best one's are as good as it
+    changes: float = 1e-9  # change of a sample that is none
+    # Share of the motion by which pose rates and velocities may disagree in a log that is evidence at all.
+    unreadable: float = 0.5
+    lightest: float = 0.6  # another mass is believed from this factor of the one in the file
+    heaviest: float = 2.5  # and up to this one
+    least: float = 0.1  # and only where it differs by this share
+    sure: float = 3.0  # standard errors by which another mass must differ
+    # The same where added masses that were far off come back to their stated values with it.
+    sure_beside: float = 1.0
+    home: float = 2.0  # standard deviations of its prior within which an added mass is where it should be
+    far: float = 4.0  # standard deviations that one of them must be off
+
+
+SETTINGS = DynamicsSettings()
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A vehicle's model on logs, refitted.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : list of Run
-        The part of the logs that is looked at.
-    data : WeakData
-        The same, prepared.
-    fit : WeakFit
-        The fit, under a noise model that takes what the model does not explain for a disturbance.
-    quiet : (n,) array
-        Mean square of what it leaves of each equation of motion, in units of the sensors' noise.
-    """
+    """A vehicle's model on logs, refitted."""
 
     vehicle: Vehicle
-    runs: list[Run]
+    runs: list[Run]  # the part of the logs that is looked at
     data: WeakData
-    fit: WeakFit
-    quiet: Array
+    fit: WeakFit  # the fit, under a noise model that takes what the model does not explain for a disturbance
+    # (n,) mean square of what it leaves of each equation of motion, in units of the sensors' noise.
+    residual: Array
 
     @property
     def unexplained(self) -> bool:
         """Whether the logs say that something is wrong with the model, or with how they are read."""
-        return bool(np.any(self.quiet > _UNEXPLAINED))
+        return bool(np.any(self.residual > SETTINGS.unexplained))
 
-    def promised(self, undo: Undo) -> float | None:
+    def predicted_reduction(self, undo: Undo) -> float | None:
         """Factor by which one Gauss-Newton step from the file's values would explain the motion better once a
         mistake is undone; geometric mean over the equations of motion. None where it cannot be tried.
         """
         data = self.undone(undo)
         if data is None:
             return None
-        model, size = self.fit.model, len(self.quiet)
+        model, size = self.fit.model, len(self.residual)
         p = np.array([self.vehicle.value_of(n).value for n in self.vehicle.parameter_names], dtype=float)
         at = whitened(model.linearise(data, p), self.fit.whitening)
         step = _free_step(at, p[list(model.places)], prior_of(model))
@@ -98,17 +119,7 @@ class Dynamics:
     def refitted(
         self, vehicle: Vehicle | None = None, undo: Undo | None = None, free: Sequence[str] = ()
     ) -> WeakFit | None:
-        """The fit with something changed, under the same noise model; None where it cannot be made.
-
-        Parameters
-        ----------
-        vehicle : Vehicle, optional
-            Another model.
-        undo : callable, optional
-            Applied to every run.
-        free : sequence of str
-            Parameters that are fitted besides those that the vehicle marks.
-        """
+        """The fit with something changed, under the same noise model; None where it cannot be made."""
         data = self.data if undo is None else self.undone(undo)
         if data is None:
             return None
@@ -138,35 +149,34 @@ class Dynamics:
 
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
-        return Gain(self.quiet, quiet_mean_square(fit)[: len(self.quiet)], self._moved)
+        return Gain(
+            self.vehicle.degrees_of_freedom,
+            self.residual,
+            normalised_mean_square(fit)[: len(self.residual)],
+            self._moved,
+        )
 
     @property
     def _moved(self) -> NDArray[np.bool_]:
-        size = len(self.quiet)
+        size = len(self.residual)
         spread = np.std(np.concatenate([s.measured[:, size:] for s in self.data.segments]), axis=0)
-        return np.asarray(spread > _MOVED * self.data.sigma[size:])
+        return np.asarray(spread > SETTINGS.moved * self.data.sigma[size:])
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What a refitted model leaves of each equation of motion, before and after a change.
+    """What a refitted model leaves of each equation of motion, before and after a change."""
 
-    Attributes
-    ----------
-    before, after : (n,) arrays
-        Mean squares in units of the sensors' noise.
-    moved : (n,) bool array
-        Whether the velocity stands out of its noise.
-    """
-
+    names: tuple[str, ...]  # degrees of freedom
+    # before, after: (n,) mean squares in units of the sensors' noise.
     before: Array
     after: Array
-    moved: NDArray[np.bool_]
+    moved: NDArray[np.bool_]  # (n,) whether the velocity stands out of its noise
 
     @property
     def factors(self) -> Array:
         """How many times what exceeds the noise is smaller after the change, (n,)."""
-        excess = [np.maximum(a - 1.0, _SMALL) for a in (self.before, self.after)]
+        excess = [np.maximum(a - 1.0, SETTINGS.small) for a in (self.before, self.after)]
         return np.asarray(excess[0] / excess[1])
 
     @property
@@ -177,20 +187,33 @@ class Gain:
     @property
     def explained(self) -> bool:
         """Whether little more than noise is left after the change."""
-        return bool(np.all(self.after < _UNEXPLAINED))
+        return bool(np.all(self.after < SETTINGS.unexplained))
 
     @property
     def decisive(self) -> bool:
         """Whether the change explains at least one equation of motion and spoils none."""
-        needed = ENOUGH if self.explained else DECISIVE
-        wrong = (self.before > _UNEXPLAINED) & self.moved
-        return bool(np.any(self.factors[wrong] >= needed) and np.all(self.factors > 1.0 / _WORSE))
+        needed = SETTINGS.enough if self.explained else SETTINGS.decisive
+        wrong = (self.before > SETTINGS.unexplained) & self.moved
+        return bool(np.any(self.factors[wrong] >= needed) and np.all(self.factors > 1.0 / SETTINGS.worse))
+
+    @property
+    def text(self) -> str:
+        """The equations that a change explains much better, in words."""
+        rows = zip(self.names, self.before, self.after, self.factors, strict=True)
+        parts = [f"{dof} {b:.3g} → {a:.3g}" for dof, b, a, factor in rows if factor > 2]
+        return f"the refitted model leaves {', '.join(parts)} times the noise (mean square)"
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """The same in numbers, for all of them."""
+        rows = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
+        return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), ("_undone", a))}
 
 
-def quiet_mean_square(fit: WeakFit) -> Array:
+def normalised_mean_square(fit: WeakFit) -> Array:
     """Mean square of what a fit leaves of every equation, in units of the sensors' noise, (2n,)."""
-    quiet = fit.model.whitening(fit.data, fit.p)
-    return mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
+    whitening = fit.model.whitening(fit.data, fit.p)
+    return mean_square(whitened(fit.model.linearise(fit.data, fit.p), whitening).r, fit.data)
 
 
 def _free_step(at: Linearised, now: Array, prior: tuple[Array, Array]) -> Array:
@@ -202,31 +225,23 @@ def _free_step(at: Linearised, now: Array, prior: tuple[Array, Array]) -> Array:
 def _other_unit(before: Array, after: Array) -> Array:
     """Factors of the noise where a channel is in another unit now: what is smaller is not better for that."""
     ratio = after / np.where(before > 0, before, np.inf)
-    return np.where((ratio > 0) & ((ratio < 1 / _UNIT) | (ratio > _UNIT)), ratio, 1.0)
+    return np.where((ratio > 0) & ((ratio < 1 / SETTINGS.unit) | (ratio > SETTINGS.unit)), ratio, 1.0)
 
 
 def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
-    """Fit a vehicle to the liveliest part of logs; None where they are too short or hold no motion.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` are refitted.
-    runs : sequence of Run
-        Logs with its velocities and commands.
-    """
-    most = _MOST if len(vehicle.dof_indices) <= _MANY else _MOST_OF_MANY
+    """Fit a vehicle to the most_active part of logs; None where they are too short or hold no motion."""
+    most = SETTINGS.samples if len(vehicle.dof_indices) <= SETTINGS.many else SETTINGS.samples_of_many
     try:
         parts = [_part(run, vehicle, most // len(runs)) for run in runs]
         data = prepare(parts, vehicle)
         fit = fit_weak(vehicle, data)
     except (UndertowError, np.linalg.LinAlgError):
         return None
-    return Dynamics(vehicle, parts, data, fit, quiet_mean_square(fit)[: len(vehicle.dof_indices)])
+    return Dynamics(vehicle, parts, data, fit, normalised_mean_square(fit)[: len(vehicle.dof_indices)])
 
 
 def _part(run: Run, vehicle: Vehicle, most: int) -> Run:
-    piece = liveliest(run, vehicle.velocity_names, most)
+    piece = most_active(run, vehicle.velocity_names, most)
     return run.slice(float(run.t[piece.start]), float(run.t[piece.stop - 1]))
 
 
@@ -257,11 +272,6 @@ def _six(run: Run, names: tuple[str, ...]) -> Array:
     return np.column_stack([run.channels.get(n, zero) for n in names])
 
 
-# Pulse widths of servo signals in microseconds: middle and travel to either side.
-_PWM_MIDDLE, _PWM_TRAVEL = 1500.0, 400.0
-_ALIKE = 0.02
-
-
 def reversed_commands(vehicle: Vehicle) -> list[Mistake]:
     """One command with the opposite sign, all of them, or all that do not push ahead."""
     names = vehicle.command_names
@@ -271,13 +281,10 @@ def reversed_commands(vehicle: Vehicle) -> list[Mistake]:
 
 
 def _reversed(names: tuple[str, ...]) -> Mistake:
-    def edits(mapping: LogMapping) -> Edits:
-        return tuple(column_edit(mapping, n, times=-1.0) for n in names)
-
-    told = f"command {names[0]} is" if len(names) == 1 else f"commands {', '.join(names)} are"
+    clause = f"command {names[0]} is" if len(names) == 1 else f"commands {', '.join(names)} are"
     remedy = "; ".join(f"[[thrusters]] {n}: direction (or wrench) with the opposite sign" for n in names)
-    undo = scaling(dict.fromkeys(names, -1.0))
-    return Mistake("reversed_thruster", f"{told} reversed", undo, edits, len(names), remedy)
+    factors = dict.fromkeys(names, -1.0)
+    return rescaled("reversed_thruster", f"{clause} reversed", factors, len(names), remedy)
 
 
 def together(first: Mistake, second: Mistake) -> Mistake:
@@ -290,24 +297,13 @@ def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
     rows = list(vehicle.dof_indices)
     for one, other in combinations(vehicle.thrusters, 2):
         a, b = (np.array(t.wrench)[rows] * t.thrust_per_command.value for t in (one, other))
-        if np.linalg.norm(a - b) > _ALIKE * (np.linalg.norm(a) + np.linalg.norm(b)):
-            yield _swapped(one.name, other.name)
-
-
-def _swapped(one: str, other: str) -> Mistake:
-    places = {one: (other, 1.0), other: (one, 1.0)}
-
-    def undo(run: Run) -> Run:
-        return with_channels(run, {one: run.channels[other], other: run.channels[one]})
-
-    return Mistake(
-        "swapped_thrusters",
-        f"commands {one} and {other} are in each other's place",
-        undo,
-        lambda mapping: reassigned(mapping, places),
-        1,
-        f"[[thrusters]]: exchange the names {one} and {other}",
-    )
+        if np.linalg.norm(a - b) > SETTINGS.alike * (np.linalg.norm(a) + np.linalg.norm(b)):
+            yield exchanged(
+                "swapped_thrusters",
+                f"commands {one.name} and {other.name} are in each other's place",
+                {one.name: (other.name, 1.0), other.name: (one.name, 1.0)},
+                f"[[thrusters]]: exchange the names {one.name} and {other.name}",
+            )
 
 
 def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
@@ -319,14 +315,18 @@ def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     units = {
         "in percent of the limit": (0.01, 0.0, 100.0),
         "a share of the limit (-1 to 1)": (1.0, 0.0, 1.0),
-        "pulse widths in microseconds": (1.0 / _PWM_TRAVEL, -_PWM_MIDDLE / _PWM_TRAVEL, 2200.0),
+        "pulse widths in microseconds": (
+            1.0 / SETTINGS.pwm_travel,
+            -SETTINGS.pwm_middle / SETTINGS.pwm_travel,
+            2200.0,
+        ),
     }
-    for told, (scale, offset, most) in units.items():
+    for clause, (scale, offset, most) in units.items():
         if largest <= 1.05 * most:
-            yield _in_unit(told, limits, scale, offset)
+            yield _in_unit(clause, limits, scale, offset)
 
 
-def _in_unit(told: str, limits: dict[str, float], scale: float, offset: float) -> Mistake:
+def _in_unit(clause: str, limits: dict[str, float], scale: float, offset: float) -> Mistake:
     def undo(run: Run) -> Run:
         return with_channels(run, {n: top * (scale * run.channels[n] + offset) for n, top in limits.items()})
 
@@ -335,64 +335,43 @@ def _in_unit(told: str, limits: dict[str, float], scale: float, offset: float) -
             column_edit(mapping, n, scale=top * scale, offset=top * offset) for n, top in limits.items()
         )
 
-    return Mistake("command_unit", f"commands {', '.join(limits)} are {told}", undo, edits)
-
-
-# Candidates that are fitted to the end after a first look at all of them.
-_FITTED, _UNITS_FITTED = 4, 2
-_WORTH_A_FIT = 1.1
-# Explanations within this factor of the best one's are as good as it.
-_AS_GOOD = 1.5
-_CHANGES = 1e-9
-# Share of the motion by which pose rates and velocities may disagree in a log that is a witness at all.
-_UNREADABLE = 0.5
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A mistake with what undoing it does to the fit of the model.
-
-    Attributes
-    ----------
-    mistake : Mistake
-        The best explanation.
-    gain : Gain
-        What it does.
-    rivals : list of Mistake
-        Others that do as well.
-    """
-
-    mistake: Mistake
-    gain: Gain
-    rivals: list[Mistake]
+    return Mistake("command_unit", f"commands {', '.join(limits)} are {clause}", undo, edits)
 
 
 def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
     """The mistake whose undoing explains the motion decisively; None where none does."""
-    promising = [m for _, m in _promising(at, known)]
-    # Units are many, and neighbours promise alike: they must not crowd out the others.
+    worth_fitting = [m for _, m in _worth_fitting(at, known)]
+    # Units are many, and neighbours predict alike: they must not crowd out the others.
     units, others = (
-        [m for m in promising if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
+        [m for m in worth_fitting if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
     )
-    leading = [*others[:_FITTED], *units[:_UNITS_FITTED]]
+    leading = [*others[: SETTINGS.fitted], *units[: SETTINGS.units_fitted]]
     return _chosen(at, [(m, fit) for m in leading if (fit := at.refitted(undo=m.undo)) is not None])
 
 
-def _promising(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:
-    """Mistakes that are worth a fit, with what one step of it promises; the best first."""
-    looked = [(at.promised(m.undo) or 0.0, i) for i, m in enumerate(known)]
-    return [(promise, known[i]) for promise, i in sorted(looked, reverse=True) if promise > _WORTH_A_FIT]
+def _worth_fitting(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:
+    """Mistakes that are worth a fit, with what one step of it predicts; the best first."""
+    looked = [(at.predicted_reduction(m.undo) or 0.0, i) for i, m in enumerate(known)]
+    return [
+        (predicted, known[i])
+        for predicted, i in sorted(looked, reverse=True)
+        if predicted > SETTINGS.worth_a_fit
+    ]
 
 
 def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanation | None:
     # Under the noise model of the wrong reading a fit stops early: those that help get their own.
-    helping = [(m, at.gain(settled(fit))) for m, fit in fitted if at.gain(fit).decisive]
+    helping = [(m, at.gain(with_reestimated_noise(fit))) for m, fit in fitted if at.gain(fit).decisive]
     found = [(m, g) for m, g in helping if g.decisive]
     if not found:
         return None
     most = max(g.overall for _, g in found)
-    equals = sorted((pair for pair in found if pair[1].overall > most / _AS_GOOD), key=lambda p: p[0].count)
-    return Explanation(*equals[0], [m for m, _ in equals[1:]])
+    equals = sorted(
+        (pair for pair in found if pair[1].overall > most / SETTINGS.as_good), key=lambda p: p[0].count
+    )
+    mistake, gain = equals[0]
+    text = f"{mistake.clause}: undone, {gain.text}"
+    return Explanation(mistake, text, gain.evidence, [m for m, _ in equals[1:]])
 
 
 def dynamic_mistakes(
@@ -402,21 +381,8 @@ def dynamic_mistakes(
 
     None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
     no evidence of anything.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    at : Dynamics
-        Its fit to (part of) the logs.
-    kinematics : Kinematics
-        What pose rates and velocities allow.
-    runs : sequence of Run
-        The logs.
-    mapping : Mapping
-        How they were read.
     """
-    if kinematics and np.any(kinematics.mismatch(runs).excess > _UNREADABLE):
+    if kinematics and np.any(kinematics.mismatch(runs).excess > SETTINGS.unreadable):
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
     signs = reversed_commands(vehicle)
@@ -432,7 +398,7 @@ def dynamic_mistakes(
 def _two_reversed(at: Dynamics, signs: list[Mistake]) -> Explanation | None:
     """Two reversed thrusters: the one that helps most, with each of the others."""
     single = [m for m in signs if m.count == 1]
-    looked = _promising(at, single)
+    looked = _worth_fitting(at, single)
     if len(single) < 3 or not looked:
         return None
     first = looked[0][1]
@@ -453,7 +419,10 @@ def allowed(
     seen = [_felt(at, at.runs[0])]
     for mistake in known:
         now = _felt(at, mistake.undo(at.runs[0]))
-        if any(np.allclose(now, other, rtol=_CHANGES, atol=_CHANGES, equal_nan=True) for other in seen):
+        if any(
+            np.allclose(now, other, rtol=SETTINGS.changes, atol=SETTINGS.changes, equal_nan=True)
+            for other in seen
+        ):
             continue
         undone = [mistake.undo(run) for run in runs]
         if given is None or kinematics.mismatch(undone).total < 1.25 * given.total + 0.01:
@@ -471,37 +440,10 @@ def _felt(at: Dynamics, run: Run) -> np.ndarray:
 
 
 _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
-# Another mass is believed between these factors of the one in the file, and only from a tenth on.
-_LIGHTEST, _HEAVIEST, _LEAST = 0.6, 2.5, 0.1
-# Standard errors by themselves, and where added masses that were far off come home with another mass.
-_SURE, _SURE_BESIDE = 3.0, 1.0
-# Standard deviations of its prior: within two, an added mass is where it should be; one must be far beyond.
-_HOME, _FAR = 2.0, 4.0
 
 
-@dataclass(frozen=True)
-class OtherMass:
-    """The mass that logs ask for.
-
-    Attributes
-    ----------
-    stated, found, error : float
-        In the file, from the logs, and its standard error, kg.
-    gain : Gain
-        What refitting it does to the equations of motion.
-    moved : dict
-        Added masses that have left their stated values, in standard deviations, and come back with this mass.
-    """
-
-    stated: float
-    found: float
-    error: float
-    gain: Gain
-    moved: dict[str, float]
-
-
-def other_mass(at: Dynamics) -> OtherMass | None:
-    """The mass that the logs ask for; None where it is no other, or they cannot tell.
+def other_mass(at: Dynamics) -> Finding | None:
+    """A mass that is not the one that the logs ask for; None where it is, or they cannot tell.
 
     With added masses that are free and have no stated spread, nothing can be told: they take up any mass. Nor
     can it where an added mass that is held fixed explains as much with another value.
@@ -514,15 +456,33 @@ def other_mass(at: Dynamics) -> OtherMass | None:
         return None
     found, error = fit.values["m"], fit.standard_errors["m"]
     ratio = found / known.value
-    if not (_LIGHTEST < ratio < _HEAVIEST and abs(ratio - 1) > _LEAST):
+    if not (SETTINGS.lightest < ratio < SETTINGS.heaviest and abs(ratio - 1) > SETTINGS.least):
         return None
     gain = at.gain(fit)
     moved = _come_home(at.fit, fit) if gain.explained else {}
     # What added masses and mass share is poorly known; that added masses are where they should be is not.
-    sure = abs(found - known.value) > (_SURE_BESIDE if moved else _SURE) * error
+    sure = abs(found - known.value) > (SETTINGS.sure_beside if moved else SETTINGS.sure) * error
     if not sure or not (moved or gain.decisive) or _added_mass_instead(at, fit):
         return None
-    return OtherMass(known.value, found, error, gain, moved)
+    return _mass_finding({"stated": known.value, "found": found, "error": error}, gain, moved)
+
+
+def _mass_finding(mass: dict[str, float], gain: Gain, moved: dict[str, float]) -> Finding:
+    """`moved` are added masses that leave their stated values, in standard deviations."""
+    which = "dry" if mass["found"] > mass["stated"] else "wrong"
+    reason = f"with it, {gain.text}"
+    if moved:
+        far = ", ".join(f"{n} {z:+.1f}" for n, z in moved.items())
+        reason = f"with m as stated the added masses leave their stated values ({far} standard deviations)"
+    return Finding(
+        id="dry_mass",
+        severity="warning" if moved else "mistake",
+        text=f"m = {mass['stated']:.4g} kg looks like the {which} mass: the logs ask for "
+        f"{mass['found']:.4g} ± {mass['error']:.2g} kg; {reason}",
+        evidence=mass,
+        vehicle=f'[effects.rigid_body] m = "{mass["found"]:.4g} kg" (the mass with the water inside)',
+        alternatives=["water that moves along but weighs nothing: undertow add entrained_water"],
+    )
 
 
 def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
@@ -535,10 +495,10 @@ def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
 def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:
     """Added masses that were several standard deviations off in the same sense, and no longer are."""
     off, home = (_standardised(f) for f in (before, after))
-    moved = {n: z for n, z in off.items() if abs(z) > _HOME}
+    moved = {n: z for n, z in off.items() if abs(z) > SETTINGS.home}
     same_sense = len(moved) >= 2 and len({np.sign(z) for z in moved.values()}) == 1
-    far = max(map(abs, moved.values()), default=0.0) > _FAR
-    return moved if same_sense and far and all(abs(z) < _HOME for z in home.values()) else {}
+    far = max(map(abs, moved.values()), default=0.0) > SETTINGS.far
+    return moved if same_sense and far and all(abs(z) < SETTINGS.home for z in home.values()) else {}
 
 
 def _standardised(fit: WeakFit) -> dict[str, float]:
@@ -548,34 +508,27 @@ def _standardised(fit: WeakFit) -> dict[str, float]:
 
 
 # --- squares ----------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class LostSign:
-    """An effect whose force is even in its own velocity.
+def lost_signs(at: Dynamics) -> Iterator[Finding]:
+    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern.
 
-    Attributes
-    ----------
-    effect : str
-        Its id.
-    terms : list of str
-        Such as "X: u^2".
-    vehicle : Vehicle
-        The vehicle with |u| u in its place.
+    They are reported where |u| u in its place explains the logs decisively.
     """
-
-    effect: str
-    terms: list[str]
-    vehicle: Vehicle
-
-
-def lost_signs(vehicle: Vehicle) -> Iterator[LostSign]:
-    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern."""
+    vehicle = at.vehicle
     for effect in vehicle.effects:
-        if isinstance(effect, Wrench):
-            terms = _squares(effect, vehicle)
-            if terms:
-                mended = _with_signs(effect)
-                others = tuple(mended if e is effect else e for e in vehicle.effects)
-                yield LostSign(effect.id, terms, replace(vehicle, effects=others))
+        if not isinstance(effect, Wrench) or not (squares := _squares(effect, vehicle)):
+            continue
+        mended, terms = _with_signs(effect), ", ".join(squares)
+        others = tuple(mended if e is effect else e for e in vehicle.effects)
+        fit = at.refitted(vehicle=replace(vehicle, effects=others))
+        if fit is not None and (gain := at.gain(fit)).decisive:
+            yield Finding(
+                id="lost_sign",
+                severity="mistake",
+                text=f"effect {effect.id} has a square without its sign ({terms}), which pushes when moving "
+                f"astern: with |u| u for u^2, {gain.text}",
+                evidence=gain.evidence,
+                vehicle=f"effect {effect.id}: write sm.Abs(u) * u where it has u**2 ({terms})",
+            )
 
 
 def _squares(effect: Wrench, vehicle: Vehicle) -> list[str]:

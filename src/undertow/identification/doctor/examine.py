@@ -23,38 +23,43 @@ from . import mistakes, sensors
 from .clocks import clock_findings, command_clock
 from .dynamics import (
     Dynamics,
-    Explanation,
-    Gain,
-    LostSign,
-    OtherMass,
     dynamic_mistakes,
     dynamics_of,
     lost_signs,
     other_mass,
     rederived,
 )
-from .findings import Edit, Edits, Examination, Finding, as_toml, edited, most_serious_first, percent
+from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .impossible import impossible, suspicious
 from .kinematics import Kinematics
-from .mistakes import POSITIONS, UNITS_OF_MOTION, Mistake, Undo, other_time_unit, reading_mistakes
+from .mistakes import (
+    POSITIONS,
+    UNITS_OF_MOTION,
+    Explanation,
+    Mistake,
+    Undo,
+    other_time_unit,
+    reading_mistakes,
+)
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
 
 
-def kinematic_text(
-    kinematics: Kinematics, found: Explained, chosen: Mistake, runs: Sequence[Run]
-) -> tuple[str, dict[str, float]]:
-    """One line on a mistake that shows in the kinematics of runs, and its evidence."""
+def _explanation(
+    kinematics: Kinematics, found: Explained, chosen: Mistake, rivals: list[Mistake], runs: Sequence[Run]
+) -> Explanation:
+    """A mistake that shows in the kinematics of runs."""
     names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
     parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
     sizes = _sizes(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
     mismatch = f"the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
-    text = f"{chosen.told}: {sizes}undone, {mismatch}"
+    text = f"{chosen.clause}: {sizes}undone, {mismatch}"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
-    return f"{text} (mean square; noise {percent(float(np.max(before.floor[rows])))})", evidence
+    text += f" (mean square; noise {percent(float(np.max(before.floor[rows])))})"
+    return Explanation(chosen, text, evidence, rivals)
 
 
 def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
@@ -72,60 +77,6 @@ def _rms(table: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
 
 
-def dynamic_text(vehicle: Vehicle, found: Explanation) -> tuple[str, dict[str, float]]:
-    """One line on a mistake that shows in the fit of the model, and its evidence."""
-    return f"{found.mistake.told}: undone, {_gained(vehicle, found.gain)}", _evidence(vehicle, found.gain)
-
-
-def _gained(vehicle: Vehicle, gain: Gain) -> str:
-    parts = [
-        f"{dof} {b:.3g} → {a:.3g}"
-        for dof, b, a, f in zip(
-            vehicle.degrees_of_freedom, gain.before, gain.after, gain.factors, strict=True
-        )
-        if f > 2
-    ]
-    return f"the refitted model leaves {', '.join(parts)} times the noise (mean square)"
-
-
-def _evidence(vehicle: Vehicle, gain: Gain) -> dict[str, float]:
-    rows = zip(vehicle.degrees_of_freedom, gain.before.tolist(), gain.after.tolist(), strict=True)
-    return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), ("_undone", a))}
-
-
-def sign_finding(vehicle: Vehicle, lost: LostSign, gain: Gain) -> Finding:
-    """A square without its sign."""
-    terms = ", ".join(lost.terms)
-    return Finding(
-        id="lost_sign",
-        severity="mistake",
-        text=f"effect {lost.effect} has a square without its sign ({terms}), which pushes when moving "
-        f"astern: with |u| u for u^2, {_gained(vehicle, gain)}",
-        evidence=_evidence(vehicle, gain),
-        vehicle=f"effect {lost.effect}: write sm.Abs(u) * u where it has u**2 ({terms})",
-    )
-
-
-def mass_finding(vehicle: Vehicle, mass: OtherMass) -> Finding:
-    """A mass that is not that of the vehicle in the water."""
-    known = not mass.moved
-    which = "dry" if mass.found > mass.stated else "wrong"
-    if known:
-        reason = f"with it, {_gained(vehicle, mass.gain)}"
-    else:
-        moved = ", ".join(f"{n} {z:+.1f}" for n, z in mass.moved.items())
-        reason = f"with m as stated the added masses leave their stated values ({moved} standard deviations)"
-    return Finding(
-        id="dry_mass",
-        severity="mistake" if known else "warning",
-        text=f"m = {mass.stated:.4g} kg looks like the {which} mass: the logs ask for {mass.found:.4g} ± "
-        f"{mass.error:.2g} kg; {reason}",
-        evidence={"stated": mass.stated, "found": mass.found, "error": mass.error},
-        vehicle=f'[effects.rigid_body] m = "{mass.found:.4g} kg" (the mass with the water inside)',
-        alternatives=["water that moves along but weighs nothing: undertow add entrained_water"],
-    )
-
-
 _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
@@ -133,22 +84,14 @@ _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle fil
 
 @dataclass(frozen=True)
 class Examined:
-    """An examination with what it was about.
+    """An examination with what it was about."""
 
-    Attributes
-    ----------
-    result : Examination
-        What is written to JSON.
-    given, mended : list of Run
-        The logs, less those that are wrong alone, and what they are once the mistakes found are undone.
-    edits : tuple of Edit
-        What to change in the mapping file.
-    """
-
-    result: Examination
+    result: Examination  # what is written to JSON
+    # given, mended: the logs, less those that are wrong alone, and what they are once the mistakes found are
+    # undone.
     given: list[Run]
     mended: list[Run]
-    edits: Edits
+    edits: Edits  # what to change in the mapping file
 
 
 def examine(
@@ -181,28 +124,28 @@ def examine(
         run.matrix([*vehicle.velocity_names, *vehicle.command_names])
     read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), LogMapping())
     alone = _wrong_alone(vehicle, runs)
-    case = _Case(vehicle, [run for run in runs if run.name not in alone], read_by)
-    case.findings += alone.values()
+    examiner = _Examiner(vehicle, [run for run in runs if run.name not in alone], read_by)
+    examiner.findings += alone.values()
     report(0.0, "looking at clock and samples")
-    case.look_at_samples()
+    examiner.look_at_samples()
     report(0.1, "holding pose rates against velocities")
-    case.undo_reading_mistakes()
-    case.undo_what_cannot_be()
+    examiner.undo_reading_mistakes()
+    examiner.undo_what_cannot_be()
     report(0.4, "holding motion against commands")
-    case.undo_model_mistakes()
+    examiner.undo_model_mistakes()
     report(0.9, "looking at sensors and excitation")
-    rows = excitation(vehicle, case.runs)
-    case.look_at_the_rest()
-    case.findings += excitation_findings(rows, vehicle, case.runs)
+    rows = excitation(vehicle, examiner.runs)
+    examiner.look_at_the_rest()
+    examiner.findings += excitation_findings(rows, vehicle, examiner.runs)
     result = Examination(
         undertow=__version__,
         vehicle=vehicle.name,
         runs=[r.name for r in runs],
-        findings=most_serious_first(case.findings),
+        findings=sorted(examiner.findings, key=lambda f: SEVERITIES.index(f.severity)),
         excitation=rows,
         seconds=time.perf_counter() - began,
     )
-    return Examined(result, case.given, case.runs, tuple(case.edits))
+    return Examined(result, examiner.given, examiner.runs, tuple(examiner.edits))
 
 
 def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool = False) -> None:
@@ -237,11 +180,11 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
 
 def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
     """What cannot be in a log, and all that mends it."""
-    case = _Case(vehicle, [run], run.mapping or LogMapping())
-    case.look_at_samples()
-    case.undo_reading_mistakes()
-    case.undo_what_cannot_be()
-    return None if case.refused is None else (case.refused, tuple(case.edits))
+    examiner = _Examiner(vehicle, [run], run.mapping or LogMapping())
+    examiner.look_at_samples()
+    examiner.undo_reading_mistakes()
+    examiner.undo_what_cannot_be()
+    return None if examiner.refused is None else (examiner.refused, tuple(examiner.edits))
 
 
 def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
@@ -259,7 +202,7 @@ def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
     }
 
 
-class _Case:
+class _Examiner:
     """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
 
     def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: LogMapping) -> None:
@@ -275,15 +218,14 @@ class _Case:
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
-            text = f"{unit.told}: only then have pose rates and velocities the same size"
-            self._undo(unit, text, {}, impossible=True)
+            text = f"{unit.clause}: only then have pose rates and velocities the same size"
+            self._undo(Explanation(unit, text, {}), impossible=True)
         unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
         if degrees := mistakes.in_degrees(self.runs, self.mapping, unasked):
-            text = f"{degrees.told}, which is no vehicle's in radians"
-            self._undo(degrees, text, {}, apply=self._afresh, impossible=True)
-        for mistake, count in mistakes.wrapped_angles(self.runs):
-            self._undo(mistake, f"{mistake.told}: no vehicle turns so fast", {"times": float(count)})
-        self.findings += mistakes.halfway(self.runs)
+            self._undo(degrees, apply=self._afresh, impossible=True)
+        for wrapped in mistakes.wrapped_angles(self.runs):
+            self._undo(wrapped)
+        self.findings += mistakes.angles_across_jumps(self.runs)
 
     def undo_reading_mistakes(self) -> None:
         for _ in range(_MOST_MISTAKES):
@@ -298,16 +240,16 @@ class _Case:
         found = found or sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
         if found is None:
             return False
-        others = [f.told() for f in sensors.as_good_as(found, fits)]
+        others = [f.description() for f in sensors.as_good_as(found, fits)]
         chosen, rivals = decided(self.vehicle, self.runs, found)
-        text, evidence = kinematic_text(kinematics, found, chosen, self.runs)
+        explanation = _explanation(kinematics, found, chosen, rivals, self.runs)
         if others:
-            self._doubt(chosen, text, evidence, others)
+            self._doubt(explanation, others)
             return False
         # Water may well move as fast as a vehicle does.
         gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)
-        text += f"; sensors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
-        self._undo(chosen, text, evidence, rivals, impossible=gross)
+        beyond = f"; sensors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
+        self._undo(replace(explanation, text=explanation.text + beyond), impossible=gross)
         return True
 
     def undo_what_cannot_be(self) -> None:
@@ -316,16 +258,13 @@ class _Case:
             found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
             if found is None:
                 return
-            text = f"{found.mistake.told}: {found.why}"
-            self._undo(found.mistake, text, found.evidence, found.rivals, impossible=True)
+            self._undo(found, impossible=True)
 
     def doubt_forces(self) -> None:
         """Ask for the unit where a motion needs a few times the force commanded."""
         found = suspicious(self.vehicle, self.runs, self.mapping, self.kinematics)
         if found is not None:
-            others = [r.told for r in found.rivals]
-            text = f"{found.mistake.told}: {found.why}"
-            self._doubt(found.mistake, text, found.evidence, [*others, _WEAK_THRUSTERS])
+            self._doubt(found, [*(r.clause for r in found.rivals), _WEAK_THRUSTERS])
 
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
@@ -336,11 +275,10 @@ class _Case:
             found = dynamic_mistakes(self.vehicle, at, self.kinematics, self.runs, self.mapping)
             if found is None:
                 break
-            text, evidence = dynamic_text(self.vehicle, found)
             if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
-                self._doubt(found.mistake, text, evidence, [_WEAK_THRUSTERS])
+                self._doubt(found, [_WEAK_THRUSTERS])
                 break
-            self._undo(found.mistake, text, evidence, found.rivals)
+            self._undo(found)
         if not any(f.severity == "mistake" for f in self.findings):
             self.doubt_forces()
         if at is not None:
@@ -351,13 +289,9 @@ class _Case:
         if at.unexplained:
             clock = command_clock(at)
             self.findings += [] if clock is None else [clock]
-            for lost in lost_signs(self.vehicle):
-                fit = at.refitted(vehicle=lost.vehicle)
-                if fit is not None and (gain := at.gain(fit)).decisive:
-                    self.findings.append(sign_finding(self.vehicle, lost, gain))
-        mass = other_mass(at)
-        if mass is not None:
-            self.findings.append(mass_finding(self.vehicle, mass))
+            self.findings += lost_signs(at)
+        if (mass := other_mass(at)) is not None:
+            self.findings.append(mass)
 
     def look_at_the_rest(self) -> None:
         kinematics = self.kinematics
@@ -378,22 +312,19 @@ class _Case:
 
     def _undo(
         self,
-        mistake: Mistake,
-        text: str,
-        evidence: dict[str, float],
-        rivals: Sequence[Mistake] = (),
+        found: Explanation,
         apply: Callable[[Run, Undo], Run] = rederived,
         impossible: bool = False,
     ) -> None:
-        edits = mistake.edits(self.mapping)
+        mistake, edits = found.mistake, found.mistake.edits(self.mapping)
         finding = Finding(
             id=mistake.id,
             severity="mistake",
-            text=text,
-            evidence=evidence,
+            text=found.text,
+            evidence=found.evidence,
             mapping=as_toml(edits),
             vehicle=mistake.vehicle,
-            alternatives=[f"{r.told}: {_on_one_line(r.edits(self.mapping))}" for r in rivals],
+            alternatives=[f"{r.clause}: {_on_one_line(r.edits(self.mapping))}" for r in found.rivals],
         )
         self.findings.append(finding)
         self.refused = self.refused or (finding if impossible else None)
@@ -405,15 +336,15 @@ class _Case:
         self.mapping = edited(self.mapping, edits)
         self.edits += edits
 
-    def _doubt(self, mistake: Mistake, text: str, evidence: dict[str, float], others: list[str]) -> None:
+    def _doubt(self, found: Explanation, others: list[str]) -> None:
         """Say what may be a mistake or a flaw of a sensor, and leave it."""
         self.findings.append(
             Finding(
-                id=mistake.id,
+                id=found.mistake.id,
                 severity="warning",
-                text=f"perhaps {text}",
-                evidence=evidence,
-                mapping=as_toml(mistake.edits(self.mapping)),
+                text=f"perhaps {found.text}",
+                evidence=found.evidence,
+                mapping=as_toml(found.mistake.edits(self.mapping)),
                 alternatives=others,
             )
         )
@@ -434,17 +365,7 @@ _DECIDES = 2.0
 
 
 def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
-    """The mistake that the model speaks for, and those that it does not speak against.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs with the mistake.
-    found : Explained
-        What kinematics says.
-    """
+    """The mistake that the model speaks for, and those that it does not speak against."""
     tied = [found.mistake, *found.rivals][:_TRIED]
     if len(tied) == 1:
         return found.mistake, []
@@ -457,7 +378,7 @@ def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mi
 def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
     """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
     at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
-    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.quiet, 1.0)))))
+    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))
 
 
 _MOST = 1500
@@ -466,13 +387,7 @@ _OUTLIERS = 0.002
 
 
 def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
-    """One row for each pose coordinate: rate of the pose against what the velocities make of it.
-
-    Raises
-    ------
-    UndertowError
-        If the logs have no pose with a velocity of its own.
-    """
+    """One row for each pose coordinate: rate of the pose against what the velocities make of it."""
     kinematics = Kinematics(examined.given, vehicle)
     if not kinematics:
         raise UndertowError(

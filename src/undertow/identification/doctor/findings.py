@@ -8,18 +8,20 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
-from undertow.identification.logs.mapping import FLIPPED_BODY, SCHEMA, Column, LogMapping
+from undertow.identification.logs.mapping import FLIPPED_BODY, SCHEMA, Column, LogMapping, turned_name
 
 EXAMINATION_SCHEMA = "undertow/doctor/1"
 Severity = Literal["mistake", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("mistake", "warning", "note")
 
 
-class _Table(BaseModel):
+class ResultTable(BaseModel):
+    """A table of a result that is written to JSON; numbers that do not exist are null there."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class Finding(_Table):
+class Finding(ResultTable):
     """One thing that the logs show.
 
     Attributes
@@ -49,7 +51,7 @@ class Finding(_Table):
     alternatives: list[str] = []
 
 
-class Excited(_Table):
+class DofExcitation(ResultTable):
     """What happened in one degree of freedom.
 
     Attributes
@@ -83,25 +85,15 @@ class Excited(_Table):
     cannot: list[str]
 
 
-class Examination(_Table):
-    """Outcome of `undertow doctor`.
-
-    Attributes
-    ----------
-    findings : list of Finding
-        The most serious first.
-    excitation : list of Excited
-        One for each degree of freedom of the vehicle.
-    seconds : float
-        Time that it took.
-    """
+class Examination(ResultTable):
+    """Outcome of `undertow doctor`."""
 
     schema_id: str = EXAMINATION_SCHEMA
     undertow: str
     vehicle: str
     runs: list[str]
-    findings: list[Finding]
-    excitation: list[Excited]
+    findings: list[Finding]  # the most serious first
+    excitation: list[DofExcitation]
     seconds: float
 
     @property
@@ -117,11 +109,6 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
-def most_serious_first(findings: list[Finding]) -> list[Finding]:
-    """Findings by severity; their order is kept otherwise."""
-    return sorted(findings, key=lambda f: SEVERITIES.index(f.severity))
-
-
 class Edit(NamedTuple):
     """A key of a mapping file and its new value; `table` is empty for a key on top."""
 
@@ -134,17 +121,7 @@ Edits = tuple[Edit, ...]
 
 
 def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
-    """Change how the column of a channel is read.
-
-    Parameters
-    ----------
-    mapping : Mapping
-        How the log was read.
-    channel : str
-        Name of the channel inside undertow (after the turn to NED).
-    changes
-        Attributes of `Column`; `times` multiplies its scale and its offset.
-    """
+    """Change attributes of the column of a channel; `times` multiplies its scale and its offset."""
     name, column = column_of(mapping, channel)
     times = changes.pop("times", 1.0)
     scaled = {"scale": times * column.scale, "offset": times * column.offset}
@@ -154,15 +131,7 @@ def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
 
 
 def reassigned(mapping: LogMapping, places: TypingMapping[str, tuple[str, float]]) -> Edits:
-    """Let the columns of some channels become others, possibly with the opposite sign.
-
-    Parameters
-    ----------
-    mapping : Mapping
-        How the log was read.
-    places : mapping
-        Channel to (channel that the column stands for now, sign).
-    """
+    """Let columns of channels become others: channel to (channel that its column stands for now, sign)."""
     found = []
     for target, (source, sign) in places.items():
         name, column = column_of(mapping, source)
@@ -179,14 +148,9 @@ def _axis_sign(mapping: LogMapping, channel: str) -> float:
 
 def column_of(mapping: LogMapping, channel: str) -> tuple[str, Column]:
     """Column of the log that becomes a channel; without a mapping it is called like the channel."""
-    name = _in_the_file(mapping, channel)
+    name = turned_name(channel, mapping.frames.position)
     found = {c.channel: (n, c) for n, c in mapping.columns.items()}
     return found.get(name, (name, Column(channel=name)))
-
-
-def _in_the_file(mapping: LogMapping, channel: str) -> str:
-    swapped = {"x": "y", "y": "x"} if mapping.frames.position == "ENU" else {}
-    return swapped.get(channel, channel)
 
 
 def frames_edits(mapping: LogMapping, position: str, body: str, attitude: str) -> Edits:

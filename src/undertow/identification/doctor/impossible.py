@@ -19,47 +19,44 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .dynamics import other_units, rederived
-from .findings import Edits, column_edit
-from .kinematics import Kinematics, liveliest
+from .kinematics import Kinematics, most_active
 from .mistakes import (
+    PLAUSIBLE,
     RATES,
-    SETTINGS,
     SPEEDS,
     UNITS_OF_MOTION,
+    Explanation,
     Mistake,
-    Settings,
+    PlausibilitySettings,
     likely_time_units,
     reading_mistakes,
-    scaling,
+    rescaled,
 )
 from .sensors import clustered_least_squares
 
 _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
 
 
+def allocation(vehicle: Vehicle) -> Array:
+    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
+    rows = list(vehicle.dof_indices)
+    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
+    columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]
+    return np.array(columns).T.reshape(len(rows), -1)
+
+
 @dataclass(frozen=True)
 class Response:
-    """How one motion answers one command, or all of them together.
-
-    Attributes
-    ----------
-    degree_of_freedom : str
-        The motion.
-    command : str
-        The command; empty for all together.
-    gain, error : float
-        Inertial force found per force commanded, 1 as the vehicle file has it, and its standard error.
-    share : float
-        Share that the command explains of what nothing else does.
-    needed, given : float
-        Inertial and commanded force or moment, rms, N or N m.
-    """
+    """How one motion answers one command, or all of them together."""
 
     degree_of_freedom: str
-    command: str
+    command: str  # the command; empty for all together
+    # gain, error: inertial force found per force commanded, 1 as the vehicle file has it, and its standard
+    # error.
     gain: float
     error: float
-    share: float
+    share: float  # share that the command explains of what nothing else does
+    # needed, given: inertial and commanded force or moment, rms, N or N m.
     needed: float
     given: float
 
@@ -78,22 +75,12 @@ class _Table:
 
 
 class Responses:
-    """Where and how motion is held against commands; the same for a log as given and as mended.
+    """Where and how motion is compared with commands; the same for a log as given and as mended.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Mass matrix and thrusters as its file has them.
-    settings : Settings
-        How much of the logs is looked at, and how.
-
-    Raises
-    ------
-    UndertowError
-        If what a command gives depends on the motion.
+    An actuation that depends on the motion is refused.
     """
 
-    def __init__(self, vehicle: Vehicle, settings: Settings) -> None:
+    def __init__(self, vehicle: Vehicle, settings: PlausibilitySettings) -> None:
         self.vehicle, self.settings = vehicle, settings
         self._functions = Functions(vehicle)
         self._p = np.array(self._functions.values(), dtype=float)
@@ -146,9 +133,9 @@ class Responses:
     def _parts(self, run: Run, index: int, count: int) -> Iterator[tuple[Array, Array, Array]]:
         velocities, commands = self.vehicle.velocity_names, self.vehicle.command_names
         angles = [n for n in ("phi", "theta") if n in self.vehicle.pose_names and run.has(n)]
-        lively, force = liveliest(run, velocities, self.settings.samples // count), self._commanded(run)
+        active, force = most_active(run, velocities, self.settings.samples // count), self._commanded(run)
         for piece in run.segments([*velocities, *commands, *angles]):
-            part = slice(max(piece.start, lively.start), min(piece.stop, lively.stop))
+            part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
             functions = test_functions(t, self.settings.width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
@@ -157,16 +144,12 @@ class Responses:
 
     def _commanded(self, run: Run) -> Array:
         """Force of every command at every sample, (N, n, n_commands); NaN where a command is missing."""
-        rows = list(self.vehicle.dof_indices)
         u = run.matrix(self.vehicle.command_names)
         missing = np.isnan(u)
         actuation = self._chain.along(run.t, without_gaps(u), self._p).value
-        thrusters = self.vehicle.thrusters
-        gains = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in thrusters]
-        known = [np.eye(6)["XYZKMN".index(n[-1])][rows] for n in self.vehicle.force_channels]
-        table = np.column_stack([actuation, u[:, len(thrusters) :]])
+        table = np.column_stack([actuation, u[:, len(self.vehicle.thrusters) :]])
         table = np.where(missing, np.nan, table)
-        return np.einsum("Nc,cn->Nnc", table, np.array([*gains, *known]).reshape(-1, len(rows)))
+        return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))
 
 
 def _tested(
@@ -192,7 +175,7 @@ def _without(beside: Array, columns: Array) -> Array:
     return np.asarray(columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-10)[0])
 
 
-def _fitted(columns: Array, force: Array, settings: Settings) -> tuple[Array, Array, Array]:
+def _fitted(columns: Array, force: Array, settings: PlausibilitySettings) -> tuple[Array, Array, Array]:
     """Gains of columns by least squares, their errors, and what share each explains that no other does."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     scaled = columns / size
@@ -216,37 +199,15 @@ def _mass_matrix(functions: Functions, p: Array) -> Array:
     return np.array(evaluate(*zeros), dtype=float)
 
 
-@dataclass(frozen=True)
-class Impossible:
-    """A mistake without which a log cannot be.
-
-    Attributes
-    ----------
-    mistake : Mistake
-        The likeliest.
-    rivals : list of Mistake
-        Others that would make it possible.
-    why : str
-        Value and limit, in words.
-    evidence : dict
-        The same in numbers, SI.
-    """
-
-    mistake: Mistake
-    rivals: list[Mistake]
-    why: str
-    evidence: dict[str, float]
-
-
 def suspicious(
     vehicle: Vehicle, runs: Sequence[Run], mapping: LogMapping, kinematics: Kinematics
-) -> Impossible | None:
+) -> Explanation | None:
     """A motion that needs a few times the force commanded, as it would in another unit; None where none does.
 
     Parameters are those of `impossible`. Lags and dead times make a motion need less, never more.
     """
-    milder = replace(SETTINGS, strongest=SETTINGS.doubtful, near=SETTINGS.alike)
-    return _Look(vehicle, list(runs), mapping, kinematics, milder).by_force()
+    milder = replace(PLAUSIBLE, strongest=PLAUSIBLE.doubtful, near=PLAUSIBLE.alike)
+    return _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, milder).by_force()
 
 
 def impossible(
@@ -254,25 +215,11 @@ def impossible(
     runs: Sequence[Run],
     mapping: LogMapping,
     kinematics: Kinematics,
-    settings: Settings = SETTINGS,
-) -> Impossible | None:
-    """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Mass, thrusters and their limits.
-    runs : sequence of Run
-        Logs whose pose rates and velocities do not contradict each other, as far as both were measured.
-    mapping : Mapping
-        How they were read.
-    kinematics : Kinematics
-        What pose rates and velocities allow.
-    settings : Settings
-        From where on something cannot be.
-    """
-    look = _Look(vehicle, list(runs), mapping, kinematics, settings)
-    return look.by_force() or look.by_size() or look.by_limits()
+    settings: PlausibilitySettings = PLAUSIBLE,
+) -> Explanation | None:
+    """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
+    check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, settings)
+    return check.by_force() or check.by_size() or check.by_limits()
 
 
 _Known = dict[tuple[str, str], Response]
@@ -280,15 +227,15 @@ _Known = dict[tuple[str, str], Response]
 
 
 @dataclass(frozen=True)
-class _Look:
+class _PlausibilityCheck:
     vehicle: Vehicle
     runs: list[Run]
     mapping: LogMapping
     kinematics: Kinematics
-    settings: Settings
+    settings: PlausibilitySettings
 
     # --- force -----------------------------------------------------------------------------------
-    def by_force(self) -> Impossible | None:
+    def by_force(self) -> Explanation | None:
         """The force that the motion needs, against what the commands give."""
         try:
             responses = Responses(self.vehicle, self.settings)
@@ -302,7 +249,8 @@ class _Look:
         found = self._explaining(responses, before, far)
         if not found:
             return None
-        return Impossible(found[0], found[1:], _force_text(worst, self.settings), _force_evidence(worst))
+        text = f"{found[0].clause}: {_force_text(worst, self.settings)}"
+        return Explanation(found[0], text, _force_evidence(worst), found[1:])
 
     def _sure(self, found: Sequence[Response]) -> _Known:
         s = self.settings
@@ -346,7 +294,7 @@ class _Look:
     def _readings(self) -> Iterator[Mistake]:
         """Units of what was measured."""
         # Pose rates have been held against velocities: with them the clock was.
-        yield from () if self.kinematics else likely_time_units(self.runs, self.mapping)
+        yield from () if self.kinematics else (m for m, _ in likely_time_units(self.runs, self.mapping))
         known = reading_mistakes(self.mapping, self.runs)
         yield from (m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id)
 
@@ -364,7 +312,7 @@ class _Look:
                 yield times(names, factor)
 
     # --- size ------------------------------------------------------------------------------------
-    def by_size(self) -> Impossible | None:
+    def by_size(self) -> Explanation | None:
         """Speeds that a vehicle of this size does not reach."""
         known = self.vehicle.values.get("m")
         if known is None or known.estimate or not known.value > 0:
@@ -387,7 +335,9 @@ class _Look:
         present = total[np.isfinite(total)]
         return float(np.quantile(present, 0.95)) if len(present) else 0.0
 
-    def _too_fast(self, names: tuple[str, ...], value: float, limit: float, mass: float) -> Impossible | None:
+    def _too_fast(
+        self, names: tuple[str, ...], value: float, limit: float, mass: float
+    ) -> Explanation | None:
         units = (m for m in self._readings() if self._fastest(self._without(m), names) <= limit)
         found = [m for m in units if self._allowed(m)]
         if not found:
@@ -395,10 +345,10 @@ class _Look:
         unit = "m/s" if names == SPEEDS else "rad/s"
         own = ", ".join(n for n in names if n in self.vehicle.velocity_names)
         why = f"{own} reach {value:.3g} {unit}, and no vehicle of {mass:.4g} kg exceeds {limit:.3g} {unit}"
-        return Impossible(found[0], found[1:], why, {"value": value, "limit": limit})
+        return Explanation(found[0], f"{found[0].clause}: {why}", {"value": value, "limit": limit}, found[1:])
 
     # --- limits of the commands ------------------------------------------------------------------
-    def by_limits(self) -> Impossible | None:
+    def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
         limits = {t.name: t.limit for t in self.vehicle.thrusters if t.limit}
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
@@ -410,7 +360,7 @@ class _Look:
         mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
         value, limit = far[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, and its limit in the vehicle file is {limit:.4g}"
-        return Impossible(mistake, known[1:], why, {"value": value, "limit": limit})
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
 
 
 def _within(gain: float, factor: float) -> bool:
@@ -433,17 +383,14 @@ def times(names: tuple[str, ...], found: float) -> Mistake:
     ten = 10.0 ** round(np.log10(found))
     factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")
 
-    def edits(m: LogMapping) -> Edits:
-        return tuple(column_edit(m, n, times=factor) for n in names)
-
     verb = "command {} is" if len(names) == 1 else "commands {} are"
     size = f"{1 / factor:.4g} times too large" if factor < 1 else f"{factor:.4g} times too small"
-    told = f"{verb.format(', '.join(names))} {size}"
+    clause = f"{verb.format(', '.join(names))} {size}"
     # It explains whatever one of the known units would, which comes first.
-    return Mistake("command_unit", told, scaling(dict.fromkeys(names, factor)), edits, 1 + len(names))
+    return rescaled("command_unit", clause, dict.fromkeys(names, factor), 1 + len(names))
 
 
-def _force_text(r: Response, settings: Settings) -> str:
+def _force_text(r: Response, settings: PlausibilitySettings) -> str:
     what = f"command {r.command} gives" if r.command else "the commands give"
     unit = "N" if r.degree_of_freedom in ("surge", "sway", "heave") else "N m"
     if abs(r.gain) > 1:

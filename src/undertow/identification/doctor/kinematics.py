@@ -19,15 +19,24 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+
+@dataclass(frozen=True)
+class KinematicsSettings:
+    """How pose rates are compared with velocities."""
+
+    samples: int = 4000  # samples that are looked at, all runs together: more would only cost time
+    # Widths of test functions that are tried, in the narrowest that the sampling allows.
+    widths: tuple[int, ...] = (1, 2, 4, 8)
+    kept: float = 0.7  # share of the motion that wider test functions must keep
+    # Mean square by which any log may disagree: quadrature over samples is not exact.
+    quadrature: float = 1e-4
+
+
+SETTINGS = KinematicsSettings()
+
+
 BLOCKS = (("x", "y"), ("z",), ("phi",), ("theta",), ("psi",))
 """Pose rates that are judged together: a mistake in a frame turns north into east."""
-# More samples would only cost time.
-_MOST = 4000
-_WIDTHS = (1, 2, 4, 8)
-# Share of the motion that wider test functions may average away.
-_KEPT = 0.7
-# Quadrature over samples is not exact: no log can be expected to agree better than this (mean square).
-_QUADRATURE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -74,19 +83,12 @@ class Rates:
 
 @dataclass(frozen=True)
 class Mismatch:
-    """How far pose rates and velocities are apart, for each block of `Kinematics.blocks`.
+    """How far pose rates and velocities are apart, for each block of `Kinematics.blocks`."""
 
-    Attributes
-    ----------
-    share : (b,) array
-        Mean square of the difference over the sum of both mean squares: 0 where they agree, 1 where they have
-        nothing to do with each other, 2 where they are opposite.
-    floor : (b,) array
-        What noise makes of it.
-    """
-
+    # (b,) mean square of the difference over the sum of both mean squares: 0 where they agree, 1 where they
+    # have nothing to do with each other, 2 where they are opposite.
     share: Array
-    floor: Array
+    floor: Array  # (b,) what noise makes of it
 
     @property
     def excess(self) -> Array:
@@ -100,19 +102,9 @@ class Mismatch:
 
 
 class Kinematics:
-    """Where and how pose rates are held against velocities; the same for a log as given and as mended.
+    """Where and how pose rates are held against velocities; the same for a log as given and as mended."""
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs as given.
-    vehicle : Vehicle
-        Whose degrees of freedom matter.
-    most : int
-        Samples of all runs together that are looked at: those in which velocities are largest.
-    """
-
-    def __init__(self, runs: Sequence[Run], vehicle: Vehicle, most: int = _MOST) -> None:
+    def __init__(self, runs: Sequence[Run], vehicle: Vehicle, most: int = SETTINGS.samples) -> None:
         self.most = most
         self._known_noise: dict[bytes, float] = {}
         self.rows = _rows(runs, vehicle)
@@ -120,33 +112,31 @@ class Kinematics:
         self.channels = _channels(runs, vehicle, self.rows)
         self.stretches: list[Stretch] = []
         if self.rows:
-            self.stretches = self._widest(runs)
+            self._widen(runs)
 
     def __bool__(self) -> bool:
         """Whether there is anything to compare."""
         return bool(self.stretches)
 
-    def _widest(self, runs: Sequence[Run]) -> list[Stretch]:
-        """Stretches with test functions as wide as the motion allows: they average noise away."""
-        found: list[Stretch] = []
+    def _widen(self, runs: Sequence[Run]) -> None:
+        """Take test functions as wide as the motion allows: they average noise away."""
         reference = 0.0
-        for width in _WIDTHS:
+        for width in SETTINGS.widths:
             wider = [s for i, run in enumerate(runs) for s in self._stretches(i, run, width, len(runs))]
             if not wider:
                 break
-            trial = replace_stretches(self, wider)
-            power = float(np.mean(trial.rates(runs).velocity ** 2))
+            before, self.stretches = self.stretches, wider
+            power = float(np.mean(self.rates(runs).velocity ** 2))
             reference = reference or power
-            if power < _KEPT * reference:
+            if power < SETTINGS.kept * reference:
+                self.stretches = before
                 break
-            found = wider
-        return found
 
     def _stretches(self, index: int, run: Run, width: int, count: int) -> list[Stretch]:
         result = []
-        lively = liveliest(run, self.channels, self.most // count)
+        active = most_active(run, self.channels, self.most // count)
         for piece in run.segments(self.channels):
-            part = slice(max(piece.start, lively.start), min(piece.stop, lively.stop))
+            part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
             functions = test_functions(t, width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
@@ -207,14 +197,7 @@ class Kinematics:
         share, floor = (
             np.array([np.sum(s[b]) / p for b, p in zip(self.blocks, total, strict=True)]) for s in square
         )
-        return Mismatch(share, np.maximum(floor, _QUADRATURE))
-
-
-def replace_stretches(kinematics: Kinematics, stretches: list[Stretch]) -> Kinematics:
-    """The same comparison on other stretches."""
-    other = object.__new__(Kinematics)
-    other.__dict__.update(kinematics.__dict__, stretches=stretches)
-    return other
+        return Mismatch(share, np.maximum(floor, SETTINGS.quadrature))
 
 
 def jacobian(pose: Array) -> Array:
@@ -255,7 +238,7 @@ def _channels(runs: Sequence[Run], vehicle: Vehicle, rows: list[str]) -> list[st
     return [n for n in (*POSE, *VELOCITY) if n in {*rows, *own, *attitude}]
 
 
-def liveliest(run: Run, names: Sequence[str], most: int) -> slice:
+def most_active(run: Run, names: Sequence[str], most: int) -> slice:
     """The `most` samples in a row in which velocities are largest."""
     if len(run.t) <= most:
         return slice(0, len(run.t))

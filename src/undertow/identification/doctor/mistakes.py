@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import product
 
 import numpy as np
@@ -16,7 +17,7 @@ from undertow.identification.logs.mapping import (
     swap_position,
     velocity_to_body,
 )
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import Run, unwrapped
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
@@ -40,30 +41,26 @@ Undo = Callable[[Run], Run]
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake in how a log is read.
+    """A mistake in how a log is read."""
 
-    Attributes
-    ----------
-    id : str
-        Name of the kind.
-    told : str
-        What is wrong, as a clause: "the heading is in degrees, read as radians".
-    undo : callable
-        Takes a run with the mistake and returns it as it would be without.
-    edits : callable
-        Takes the mapping that the log was read by and returns what to change in it.
-    count : int
-        How many single things would have had to go wrong: of two explanations the simpler one is believed.
-    vehicle : str
-        What to change in the vehicle file to the same end; empty where nothing there can.
-    """
-
-    id: str
-    told: str
-    undo: Undo
+    id: str  # name of the kind
+    clause: str  # what is wrong, as a clause: "the heading is in degrees, read as radians"
+    undo: Undo  # takes a run with the mistake and returns it as it would be without
+    # Takes the mapping that the log was read by and returns what to change in it.
     edits: Callable[[LogMapping], Edits]
+    # How many single things would have had to go wrong: of two explanations the simpler one is believed.
     count: int = 1
-    vehicle: str = ""
+    vehicle: str = ""  # what to change in the vehicle file to the same end; empty where nothing there can
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A mistake that explains what is wrong with logs."""
+
+    mistake: Mistake
+    text: str  # the mistake and why it is believed, in one line
+    evidence: dict[str, float]
+    rivals: list[Mistake] = field(default_factory=list)  # others that explain it as well
 
 
 def with_channels(run: Run, channels: Mapping[str, Array]) -> Run:
@@ -82,6 +79,26 @@ def scaling(factors: Mapping[str, float]) -> Undo:
     return undo
 
 
+def rescaled(
+    kind: str, clause: str, factors: Mapping[str, float], count: int = 1, vehicle: str = ""
+) -> Mistake:
+    """Channels that have to be multiplied by factors."""
+
+    def edits(mapping: LogMapping) -> Edits:
+        return tuple(column_edit(mapping, n, times=f) for n, f in factors.items())
+
+    return Mistake(kind, clause, scaling(factors), edits, count, vehicle)
+
+
+def exchanged(kind: str, clause: str, places: Mapping[str, tuple[str, float]], vehicle: str = "") -> Mistake:
+    """Columns that stand for other channels: channel to (channel that it stands for now, sign)."""
+
+    def undo(run: Run) -> Run:
+        return with_channels(run, {n: sign * run.channels[source] for n, (source, sign) in places.items()})
+
+    return Mistake(kind, clause, undo, lambda m: reassigned(m, places), vehicle=vehicle)
+
+
 def turning(swap: Callable[[Mapping[str, Array]], Channels]) -> Undo:
     """Apply a change of axes to all channels."""
     return lambda run: replace(run, channels=swap(run.channels))
@@ -96,7 +113,7 @@ def both(first: Mistake, second: Mistake) -> Mistake:
 
     return Mistake(
         f"{first.id}+{second.id}",
-        f"{first.told}, and {second.told}",
+        f"{first.clause}, and {second.clause}",
         lambda run: second.undo(first.undo(run)),
         edits,
         first.count + second.count,
@@ -104,97 +121,70 @@ def both(first: Mistake, second: Mistake) -> Mistake:
 
 
 @dataclass(frozen=True)
-class Settings:
+class PlausibilitySettings:
     """From where on a log is not only suspicious but cannot be.
 
     Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles,
     every effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real
     data sets, and well below the factors of the units that it is to find.
-
-    Attributes
-    ----------
-    contradiction : float
-        Share of the motion (mean square) by which pose rates and velocities disagree, if one usual mistake
-        explains it. Misaligned sensors reach 0.12, a current that is as fast as the vehicle is told apart.
-    other_unit : float
-        The same where a unit explains it: a factor is no matter of frames or angles. Knots make 0.19, the
-        largest scale error of a sensor (see `scale`) 0.09.
-    agreement : float
-        Share of the motion by which the two may still disagree once a mistake is undone: beyond a half they
-        have more apart than in common, and a motion that is scaled away agrees with anything.
-    weakest, strongest : float
-        Force that the motion needs over the one commanded. Simulated logs stay within 0.3 and 3, lags
-        included; a work-class ROV answers in yaw with 0.08 of what its file has. Degrees make 57, cm/s 100,
-        the usual pulse widths 0.02 and less.
-    doubtful : float
-        Force that the motion needs over the one commanded from which the doctor asks for the unit; weak
-        thrusters and added mass that is held too small stay below.
-    alike : float
-        Factor within which a unit must explain that.
-    near : float
-        Factor within which the two must agree once a mistake is undone.
-    errors : float
-        Standard errors by which a gain stands out of its scatter.
-    share : float
-        Of the motion, beside what other forces explain, that commands must explain to be a witness. With a
-        gain below `weakest`, commands of a sound log explain a hundredth of that.
-    froude : float
-        Speed over sqrt(g V^(1/3)), V the volume of the mass in water: torpedoes reach 11, fast ships 4.
-    slowest, fastest : float
-        That limit is never taken below or above these speeds, m/s: small racing boats, and the fastest hulls.
-    turning : float
-        Centripetal acceleration at V^(1/3) from the axis, in g: small vehicles on the spot reach 0.2.
-    limit : float
-        Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the
-        limit; thousandths and pulse widths (1500) are far beyond.
-    scale : float
-        Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
-    ratio : float
-        Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do
-        less, and neighbouring units of time are farther apart.
-    command : float
-        Factor beyond which no unit of a command is off: kN, percent, microseconds and rpm are within.
-    quick, slow : float
-        Usual steps, s, between which vehicles are logged: at 0.2 to 250 Hz. A log that is outside as it is
-        read, and inside in another unit of time, is likelier in that than anything else is wrong with it.
-    samples : int
-        Samples that are looked at, the liveliest: more would only cost time.
-    width : float
-        Width of test functions, in the narrowest that the sampling allows: what is faster is noise.
-    cluster : int
-        Neighbouring test functions that count as one, since they overlap.
-    distinct : float
-        Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
-        follow from others.
     """
 
+    # Share of the motion (mean square) by which pose rates and velocities disagree, if one usual mistake
+    # explains it. Misaligned sensors reach 0.12, a current that is as fast as the vehicle is told apart.
     contradiction: float = 0.3
+    # The same where a unit explains it: a factor is no matter of frames or angles. Knots make 0.19, the
+    # largest scale error of a sensor (see `scale`) 0.09.
     other_unit: float = 0.12
+    # Share of the motion by which the two may still disagree once a mistake is undone: beyond a half they
+    # have more apart than in common, and a motion that is scaled away agrees with anything.
     agreement: float = 0.5
+    # weakest, strongest: force that the motion needs over the one commanded. Simulated logs stay within 0.3
+    # and 3, lags included; a work-class ROV answers in yaw with 0.08 of what its file has. Degrees make 57,
+    # cm/s 100, the usual pulse widths 0.02 and less.
     weakest: float = 0.025
     strongest: float = 20.0
+    # Force that the motion needs over the one commanded from which the doctor asks for the unit; weak
+    # thrusters and added mass that is held too small stay below.
     doubtful: float = 2.5
-    alike: float = 1.25
-    near: float = 4.0
-    errors: float = 8.0
+    alike: float = 1.25  # factor within which a unit must explain that
+    near: float = 4.0  # factor within which the two must agree once a mistake is undone
+    errors: float = 8.0  # standard errors by which a gain stands out of its scatter
+    # Of the motion, beside what other forces explain, that commands must explain to be a witness. With a gain
+    # below `weakest`, commands of a sound log explain a hundredth of that.
     share: float = 0.3
+    # Speed over sqrt(g V^(1/3)), V the volume of the mass in water: torpedoes reach 11, fast ships 4.
     froude: float = 12.0
+    # slowest, fastest: that limit is never taken below or above these speeds, m/s: small racing boats, and
+    # the fastest hulls.
     slowest: float = 10.0
     fastest: float = 75.0
+    # Centripetal acceleration at V^(1/3) from the axis, in g: small vehicles on the spot reach 0.2.
     turning: float = 1.0
+    # Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the limit;
+    # thousandths and pulse widths (1500) are far beyond.
     limit: float = 10.0
+    # Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
     scale: float = 0.35
+    # Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do
+    # less, and neighbouring units of time are farther apart.
     ratio: float = 0.3
+    # Factor beyond which no unit of a command is off: kN, percent, microseconds and rpm are within.
     command: float = 2e4
+    # quick, slow: usual steps, s, between which vehicles are logged: at 0.2 to 250 Hz. A log that is outside
+    # as it is read, and inside in another unit of time, is likelier in that than anything else is wrong with
+    # it.
     quick: float = 0.004
     slow: float = 5.0
-    samples: int = 4000
+    samples: int = 4000  # samples that are looked at, the most_active: more would only cost time
+    # Width of test functions, in the narrowest that the sampling allows: what is faster is noise.
     width: float = 2.0
-    cluster: int = 8
+    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
+    # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
+    # follow from others.
     distinct: float = 1e-4
 
 
-SETTINGS = Settings()
+PLAUSIBLE = PlausibilitySettings()
 
 
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
@@ -212,36 +202,23 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
 
     Where only positions, or only angles, can be held against velocities, a unit of those explains the same; a
     usual step that is far too short or too long then speaks for the time.
-
-    Parameters
-    ----------
-    kinematics : Kinematics
-        What pose rates are held against.
-    runs : sequence of Run
-        Logs with velocities that were measured, not derived from the pose.
-    mapping : Mapping
-        How they were read.
     """
     if not kinematics or any(run.derived for run in runs):
         return None
     ratio = _pose_rate_over_velocity(kinematics, runs)
     linear = {*kinematics.rows} & {*POSITIONS}
     both = bool(linear) and len(linear) < len(kinematics.rows)
-    units = _time_units(mapping) if both else _likely(runs, mapping)
-    return next((m for m, factor in units if abs(ratio / factor - 1.0) < SETTINGS.ratio), None)
+    units = _time_units(mapping) if both else likely_time_units(runs, mapping)
+    return next((m for m, factor in units if abs(ratio / factor - 1.0) < PLAUSIBLE.ratio), None)
 
 
-def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[Mistake]:
+def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
     """Units of the time column in which logs have a usual step, where they have none as they are read."""
-    return (mistake for mistake, _ in _likely(runs, mapping))
-
-
-def _likely(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
     step = float(np.median(np.concatenate([np.diff(run.t) for run in runs])))
-    if SETTINGS.quick <= step <= SETTINGS.slow:
+    if PLAUSIBLE.quick <= step <= PLAUSIBLE.slow:
         return
     for mistake, factor in _time_units(mapping):
-        if SETTINGS.quick <= factor * step <= SETTINGS.slow:
+        if PLAUSIBLE.quick <= factor * step <= PLAUSIBLE.slow:
             yield mistake, factor
 
 
@@ -274,7 +251,7 @@ def _pose_rate_over_velocity(kinematics: Kinematics, runs: Sequence[Run]) -> flo
     pose, velocity = (np.sqrt(np.mean(a**2, axis=0)) for a in (rates.pose, rates.velocity))
     ratios = pose / np.maximum(velocity, 1e-30)
     middle = float(np.median(ratios))
-    return middle if np.all(np.abs(ratios / middle - 1.0) < SETTINGS.ratio) else float("nan")
+    return middle if np.all(np.abs(ratios / middle - 1.0) < PLAUSIBLE.ratio) else float("nan")
 
 
 # --- lengths and speeds -------------------------------------------------------------------------
@@ -305,10 +282,10 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
     def edits(m: LogMapping) -> Edits:
         return tuple(column_edit(m, n, unit=unit) for n, unit in units.items())
 
-    told = " and ".join(dict.fromkeys(units.values()))
+    clause = " and ".join(dict.fromkeys(units.values()))
     was = " and ".join(dict.fromkeys(read_as.values()))
     verb = "is" if len(names) == 1 else "are"
-    return Mistake(kind, f"{', '.join(names)} {verb} in {told}, read as {was}", scaling(factors), edits)
+    return Mistake(kind, f"{', '.join(names)} {verb} in {clause}, read as {was}", scaling(factors), edits)
 
 
 def _read_as(mapping: LogMapping, name: str) -> str:
@@ -326,15 +303,9 @@ _UPWARDS = {"z": "z counts upwards (it is height, and undertow's z is depth)"}
 
 
 def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
-    """All of them, the likelier ones first.
+    """All of them, the likelier ones first, as far as channels that move can show them.
 
-    Parameters
-    ----------
-    mapping : Mapping
-        How the log was read: what it says may itself be the mistake.
-    runs : sequence of Run
-        Logs; channels that they lack, or that never change, are left out, and so are mistakes without which
-        a log would lack a channel that it has, as one with x but no y in other axes.
+    Left out are mistakes without which a log would lack a channel that it has, as one with x but no y.
     """
     moving = {
         n
@@ -363,8 +334,7 @@ def read_in_degrees(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         *tilt,
         *turn,
     ]
-    found = (tuple(n for n in group if n in moving) for group in groups)
-    for names in filter(None, dict.fromkeys(found)):
+    for names in _present(groups, moving):
         deg = any("deg" in (column_of(mapping, n)[1].unit or "") for n in names)
         is_in, read_as = ("radians", "degrees") if deg else ("degrees", "radians")
         factor = 180 / np.pi if deg else np.pi / 180
@@ -389,13 +359,6 @@ def _rescaled(names: tuple[str, ...], factor: float, heading_zero: float) -> Und
     return undo
 
 
-def unwrapped(angle: Array) -> Array:
-    """An angle without jumps by turns; missing samples stay missing."""
-    there, result = np.isfinite(angle), angle.copy()
-    result[there] = np.unwrap(angle[there])
-    return result
-
-
 def _unit_edits(mapping: LogMapping, names: tuple[str, ...], unit: str) -> Edits:
     return tuple(column_edit(mapping, n, unit=unit + ("/s" if n in RATES else "")) for n in names)
 
@@ -414,8 +377,8 @@ def other_frames(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         together = len(wrong) == 3
         yield Mistake(
             "frame",
-            _frames_told(wrong, meant),
-            _turned([_SWAPS[key] for key in wrong]),
+            _frames_clause(wrong, meant),
+            _turned(wrong),
             lambda m, meant=meant: frames_edits(m, **meant),  # type: ignore[misc]
             1 if together else len(wrong),
         )
@@ -433,21 +396,16 @@ _HEADINGS = {
 }
 
 
-def _frames_told(wrong: list[str], meant: dict[str, str]) -> str:
+def _frames_clause(wrong: list[str], meant: dict[str, str]) -> str:
     if len(wrong) == 3:
         read = "NED and FRD" if meant["body"] == "FLU" else "ENU and FLU"
         return f"the log is in {meant['position']} and {meant['body']} axes, read as {read}"
     return ", and ".join((_HEADINGS if key == "attitude" else _FRAMES)[meant[key]] for key in wrong)
 
 
-def _turned(swaps: list[Callable[[Mapping[str, Array]], Channels]]) -> Undo:
-    def swap(channels: Mapping[str, Array]) -> Channels:
-        result = dict(channels)
-        for one in swaps:
-            result = one(result)
-        return result
-
-    return turning(swap)
+def _turned(keys: list[str]) -> Undo:
+    """Turn some of position, body and attitude."""
+    return turning(lambda channels: reduce(lambda found, key: _SWAPS[key](found), keys, dict(channels)))
 
 
 def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
@@ -455,7 +413,7 @@ def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[
     if mapping.frames.velocity != "body" or not {"u", "v", "psi"} <= moving:
         return
     flu = mapping.frames.body == "FLU"
-    for axes, told in (("NED", "north, east, down"), ("ENU", "east, north, up")):
+    for axes, clause in (("NED", "north, east, down"), ("ENU", "east, north, up")):
 
         def swap(channels: Mapping[str, Array], axes: str = axes) -> Channels:
             given = swap_body(channels) if flu else channels
@@ -464,7 +422,7 @@ def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[
 
         yield Mistake(
             "velocity_in_ned",
-            f"u, v, w are velocities {told}, read as velocities along body axes",
+            f"u, v, w are velocities {clause}, read as velocities along body axes",
             turning(swap),
             lambda m, axes=axes: (Edit("frames", "velocity", axes),),  # type: ignore[misc]
         )
@@ -473,21 +431,12 @@ def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[
 def swapped_position(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """East and north in each other's place, with depth as it should be."""
     if {"x", "y"} <= moving:
-        yield _moved(
+        yield exchanged(
             "swapped_position", "x and y are in each other's place (x is north, y is east)", _EAST_NORTH
         )
 
 
 _EAST_NORTH = {"x": ("y", 1.0), "y": ("x", 1.0)}
-
-
-def _moved(kind: str, told: str, places: dict[str, tuple[str, float]]) -> Mistake:
-    """Columns that stand for other channels: channel to (channel that it stands for now, sign)."""
-
-    def undo(run: Run) -> Run:
-        return with_channels(run, {n: sign * run.channels[source] for n, (source, sign) in places.items()})
-
-    return Mistake(kind, told, undo, lambda m: reassigned(m, places))
 
 
 # --- signs and quarter turns ------------------------------------------------------------------
@@ -496,12 +445,7 @@ def flipped(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     for name in (*POSE, *VELOCITY):
         if name not in moving or (name == "psi" and attitude_of(mapping) == "ENU"):
             continue  # a heading from east does not count from zero inside
-        yield Mistake(
-            "flipped_axis",
-            _UPWARDS.get(name, f"{name} has the opposite sign"),
-            scaling({name: -1.0}),
-            lambda m, name=name: (column_edit(m, name, times=-1.0),),  # type: ignore[misc]
-        )
+        yield rescaled("flipped_axis", _UPWARDS.get(name, f"{name} has the opposite sign"), {name: -1.0})
 
 
 def turned_heading(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
@@ -529,7 +473,7 @@ def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         "by half a turn": {"u": ("u", -1.0), "v": ("v", -1.0)},
     }
     for how, places in turns.items() if {"u", "v"} <= moving else ():
-        yield _moved("turned_velocity", f"u and v are of a sensor that is mounted turned {how}", places)
+        yield exchanged("turned_velocity", f"u and v are of a sensor that is mounted turned {how}", places)
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -556,34 +500,23 @@ _QUIET = 0.5
 _UPRIGHT, _OFTEN, _FASTEST = 1.05 * np.pi / 2, 0.01, np.pi
 
 
-def wrapped_angles(runs: Sequence[Run]) -> Iterator[tuple[Mistake, int]]:
-    """Angles that jump by a whole turn, and how often."""
+def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
+    """Angles that jump by a whole turn."""
     for name in ANGLES:
         count = sum(_jumps(run, name) for run in runs)
         if count:
-            yield (
-                Mistake(
-                    "wrapped_angle",
-                    f"{name} jumps by a turn {count} times",
-                    lambda run, name=name: _unwrapped(run, name),  # type: ignore[misc]
-                    lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
-                ),
-                count,
+            mistake = Mistake(
+                "wrapped_angle",
+                f"{name} jumps by a turn {count} times",
+                _unwrapping(name),
+                lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
             )
+            text = f"{mistake.clause}: no vehicle turns so fast"
+            yield Explanation(mistake, text, {"times": float(count)})
 
 
-def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Mistake | None:
-    """Pitch that is too large, or a heading that turns too fast, to be in radians.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs without velocities to ask.
-    mapping : Mapping
-        How they were read.
-    names : sequence of str
-        Pose coordinates that matter.
-    """
+def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Explanation | None:
+    """Pitch that is too large, or a heading that turns too fast, to be in radians."""
     tilted = "theta" in names and any(_beyond_upright(run) > _OFTEN for run in runs)
     turning = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
     if not tilted and turning < _FASTEST:
@@ -598,7 +531,7 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
         if tilted
         else f"psi changes by {turning:.3g} in an ordinary second"
     )
-    return replace(found, told=f"{found.told}: {reason}")
+    return Explanation(found, f"{found.clause}: {reason}, which is no vehicle's in radians", {})
 
 
 def _changed(mistake: Mistake, run: Run) -> set[str]:
@@ -624,8 +557,8 @@ def _turned_in_a_second(run: Run) -> float:
     return float(np.median(np.abs(psi[later[inside]] - psi[inside]))) if np.any(inside) else 0.0
 
 
-def _unwrapped(run: Run, name: str) -> Run:
-    return with_channels(run, {name: unwrapped(run.channels[name])}) if run.has(name) else run
+def _unwrapping(name: str) -> Undo:
+    return lambda run: with_channels(run, {name: unwrapped(run.channels[name])}) if run.has(name) else run
 
 
 def _jumps(run: Run, name: str) -> int:
@@ -641,7 +574,7 @@ def _present_angles(run: Run, name: str) -> Array:
     return data[np.isfinite(data)]
 
 
-def halfway(runs: Sequence[Run]) -> Iterator[Finding]:
+def angles_across_jumps(runs: Sequence[Run]) -> Iterator[Finding]:
     """An angle that takes a turn in two steps: it was interpolated, or averaged, across its jump."""
     for run in runs:
         for name in ANGLES:

@@ -14,28 +14,36 @@ from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edit, Excited, Finding, as_toml, column_edit
+from .findings import DofExcitation, Edit, Finding, as_toml, column_edit
 
-_JITTER = 0.05
-_LONG = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
-_MISSING = 0.02
-_HELD = 1.8  # rows per new value from which a sensor counts as slower than its log
-_REGULAR = 0.35
+
+@dataclass(frozen=True)
+class SamplingSettings:
+    """From where on sampling and excitation are worth a word."""
+
+    jitter: float = 0.05  # spread of the steps, as a share of the usual one
+    gap: float = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
+    missing: float = 0.02  # share of rows or cells that are missing
+    held: float = 1.8  # rows per new value from which a sensor counts as slower than its log
+    irregular: float = 0.35  # share of its intervals that may be irregular
+    excited: float = 3.0  # rms over noise below which a motion says nothing
+    tenth: float = 0.1  # share of its usual largest value that a velocity must exceed to count as motion
+    over_noise: float = 3.0  # and how many times its noise
+    one_way: float = 0.05  # share of the motion below which a direction was not excited
+    # Squared correlation of speed and its square beyond which drag laws cannot be told apart.
+    alike: float = 0.985
+    reversals: int = 2  # changes of direction that dead band and dry friction need
+    headings: float = np.radians(60.0)  # span that tells a current from a constant force, rad
+
+
+SETTINGS = SamplingSettings()
+
+
 DROP = (Edit("time", "disorder", "drop"),)
 
 
 def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> list[Finding]:
-    """Everything about the clock of runs.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs.
-    channels : sequence of str
-        Measured channels that matter; commands may be held as they please.
-    mapping : Mapping
-        How the logs were read.
-    """
+    """Everything about the clock of runs."""
     found = [f for run in runs for f in _of_run(run, mapping)]
     slow = [f for name in channels if (f := _held(runs, name, mapping)) is not None]
     return [*found, *slow, *(f for run in runs if (f := _absent(run, channels)) is not None)]
@@ -47,7 +55,7 @@ def _of_run(run: Run, mapping: LogMapping) -> Iterator[Finding]:
     yield from _disorder(run, mapping)
     yield from _lost_rows(run, step, usual)
     jitter = float(np.std(step[step < 1.5 * usual]) / usual)
-    if jitter > _JITTER:
+    if jitter > SETTINGS.jitter:
         yield Finding(
             id="jitter",
             severity="note",
@@ -71,17 +79,17 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
 
 
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
-    gaps, few = step[step > _LONG * usual], step[(step > 1.5 * usual) & (step <= _LONG * usual)]
+    gaps, few = step[step > SETTINGS.gap * usual], step[(step > 1.5 * usual) & (step <= SETTINGS.gap * usual)]
     lost = float(np.sum(np.round(step / usual)[step > 1.5 * usual] - 1.0))
     share = lost / (lost + len(run.t))
-    if not len(gaps) and share < _MISSING:
+    if not len(gaps) and share < SETTINGS.missing:
         return
     longest = (
         f", the longest of {gaps.max():.3g} s at t = {run.t[int(np.argmax(step))]:.5g} s" if len(gaps) else ""
     )
     yield Finding(
         id="gaps",
-        severity="warning" if share > 5 * _MISSING else "note",
+        severity="warning" if share > 5 * SETTINGS.missing else "note",
         text=f"{run.name}: {share:.1%} of the rows are missing at a usual step of {usual:.4g} s "
         f"({len(few)} short spells, {len(gaps)} gaps{longest}); nothing is interpolated",
         evidence={"share": share, "gaps": float(len(gaps)), "longest": float(step.max())},
@@ -92,12 +100,12 @@ def _absent(run: Run, channels: Sequence[str]) -> Finding | None:
     """Cells without a value, in the worst channel."""
     shares = {n: float(np.mean(np.isnan(run.channels[n]))) for n in channels if run.has(n)}
     worst = max(shares, key=lambda n: shares[n], default=None)
-    if worst is None or shares[worst] < _MISSING:
+    if worst is None or shares[worst] < SETTINGS.missing:
         return None
-    several = [n for n in shares if shares[n] > _MISSING]
+    several = [n for n in shares if shares[n] > SETTINGS.missing]
     return Finding(
         id="missing_samples",
-        severity="warning" if shares[worst] > 10 * _MISSING else "note",
+        severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
         text=f"{run.name}: {worst} has no value in {shares[worst]:.1%} of the rows"
         + (
             f" (missing samples also in {', '.join(n for n in several if n != worst)})"
@@ -137,21 +145,12 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
     # A coarse reading at rest repeats itself, too, but not at regular intervals.
     between = np.diff(at)
     usual = float(np.median(between))
-    regular = float(np.mean(np.abs(between - usual) <= np.maximum(1.0, 0.2 * usual))) > 1 - _REGULAR
+    regular = float(np.mean(np.abs(between - usual) <= np.maximum(1.0, 0.2 * usual))) > 1 - SETTINGS.irregular
     # Where the sensor moves by many of its steps from row to row, repeats are no coarse readings.
     coarse = np.median(np.abs(y[at + 1] - y[at])) < 2 * np.min(np.abs(y[at + 1] - y[at]))
-    if usual < _HELD or not regular or coarse:
+    if usual < SETTINGS.held or not regular or coarse:
         return None
     return usual, float(np.median(np.diff(t[at])))
-
-
-_EXCITED = 3.0  # rms over noise below which a motion says nothing
-_TENTH = 0.1
-_OVER_NOISE = 3.0
-_ONE_WAY = 0.05
-_ALIKE = 0.985  # squared correlation of speed and its square beyond which drag laws cannot be told apart
-_FEW_REVERSALS = 2
-_HEADINGS = np.radians(60.0)
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,9 @@ class _Motion:
 
     @property
     def threshold(self) -> float:
-        return max(_OVER_NOISE * self.noise, _TENTH * float(np.quantile(np.abs(self.all), 0.98)))
+        return max(
+            SETTINGS.over_noise * self.noise, SETTINGS.tenth * float(np.quantile(np.abs(self.all), 0.98))
+        )
 
     @property
     def means(self) -> Array:
@@ -195,20 +196,12 @@ def _sign_changes(values: Array) -> int:
     return int(np.sum(np.diff(np.sign(values)) != 0))
 
 
-def excitation(vehicle: Vehicle, runs: Sequence[Run]) -> list[Excited]:
-    """What happened in each degree of freedom.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose degrees of freedom and thrusters matter.
-    runs : sequence of Run
-        Logs with its velocities.
-    """
+def excitation(vehicle: Vehicle, runs: Sequence[Run]) -> list[DofExcitation]:
+    """What happened in each degree of freedom."""
     names = vehicle.velocity_names
     noise = channel_noise(runs, names)
     return [
-        _excited(vehicle, i, _Motion([r.channels[n] for r in runs], float(noise[i]), _rate(runs)), runs)
+        _excitation_of(vehicle, i, _Motion([r.channels[n] for r in runs], float(noise[i]), _rate(runs)), runs)
         for i, n in enumerate(names)
     ]
 
@@ -219,11 +212,11 @@ def _rate(runs: Sequence[Run]) -> int:
     return int(np.clip(round(usual), 1, max(1, min(len(r.t) for r in runs) // 10)))
 
 
-def _excited(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence[Run]) -> Excited:
+def _excitation_of(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence[Run]) -> DofExcitation:
     name = vehicle.velocity_names[place]
     moving = motion.moving
     span = _command_range(vehicle, vehicle.dof_indices[place], runs)
-    return Excited(
+    return DofExcitation(
         degree_of_freedom=vehicle.degrees_of_freedom[place],
         velocity=name,
         unit=UNITS[name],
@@ -250,17 +243,17 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 
 def _cannot(motion: _Motion) -> Iterator[str]:
     moving, means, noise = motion.moving, motion.means, motion.noise_of_means
-    if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < _EXCITED * noise:
+    if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < SETTINGS.excited * noise:
         yield "anything: the motion does not stand out of its noise"
         return
-    if np.std(means) < _EXCITED * noise:
+    if np.std(means) < SETTINGS.excited * noise:
         yield "added mass (the velocity hardly changes)"
-    if min(np.mean(moving > 0), np.mean(moving < 0)) < _ONE_WAY:
+    if min(np.mean(moving > 0), np.mean(moving < 0)) < SETTINGS.one_way:
         yield "drag in the other direction"
     speed = np.abs(moving)
     if _alike(speed):
         yield "linear and quadratic drag apart (one speed only)"
-    if motion.reversals < _FEW_REVERSALS:
+    if motion.reversals < SETTINGS.reversals:
         yield "dead band and dry friction (hardly a reversal)"
 
 
@@ -268,10 +261,12 @@ def _alike(speed: Array) -> bool:
     """Whether a straight line through zero explains the square of the speed."""
     square = speed**2
     left = square - speed * (speed @ square) / (speed @ speed)
-    return bool(left @ left < (1 - _ALIKE) * (square @ square))
+    return bool(left @ left < (1 - SETTINGS.alike) * (square @ square))
 
 
-def excitation_findings(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+def excitation_findings(
+    rows: Sequence[DofExcitation], vehicle: Vehicle, runs: Sequence[Run]
+) -> Iterator[Finding]:
     """Degrees of freedom that were not moved, and what else the motion leaves open."""
     for row in rows:
         if row.cannot:
@@ -287,7 +282,9 @@ def excitation_findings(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequenc
     yield from _still_commands(rows, vehicle, runs)
 
 
-def _still_commands(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+def _still_commands(
+    rows: Sequence[DofExcitation], vehicle: Vehicle, runs: Sequence[Run]
+) -> Iterator[Finding]:
     """Commands that never change: nothing can be learned of them, and the column may be a wrong one."""
     still = {n for n in vehicle.command_names if all(_still(run.channels[n]) for run in runs)}
     if not still:
@@ -298,7 +295,7 @@ def _still_commands(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Ru
         if _moved(row) and (acting := _acting_on(vehicle, place)) and still.issuperset(acting)
     ]
     names = [n for n in vehicle.command_names if n in still]
-    told = (
+    clause = (
         f"what acts on {', '.join(moving)} stands still while the vehicle moves there, and the model can "
         "only blame something else"
         if moving
@@ -307,7 +304,7 @@ def _still_commands(rows: Sequence[Excited], vehicle: Vehicle, runs: Sequence[Ru
     yield Finding(
         id="still_commands",
         severity="warning" if moving else "note",
-        text=f"{', '.join(names)} never change{'' if len(names) > 1 else 's'}: {told}; is this the right "
+        text=f"{', '.join(names)} never change{'' if len(names) > 1 else 's'}: {clause}; is this the right "
         "column?",
         evidence={"commands": float(len(still))},
     )
@@ -318,7 +315,7 @@ def _still(data: Array) -> bool:
     return not len(there) or bool(np.max(there) == np.min(there))
 
 
-def _moved(row: Excited) -> bool:
+def _moved(row: DofExcitation) -> bool:
     return not any(text.startswith("anything") for text in row.cannot)
 
 
@@ -333,7 +330,7 @@ def _headings(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         return
     headings = np.concatenate([r.channels["psi"] for r in runs])
     span = float(np.nanmax(headings) - np.nanmin(headings))
-    if span < _HEADINGS:
+    if span < SETTINGS.headings:
         yield Finding(
             id="headings",
             severity="note",

@@ -17,10 +17,8 @@ from undertow.typing import Array
 
 from .findings import Edit, Edits, Finding
 from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch
-from .mistakes import SETTINGS, UNITS_OF_MOTION, Mistake, both, turning
+from .mistakes import PLAUSIBLE, UNITS_OF_MOTION, Mistake, both, turning
 
-# Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
-_CLUSTER = 8
 _ALIKE = {
     "velocity_misalignment": ("attitude_bias",),
     "velocity_lever_arm": ("position_lever_arm",),
@@ -28,25 +26,42 @@ _ALIKE = {
 
 
 @dataclass(frozen=True)
+class SensorSettings:
+    """From where on pose rates and velocities disagree, and what a sensor explains of that."""
+
+    # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
+    cluster: int = 8
+    # Share of the motion below which a mismatch is left to the effects that describe real sensors.
+    matters: float = 0.02
+    over_noise: float = 4.0  # mismatch over that by noise alone from which it counts
+    decisive: float = 4.0  # factor that undoing a mistake must take off the mean square
+    worse: float = 1.25  # factor by which another pose rate may get worse
+    slightly: float = 0.01  # and by how much on top of that
+    # Explanations that leave no more than this many times the best one's excess are as good as it.
+    as_good: float = 2.0
+    nothing: float = 3e-3  # excess that is none beside it
+    gross: float = 0.3  # mismatch from which pairs of mistakes are looked for: hardly anything in common
+    few: int = 800  # samples in which they are looked for
+    sure: float = 6.0  # standard errors from which a parameter of a sensor is believed
+    explains: float = 0.5  # share of the mismatch that it may leave
+    worth: float = 5e-4  # mismatch below which it is not worth a word
+    water_worth: float = 2e-3  # the same for the velocity of the water
+    sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
+    rest: float = 0.05  # mismatch that is reported where nothing explains it
+
+
+SETTINGS = SensorSettings()
+
+
+@dataclass(frozen=True)
 class Sensor:
-    """One kind of deviation of velocity sensors.
+    """One kind of deviation of velocity sensors."""
 
-    Attributes
-    ----------
-    id : str
-        Id of the effect of the catalogue that describes it; "water" for velocities through the water.
-    names : tuple of str
-        Its parameters, with units.
-    columns : callable
-        From samples to the change of J(eta) nu that each parameter makes, (n, 6, k).
-    largest : float
-        Parameters beyond this are not believed.
-    """
-
-    id: str
-    names: tuple[str, ...]
+    id: str  # id of the effect of the catalogue that describes it; "water" for velocities through the water
+    names: tuple[str, ...]  # its parameters, with units
+    # From samples to the change of J(eta) nu that each parameter makes, (n, 6, k).
     columns: Callable[[Samples, Stretch], Array]
-    largest: float = np.inf
+    largest: float = np.inf  # parameters beyond this are not believed
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -60,19 +75,10 @@ class Sensor:
 
 @dataclass(frozen=True)
 class SensorFit:
-    """A sensor's deviation as fitted.
-
-    Attributes
-    ----------
-    sensor : Sensor
-        Which kind.
-    value, error : (k,) arrays
-        Its parameters and their standard errors.
-    after : Mismatch
-        What it leaves.
-    """
+    """A sensor's deviation as fitted."""
 
     sensor: Sensor
+    # value, error: (k,) its parameters and their standard errors.
     value: Array
     error: Array
     after: Mismatch
@@ -82,7 +88,7 @@ class SensorFit:
         """Whether the parameters are such as real sensors have."""
         return bool(np.all(np.abs(self.value) <= self.sensor.largest))
 
-    def told(self) -> str:
+    def description(self) -> str:
         """Id and parameters."""
         parts = [
             f"{n.split(' ')[0]} = {v:.3g} ± {e:.1g} {' '.join(n.split(' ')[1:])}".rstrip()
@@ -110,7 +116,7 @@ def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
     found = [
         Sensor("sensor_bias", tuple(f"b_{n} m/s" for n in linear), _chosen(_bias, linear)),
         # A Doppler log set for another speed of sound is some percent off; knots are half of what they say.
-        Sensor("sensor_scale", ("s",), _common_scale, SETTINGS.scale),
+        Sensor("sensor_scale", ("s",), _common_scale, PLAUSIBLE.scale),
         Sensor("sensor_delay", ("delay s",), _late, 3.0),
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]
@@ -180,7 +186,7 @@ def fit_sensor(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor
     weight = 1.0 / np.sqrt(rates.variance + 1e-12 * np.mean(rates.pose**2 + rates.velocity**2, axis=0))
     table = (regressor * weight[:, :, None]).reshape(-1, regressor.shape[2])
     target = ((rates.pose - rates.velocity) * weight).ravel()
-    value, error = clustered_least_squares(table, target, _CLUSTER * len(kinematics.rows))
+    value, error = clustered_least_squares(table, target, SETTINGS.cluster * len(kinematics.rows))
     fitted = Rates(rates.pose, rates.velocity + regressor @ value, rates.variance)
     return SensorFit(sensor, value, error, kinematics.of_rates(fitted))
 
@@ -222,51 +228,26 @@ def clustered_least_squares(
     return value, error
 
 
-# A mismatch below this share of the motion is left to the effects that describe real sensors.
-MATTERS = 0.02
-# ... and noise must not make a quarter of it.
-_OVER_NOISE = 4.0
-# Undoing a mistake must take this factor off the mean square.
-DECISIVE = 4.0
-# No other pose rate may get worse by more than this factor (and this much).
-_WORSE, _SLIGHTLY = 1.25, 0.01
-# Explanations that leave no more than this many times the best one's excess are as good as it.
-_AS_GOOD, _NOTHING = 2.0, 3e-3
-# Pairs of mistakes are looked for only where pose rates and velocities hardly have anything in common.
-_GROSS = 0.3
-# Samples in which pairs are looked for.
-_FEW = 800
-
-
 @dataclass(frozen=True)
 class Explained:
-    """A mistake with what undoing it does.
+    """A mistake with what undoing it does."""
 
-    Attributes
-    ----------
-    mistake : Mistake
-        The best explanation.
-    rivals : list of Mistake
-        Others that leave as little.
-    before, after : Mismatch
-        Of the log with the mistake, and without.
-    """
-
-    mistake: Mistake
-    rivals: list[Mistake]
+    mistake: Mistake  # the best explanation
+    rivals: list[Mistake]  # others that leave as little
+    # before, after: of the log with the mistake, and without.
     before: Mismatch
     after: Mismatch
 
 
 def inconsistent(mismatch: Mismatch) -> np.ndarray:
     """Blocks in which pose rates and velocities disagree by more than noise and small sensor errors."""
-    return (mismatch.excess > MATTERS) & (mismatch.share > _OVER_NOISE * mismatch.floor)
+    return (mismatch.excess > SETTINGS.matters) & (mismatch.share > SETTINGS.over_noise * mismatch.floor)
 
 
 def explains(before: Mismatch, after: Mismatch) -> bool:
     """Whether a mismatch goes away decisively, and none appears elsewhere."""
     wrong, gone = inconsistent(before), _gone(before, after)
-    worse = after.excess > _WORSE * before.excess + _SLIGHTLY
+    worse = after.excess > SETTINGS.worse * before.excess + SETTINGS.slightly
     return bool(np.any(wrong & gone) and not np.any(worse))
 
 
@@ -277,7 +258,7 @@ def contradicts(found: Explained, chosen: Mistake) -> bool:
 
 def possible_mismatch(chosen: Mistake) -> float:
     """Share of the motion by which sensors let pose rates and velocities disagree where this explains it."""
-    return SETTINGS.other_unit if chosen.id in UNITS_OF_MOTION else SETTINGS.contradiction
+    return PLAUSIBLE.other_unit if chosen.id in UNITS_OF_MOTION else PLAUSIBLE.contradiction
 
 
 def _explained(before: Mismatch, after: Mismatch) -> float:
@@ -290,7 +271,7 @@ def _gone(before: Mismatch, after: Mismatch) -> np.ndarray:
 
     Else noise that is scaled away with its motion would count as explained.
     """
-    return (after.excess <= before.excess / DECISIVE) & (after.share < SETTINGS.agreement)
+    return (after.excess <= before.excess / SETTINGS.decisive) & (after.share < PLAUSIBLE.agreement)
 
 
 def best_explanation(
@@ -305,12 +286,12 @@ def best_explanation(
         return None
     distinct = _distinct(kinematics, runs, known)
     found = _decisive(kinematics, runs, before, distinct)
-    if not found and np.max(before.excess) > _GROSS:
+    if not found and np.max(before.excess) > SETTINGS.gross:
         found = _pairs(kinematics, runs, before, distinct, vehicle)
     if not found:
         return None
     least = min(after.total for _, after in found)
-    limit = _AS_GOOD * least + _NOTHING
+    limit = SETTINGS.as_good * least + SETTINGS.nothing
     equals = sorted((m.count, i) for i, (m, after) in enumerate(found) if after.total <= limit)
     order = [found[i] for _, i in equals]
     return Explained(order[0][0], [m for m, _ in order[1:]], before, order[0][1])
@@ -320,7 +301,7 @@ def _pairs(
     kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, distinct: list[Mistake], vehicle: Vehicle
 ) -> list[tuple[Mistake, Mismatch]]:
     """Pairs of mistakes that explain a mismatch, looked for in few samples and confirmed in all."""
-    few = Kinematics(runs, vehicle, most=_FEW)
+    few = Kinematics(runs, vehicle, most=SETTINGS.few)
     if not few:
         return []
     likely = [m for m in distinct if m.id not in UNITS_OF_MOTION or _nearer(few, runs, m)]
@@ -332,7 +313,7 @@ def _pairs(
 def _nearer(kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake) -> bool:
     """Whether pose rates and velocities are nearer in size without a mistake, whatever their directions."""
     now, then = (_sizes(kinematics, of) for of in (runs, [mistake.undo(run) for run in runs]))
-    return bool(np.any(then < now - np.log(1.0 + SETTINGS.ratio)))
+    return bool(np.any(then < now - np.log(1.0 + PLAUSIBLE.ratio)))
 
 
 def _sizes(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
@@ -354,7 +335,7 @@ def _decisive(
     return [
         (m, after)
         for m, after in found
-        if m.id not in UNITS_OF_MOTION or _explained(before, after) > SETTINGS.other_unit
+        if m.id not in UNITS_OF_MOTION or _explained(before, after) > PLAUSIBLE.other_unit
     ]
 
 
@@ -376,15 +357,6 @@ def _looked_at(kinematics: Kinematics, run: Run) -> Array:
     return np.array([run.channels[n][::step] for n in kinematics.channels])
 
 
-# A parameter of a sensor is believed from this many standard errors on.
-_SURE = 6.0
-# ... where it explains this share of what exceeds the noise, and that is worth a word.
-_EXPLAINS, _WORTH = 0.5, 5e-4
-_WATER_WORTH = 2e-3
-_CONSISTENCY_AS_GOOD = 2.0
-_REST = 0.05
-
-
 def sensor_fits(kinematics: Kinematics, runs: Sequence[Run]) -> list[SensorFit]:
     """Every kind of deviation of a sensor, fitted alone; the one that leaves least comes first."""
     rates = kinematics.rates(runs)
@@ -395,8 +367,8 @@ def sensor_fits(kinematics: Kinematics, runs: Sequence[Run]) -> list[SensorFit]:
 def as_good_as(explained: Explained, fits: Sequence[SensorFit]) -> list[SensorFit]:
     """Sensors' deviations that explain a mismatch as well as a mistake does, wherever that explains it."""
     before, after = explained.before.excess, explained.after.excess
-    gone = inconsistent(explained.before) & (after <= before / DECISIVE)
-    limit = _CONSISTENCY_AS_GOOD * after + 0.02 * before
+    gone = inconsistent(explained.before) & (after <= before / SETTINGS.decisive)
+    limit = SETTINGS.sensor_as_good * after + 0.02 * before
     return [f for f in fits if f.sensor.id != "water" and np.all((f.after.excess <= limit)[gone])]
 
 
@@ -406,10 +378,10 @@ def through_water(kinematics: Kinematics, before: Mismatch, fits: Sequence[Senso
     if kinematics.rows[0] != "x":
         return None
     water = next((f for f in fits if f.sensor.id == "water"), None)
-    if water is None or before.excess[0] < _WATER_WORTH or before.share[0] < 4 * before.floor[0]:
+    if water is None or before.excess[0] < SETTINGS.water_worth or before.share[0] < 4 * before.floor[0]:
         return None
-    sure = np.max(np.abs(water.value) / water.error) > _SURE
-    if not sure or water.after.excess[0] > before.excess[0] / DECISIVE:
+    sure = np.max(np.abs(water.value) / water.error) > SETTINGS.sure
+    if not sure or water.after.excess[0] > before.excess[0] / SETTINGS.decisive:
         return None
     return Explained(_in_water(water.value), [], before, water.after)
 
@@ -442,11 +414,11 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
         best = min(fits, key=lambda f: f.after.total, default=None)
         if best is None or not _believed(best, before):
             break
-        yield _told(best, before)
+        yield _sensor_finding(best, before)
         rates = _corrected(kinematics, runs, rates, best)
     left = kinematics.of_rates(rates)
     for block, excess in zip(kinematics.blocks, left.excess, strict=True):
-        if excess > _REST:
+        if excess > SETTINGS.rest:
             names = ", ".join(kinematics.rows[i] for i in block)
             yield Finding(
                 id="inconsistent",
@@ -458,8 +430,8 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
 
 
 def _believed(fit: SensorFit, before: Mismatch) -> bool:
-    sure = np.max(np.abs(fit.value) / fit.error) > _SURE
-    return bool(before.total > _WORTH and sure and fit.after.total < _EXPLAINS * before.total)
+    sure = np.max(np.abs(fit.value) / fit.error) > SETTINGS.sure
+    return bool(before.total > SETTINGS.worth and sure and fit.after.total < SETTINGS.explains * before.total)
 
 
 def _corrected(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, fit: SensorFit) -> Rates:
@@ -467,19 +439,15 @@ def _corrected(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, fit: S
     return Rates(rates.pose, rates.velocity + change, rates.variance)
 
 
-def _told(fit: SensorFit, before: Mismatch) -> Finding:
+def _sensor_finding(fit: SensorFit, before: Mismatch) -> Finding:
+    names = (n.split(" ")[0] for n in fit.sensor.names)
     return Finding(
         id="velocity_sensor",
         severity="warning",
         text=f"pose rates and velocities disagree by {before.total:.1%} of the motion (mean square), as they "
-        f"would with {fit.told()}; undertow add {' or '.join(fit.sensor.effects)} puts it into the model",
-        evidence=dict(
-            zip(
-                (n.split(" ")[0] for n in fit.sensor.names),
-                fit.sensor.parameters(fit.value).tolist(),
-                strict=True,
-            )
-        ),
+        f"would with {fit.description()}; undertow add {' or '.join(fit.sensor.effects)} puts it into the "
+        "model",
+        evidence=dict(zip(names, fit.sensor.parameters(fit.value).tolist(), strict=True)),
     )
 
 

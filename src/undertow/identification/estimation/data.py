@@ -10,19 +10,18 @@ from itertools import count
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 from .test_functions import (
     Entries,
+    Supports,
     TestFunctions,
-    Windows,
     boxes,
     knot_spacing,
     meeting,
@@ -31,8 +30,57 @@ from .test_functions import (
     test_functions,
 )
 
-# What rows feel is laid out for as many windows at a time as fit in this.
-_BYTES = 32_000_000
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Numbers by which noise is estimated and told from motion."""
+
+    # Orders of the differences that white noise is taken from, and samples for each order that a log needs.
+    orders: tuple[int, ...] = (3, 4, 5, 6, 7, 8)
+    samples_for_order: int = 4
+    fewest: int = 10  # differences that a standard deviation is taken from
+    gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
+    # Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
+    outlying: float = 3.5
+    variance_within: float = 0.9939
+    # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
+    clearly: float = 4.0
+    # No channel counts as better known than this share of its change in 1 s: quadrature over samples is not
+    # exact.
+    least: float = 2e-3
+    # Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the
+    # covariance of the residual stays well conditioned.
+    doubt: float = 30.0
+
+
+@dataclass(frozen=True)
+class RateSettings:
+    """Numbers of the local cubics that a rate is taken from."""
+
+    widths: tuple[int, ...] = (3, 5, 8, 13, 20, 32)  # half-widths in samples, from narrow to wide
+    degree: int = 3
+    places: int = 300  # samples at which the widths are tried
+    # Square of what a fit leaves, relative to what noise leaves, from which it bends the signal.
+    bent: float = 1.2
+
+
+@dataclass(frozen=True)
+class BlockSettings:
+    """Numbers by which logs are divided: knots of test functions, and blocks that count as independent."""
+
+    # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
+    wider_for_derived: float = 2.0
+    # Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there
+    # a cubic B-spline has its first zero in frequency.
+    knots_per_resolution: float = 2 * np.pi
+    blocks: int = 24
+    longest: float = 5.0  # s
+    shortest: float = 1.0  # s
+    # Bytes that the noise of as many windows as are worked out at a time may take.
+    bytes: int = 32_000_000
+
+
+NOISE, RATES, BLOCKS = NoiseSettings(), RateSettings(), BlockSettings()
 
 
 def residual_covariance(
@@ -45,34 +93,19 @@ def residual_covariance(
 ) -> Array:
     """Covariance of the weak residual from noise on the measured channels.
 
-    Parameters
-    ----------
-    functions : TestFunctions
-        K test functions over N samples.
-    slopes : Entries
-        Derivative of the 5n pointwise rows in the 2n measured poses and velocities, at the samples.
-    sigma : (2n,) or (N, 2n) array
-        Standard deviations of the measured channels, the same at all samples or not.
-    rows : sequence of int
-        Equations that are used, among the 2n (forces first, then kinematics).
-    derived : sequence of int
-        Channels that are the time derivative of a pose: their noise is that of the pose, differentiated.
-    t : (N,) array, optional
-        Time of the samples, s; needed with `derived`.
-
-    Returns
-    -------
-    (b, K len(rows)) array
-        Its lower half in LAPACK's banded storage, ordered by test function, then by equation.
+    Its lower half in LAPACK's banded storage, (b, K len(rows)), ordered by test function, then by equation.
+    `slopes` is the derivative of the 5n pointwise rows in the 2n measured channels, `sigma` their standard
+    deviations, (2n,) or (N, 2n), and `rows` the equations in use (forces first, then kinematics). The noise
+    of the `derived` channels is that of the pose, differentiated over `t`.
     """
     n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
     # The noise of a rate is that of its pose.
     direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
-    bands = _in_pieces(functions.windows, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
+    bands = _in_pieces(functions.supports, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
     if derived and t is not None:
         levels = {c: sigma[..., c - n] for c in derived}
         rates = _in_pieces(
-            functions.windows,
+            functions.supports,
             rows,
             levels,
             lambda w: (w.first - 1, _differenced(_felt(w, entries, rows, levels), w, t)),
@@ -82,16 +115,16 @@ def residual_covariance(
 
 
 def _in_pieces(
-    windows: Windows,
+    windows: Supports,
     rows: Sequence[int],
     levels: Mapping[int, Array],
-    felt: Callable[[Windows], tuple[Index, Array]],
+    felt: Callable[[Supports], tuple[Index, Array]],
 ) -> Array:
     """Products of the rows of all windows, a few windows and those that they overlap at a time."""
     count, width = windows.weights.shape[1:]
     each = 8 * len(rows) * (width + 2) * max(len(levels), 1)
     reach = int(np.max(np.searchsorted(windows.first, windows.first + width + 2) - np.arange(count)))
-    piece = max(_BYTES // each - reach, reach)
+    piece = max(BLOCKS.bytes // each - reach, reach)
     found = []
     for begin in range(0, count, piece):
         bands = products(*felt(windows.part(slice(begin, begin + piece + reach))))
@@ -107,7 +140,7 @@ def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
 
 
 def _felt(
-    windows: Windows,
+    windows: Supports,
     entries: list[tuple[int, int, int, Array]],
     rows: Sequence[int],
     levels: Mapping[int, Array],
@@ -126,7 +159,7 @@ def _felt(
     return np.ascontiguousarray(table.transpose(2, 0, 3, 1))
 
 
-def _differenced(felt: Array, windows: Windows, t: Array) -> Array:
+def _differenced(felt: Array, windows: Supports, t: Array) -> Array:
     """What is felt of a pose whose central differences are felt like this; windows begin a sample earlier."""
     count = len(t)
     after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)
@@ -169,14 +202,6 @@ def unbanded(bands: Array) -> csr_array:
     return csr_array(lower + tril(lower, -1).T)
 
 
-_ORDERS = range(3, 9)
-_GAUSSIAN_MAD = 1.4826
-# Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
-_OUTLYING, _SHARE_WITHIN = 3.5, 0.9939
-# Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
-_CLEARLY = 4.0
-
-
 def white_noise(t: Array, y: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
 
@@ -184,40 +209,35 @@ def white_noise(t: Array, y: Array) -> float:
     smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly
     less: then the lower one takes a fast signal for noise.
     """
-    if len(t) <= 4 * _ORDERS[0]:
+    if len(t) <= NOISE.samples_for_order * NOISE.orders[0]:
         return 0.0  # too few samples to tell noise from motion
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
-    found = [_by_difference(y, even, k) for k in _ORDERS if len(y) > 4 * k]
+    found = [_by_difference(y, even, k) for k in NOISE.orders if len(y) > NOISE.samples_for_order * k]
     known = [f for f in found if np.isfinite(f)]
-    clearly = 1.0 + _CLEARLY / np.sqrt(len(y))
+    clearly = 1.0 + NOISE.clearly / np.sqrt(len(y))
     return next((f for f in known if f <= clearly * min(known)), 0.0)
 
 
-def _by_difference(y: Array, even: NDArray[np.bool_], order: int) -> float:
+def _by_difference(y: Array, even: Flags, order: int) -> float:
     difference = np.diff(y, n=order)
     usable = np.convolve(even, np.ones(order), mode="valid") > order - 0.5
     kept = difference[usable & np.isfinite(difference)]
-    if len(kept) < 10:
+    if len(kept) < NOISE.fewest:
         return np.inf
-    rough = _GAUSSIAN_MAD * float(np.median(np.abs(kept)))
+    rough = NOISE.gaussian_mad * float(np.median(np.abs(kept)))
     # Of what is not a kink or a jump the mean square is known twice as well as the median.
-    within = kept[np.abs(kept) <= _OUTLYING * rough]
-    return float(np.sqrt(np.mean(within**2) / _SHARE_WITHIN / comb(2 * order, order)))
+    within = kept[np.abs(kept) <= NOISE.outlying * rough]
+    return float(np.sqrt(np.mean(within**2) / NOISE.variance_within / comb(2 * order, order)))
 
 
 class Whitening:
     """Turns residuals into ones of unit variance, by a banded Cholesky factor.
 
-    Parameters
-    ----------
-    covariance : (b, m) array
-        Covariance of the residual from the noise of the channels, rows ordered by test function,
-        then by equation; its lower half in LAPACK's banded storage.
-    overlap : (b, m) array
-        Integrals of products of test functions of the same equation: the covariance of a white disturbance.
-    intensity : (m,) array
-        Intensity of the disturbance in each row's equation: what the model leaves beyond the noise.
+    Rows are ordered by test function, then by equation. `covariance` (b, m) is that from the noise of the
+    channels, and `overlap` (b, m) the products of test functions of one equation, the covariance of a white
+    disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: what
+    the model leaves beyond the noise.
     """
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
@@ -283,15 +303,6 @@ def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
     return banded(csr_array(kron(gram, eye_array(equations))))
 
 
-# Half-widths in samples of the fits that a rate is taken from, from narrow to wide.
-_WIDTHS = (3, 5, 8, 13, 20, 32)
-_DEGREE = 3
-# Samples at which the widths are tried.
-_LOOKS = 300
-# Square of what a fit leaves, relative to what noise leaves, from which it bends the signal.
-_BENT = 1.2
-
-
 def around(at: Index, width: int, count: int) -> Index:
     """Indices of the 2 width + 1 samples around each instant, moved inwards at the ends of the signal."""
     first = np.clip(at - width, 0, count - 2 * width - 1)
@@ -301,19 +312,8 @@ def around(at: Index, width: int, count: int) -> Index:
 def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> tuple[Array, Array, Array]:
     """Least squares fit of a polynomial to the 2 width + 1 samples around some samples of a signal.
 
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s; N at least 2 width + 1.
-    y : (N, c) array
-        Signals, without gaps.
-    at : (k,) array of int
-        Samples to evaluate at.
-
-    Returns
-    -------
-    value, rate, misfit : (k, c) arrays
-        The polynomials there, in the units of y, their derivatives, per s, and their sums of squared errors.
+    `t` (N,) in s, `y` (N, c) without gaps, `at` (k,). Returns values, rates per s and sums of squared errors
+    there, each (k, c).
     """
     near = around(at, width, len(t))
     span = t[near[:, -1]] - t[near[:, 0]]
@@ -328,86 +328,42 @@ def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> 
 
 
 def smooth_rate(t: Array, y: Array) -> Array:
-    """Derivative of noisy signals, per s, from cubics over as many samples as they fit within the noise.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s.
-    y : (N, c) array
-        Signals, without gaps.
-
-    Returns
-    -------
-    (N, c) array
-    """
-    if len(t) <= 2 * _WIDTHS[0]:
+    """Derivative (N, c), per s, of noisy signals by cubics over as many samples as fit within the noise."""
+    if len(t) <= 2 * RATES.widths[0]:
         return np.gradient(y, t, axis=0)
     rate, every = np.empty_like(y), np.arange(len(t))
     width = _widest(t, y)
     for chosen in np.unique(width).tolist():
         columns = np.flatnonzero(width == chosen)
-        rate[:, columns] = local_polynomial(t, y[:, columns], every, chosen, _DEGREE)[1]
+        rate[:, columns] = local_polynomial(t, y[:, columns], every, chosen, RATES.degree)[1]
     return rate
 
 
 def _widest(t: Array, y: Array) -> Index:
     """Half-width of the widest fits that leave no more than noise at most instants, by signal."""
     noise = np.array([white_noise(t, column) for column in y.T])
-    some = np.unique(np.linspace(0, len(t) - 1, _LOOKS).astype(np.intp))
-    found = np.full(y.shape[1], _WIDTHS[0])
-    for width in (w for w in _WIDTHS if 2 * w < len(t)):
-        misfit = local_polynomial(t, y, some, width, _DEGREE)[2]
-        found[np.median(misfit, axis=0) <= _BENT * noise**2 * (2 * width - _DEGREE)] = width
+    some = np.unique(np.linspace(0, len(t) - 1, RATES.places).astype(np.intp))
+    found = np.full(y.shape[1], RATES.widths[0])
+    for width in (w for w in RATES.widths if 2 * w < len(t)):
+        misfit = local_polynomial(t, y, some, width, RATES.degree)[2]
+        found[np.median(misfit, axis=0) <= RATES.bent * noise**2 * (2 * width - RATES.degree)] = width
     return found
 
 
 Family = Callable[[Array, float], TestFunctions | None]
-# Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
-_WIDER_FOR_DERIVED = 2.0
-# Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there a
-# cubic B-spline has its first zero in frequency.
-_KNOTS_PER_RESOLUTION = 2 * np.pi
-_BLOCKS = 24
-_LONGEST_BLOCK = 5.0
-_SHORTEST_BLOCK = 1.0
-# Quadrature over samples is not exact, so no channel counts as better known than this share of its change
-# in 1 s.
-_FINEST = 2e-3
-# Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the covariance
-# of the residual stays well conditioned.
-DOUBT = 30.0
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a run without gaps.
+    """A stretch of a run without gaps."""
 
-    Attributes
-    ----------
-    run : int
-        Place of the run among the runs.
-    first : int
-        Index of the first sample in the run.
-    t : (N,) array
-        Time, s.
-    measured : (N, 2n) array
-        Pose and velocity of the degrees of freedom; pose that the log lacks is zero.
-    u : (N, n_commands) array
-        Commands.
-    functions : TestFunctions
-        Test functions on the segment.
-    doubted : (N, 2n) array of bool or None
-        Samples that count as hardly known.
-    """
-
-    run: int
-    first: int
-    t: Array
-    measured: Array
-    u: Array
-    functions: TestFunctions
-    doubted: NDArray[np.bool_] | None = None
+    run: int  # Place of the run among the runs
+    first: int  # Index of the first sample in the run
+    t: Array  # (N,) time, s
+    measured: Array  # (N, 2n) pose and velocity of the degrees of freedom; pose that the log lacks is zero
+    u: Array  # (N, n_commands) commands
+    functions: TestFunctions  # Test functions on the segment
+    doubted: Flags | None = None  # (N, 2n) samples that count as hardly known
 
     @property
     def samples(self) -> slice:
@@ -422,30 +378,14 @@ class Segment:
 
 @dataclass(frozen=True)
 class WeakData:
-    """Runs prepared for a vehicle's degrees of freedom and commands.
-
-    Attributes
-    ----------
-    runs : tuple of Run
-        The logs.
-    segments : tuple of Segment
-        Their usable stretches.
-    sigma : (2n,) array
-        Noise of the channels, in their units.
-    rows : tuple of int
-        Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1).
-    names : tuple of str
-        Names of the 2n channels.
-    commands : tuple of str
-        Names of the command columns.
-    """
+    """Runs prepared for a vehicle's degrees of freedom and commands."""
 
     runs: tuple[Run, ...]
-    segments: tuple[Segment, ...]
-    sigma: Array
-    rows: tuple[int, ...]
-    names: tuple[str, ...]
-    commands: tuple[str, ...]
+    segments: tuple[Segment, ...]  # Their usable stretches
+    sigma: Array  # (2n,) noise of the channels, in their units
+    rows: tuple[int, ...]  # Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1)
+    names: tuple[str, ...]  # Names of the 2n channels
+    commands: tuple[str, ...]  # Names of the command columns
 
     @cached_property
     def derived(self) -> tuple[int, ...]:
@@ -460,7 +400,7 @@ class WeakData:
         return len(self.derived) == len(self.names) // 2
 
     @cached_property
-    def equation(self) -> NDArray[np.intp]:
+    def equation(self) -> Index:
         """Equation of every residual entry."""
         return np.concatenate([np.tile(self.rows, s.functions.count) for s in self.segments])
 
@@ -470,7 +410,7 @@ class WeakData:
         return np.concatenate([np.repeat(s.functions.centre, len(self.rows)) for s in self.segments])
 
     @cached_property
-    def run_of(self) -> NDArray[np.intp]:
+    def run_of(self) -> Index:
         """Run of every residual entry."""
         return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
 
@@ -478,10 +418,10 @@ class WeakData:
     def block_seconds(self) -> float:
         """Length of blocks: long against the memory of vehicles, short enough that there are many."""
         total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
-        return float(np.clip(total / _BLOCKS, _SHORTEST_BLOCK, _LONGEST_BLOCK))
+        return float(np.clip(total / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
 
     @cached_property
-    def block(self) -> NDArray[np.intp]:
+    def block(self) -> Index:
         """Number of the time block that every residual entry belongs to; blocks never span two runs."""
         seconds = self.block_seconds
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
@@ -536,7 +476,7 @@ def _too_short(runs: Sequence[Run], family: Family) -> str:
     lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
     enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
     needed = next(enough) if spacing else 2
-    blurred = any(_spacing(r) > knot_spacing(r.t) * _WIDER_FOR_DERIVED for r in runs if len(r.t) > 1)
+    blurred = any(_spacing(r) > knot_spacing(r.t) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1)
     form = "integral form" if family is boxes else "weak form"
     why = (
         "; the velocities were taken from a pose that tells nothing of faster motion: "
@@ -581,7 +521,9 @@ def _segments(
 def _spacing(run: Run) -> float:
     """Distance of the knots, s."""
     plain = knot_spacing(run.t)
-    return max(_WIDER_FOR_DERIVED * plain, _KNOTS_PER_RESOLUTION * run.resolution) if run.derived else plain
+    if not run.derived:
+        return plain
+    return max(BLOCKS.wider_for_derived * plain, BLOCKS.knots_per_resolution * run.resolution)
 
 
 def channel_noise(runs: Sequence[Run], names: Sequence[str]) -> Array:
@@ -598,7 +540,7 @@ def _channel_noise(present: Sequence[Run], name: str) -> float:
 def _floored(noise: Array, runs: Sequence[Run], names: Sequence[str]) -> Array:
     """Noise, but at least what the quadrature over samples resolves."""
     change = [[_change_in_a_second(r, n) for r in runs if r.has(n)] for n in names]
-    return np.maximum(noise, [_FINEST * float(np.median(c or [0.0])) for c in change])
+    return np.maximum(noise, [NOISE.least * float(np.median(c or [0.0])) for c in change])
 
 
 def _change_in_a_second(run: Run, name: str) -> float:

@@ -2,36 +2,50 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .residual import WeakModel
-from .step import at_bounds, inverse_of
+from .step import at_bounds, estimated, follower_errors, followers, inverse_of
 
-# Share of the largest eigenvalue of the scaled information below which a direction is not seen at all.
-NOTHING = 1e-10
-_TOUCHED = 1e-3
-_ROUNDING = 1e-6
+
+@dataclass(frozen=True)
+class IdentifiabilitySettings:
+    """Limits by which parameters are called identified."""
+
+    # Share of the largest eigenvalue of the scaled information below which a direction is not seen at all.
+    unseen: float = 1e-10
+    touched: float = 1e-3  # part of a parameter in such directions from which it belongs to their group
+    rounding: float = 1e-6
+    zero: float = 2.0  # |t| below which a parameter could as well be zero
+    clear: float = 5.0  # |t| below which a parameter is known, but not well
+    # Correlation between the errors of two parameters beyond which only a combination of both is known,
+    # unless each is this many standard errors from zero all the same.
+    tied: float = 0.95
+    untied: float = 10.0
+    # Standard deviations of prior and fit together beyond which a value is far from what was stated.
+    far: float = 3.0
+    # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
+    # likelihood ratio, which white noise brings above this once in 18 000 times at most on validation data.
+    more_than_chance: float = 15.0
+
+
+SETTINGS = IdentifiabilitySettings()
+SURE, MORE_THAN_CHANCE = SETTINGS.zero, SETTINGS.more_than_chance
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A sum of parameters that the data determine.
+    """A sum of parameters that the data determine."""
 
-    Attributes
-    ----------
-    coefficients : dict of float
-        Factor of each parameter in it; one for the first.
-    """
-
-    coefficients: dict[str, float]
+    coefficients: dict[str, float]  # Factor of each parameter in it; one for the first
 
     def __str__(self) -> str:
         (first, _), *others = self.coefficients.items()
@@ -43,47 +57,31 @@ def _term(name: str, factor: float) -> str:
     return f"{'-' if factor < 0 else '+'} {'' if abs(size - 1.0) < 1e-4 else f'{size:.4g} '}{name}"
 
 
-def undetermined(gram: Array, free: Sequence[str], nothing: float = NOTHING) -> list[list[str]]:
-    """Parameters that data do not determine, in groups that hang together.
+def undetermined(gram: Array, free: Sequence[str], nothing: float = SETTINGS.unseen) -> list[list[str]]:
+    """Parameters that data with information J'J (without priors) do not determine, in groups.
 
-    Parameters
-    ----------
-    gram : (k, k) array
-        Information J'J of the data, without priors.
-    free : sequence of str
-        Names of the parameters.
-    nothing : float
-        Share of the largest eigenvalue of the scaled information below which a direction is not seen.
-
-    Returns
-    -------
-    list of list of str
-        A group of one does not show at all; of a larger one only combinations show.
+    A group of one does not show at all; of a larger one only combinations show. `nothing` is the share of the
+    largest eigenvalue of the scaled information below which a direction is not seen.
     """
     _, vectors, unseen = _directions(gram, nothing)
     null = vectors[:, unseen]
     projector = null @ null.T
     groups: list[list[int]] = []
-    left = [i for i in range(len(free)) if projector[i, i] > _TOUCHED]
+    left = [i for i in range(len(free)) if projector[i, i] > SETTINGS.touched]
     while left:
         group = [left.pop(0)]
         for i in group:
-            group += [j for j in left if abs(projector[i, j]) > _TOUCHED]
+            group += [j for j in left if abs(projector[i, j]) > SETTINGS.touched]
             left = [j for j in left if j not in group]
         groups.append(sorted(group))
     return [[free[i] for i in group] for group in groups]
 
 
-def base_parameters(gram: Array, free: Sequence[str], nothing: float = NOTHING) -> list[Combination]:
+def base_parameters(gram: Array, free: Sequence[str], nothing: float = SETTINGS.unseen) -> list[Combination]:
     """The combinations that stand in for parameters which data determine together only.
 
     They span what the information of each group of `undetermined` sees, in reduced row echelon form: each
     begins with a parameter that is in no other.
-
-    Parameters
-    ----------
-    gram, free, nothing
-        As for `undetermined`.
     """
     size, vectors, unseen = _directions(gram, nothing)
     found = []
@@ -92,12 +90,12 @@ def base_parameters(gram: Array, free: Sequence[str], nothing: float = NOTHING) 
         # A functional is seen if it vanishes along every direction that is not.
         null = vectors[places][:, unseen] / np.where(size > 0, size, 1.0)[places, None]
         basis, weight, _ = np.linalg.svd(null)
-        rank = int(np.sum(weight > _ROUNDING * max(weight.max(initial=0.0), 1e-300)))
+        rank = int(np.sum(weight > SETTINGS.rounding * max(weight.max(initial=0.0), 1e-300)))
         found += [_named(row, group) for row in _echelon(basis[:, rank:].T)]
     return found
 
 
-def _directions(gram: Array, nothing: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _directions(gram: Array, nothing: float) -> tuple[Array, Array, Flags]:
     """Scale of the parameters, eigenvectors of the scaled information, and which of them are not seen."""
     size = np.sqrt(np.diag(gram))
     scale = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 1.0)
@@ -113,7 +111,7 @@ def _echelon(rows: Array) -> Array:
         if done == len(table):
             break
         pivot = done + int(np.argmax(np.abs(table[done:, column])))
-        if abs(table[pivot, column]) < _ROUNDING:
+        if abs(table[pivot, column]) < SETTINGS.rounding:
             continue
         table[[done, pivot]] = table[[pivot, done]]
         table[done] /= table[done, column]
@@ -124,70 +122,68 @@ def _echelon(rows: Array) -> Array:
 
 
 def _named(row: Array, group: Sequence[str]) -> Combination:
-    return Combination({n: float(c) for n, c in zip(group, row, strict=True) if abs(c) > _ROUNDING})
-
-
-#: |value| over its standard error below which a parameter could as well be zero.
-SURE = 2.0
-#: Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
-#: likelihood ratio, which white noise brings above this once in 18 000 times at the most on kept-aside data.
-MORE_THAN_CHANCE = 15.0
-# The same for a parameter that is known, if not well.
-_CLEAR = 5.0
-# Correlation between the errors of two parameters beyond which only a combination of both is known, unless
-# each is this many standard errors from zero all the same.
-_TIED = 0.95
-_WELL = 10.0
-# Standard deviations of prior and fit together beyond which a value is far from what was stated.
-_FAR = 3.0
+    return Combination({n: float(c) for n, c in zip(group, row, strict=True) if abs(c) > SETTINGS.rounding})
 
 
 class Estimates(Protocol):
-    """Values with their errors."""
+    """Values with their standard errors, SI and SNAME signs."""
 
     @property
-    def values(self) -> dict[str, float]:
-        """Estimated values, SI and SNAME signs."""
+    def values(self) -> dict[str, float]: ...
 
     @property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard errors, SI."""
+    def standard_errors(self) -> dict[str, float]: ...
 
 
-class Fitted(Estimates, Protocol):
-    """A fit of the free parameters of a model, whatever the estimator."""
+class Fitted(ABC):
+    """A fit of the free parameters of a model by least squares, whatever the estimator."""
 
-    @property
-    def model(self) -> WeakModel:
-        """Model and names of the free parameters."""
+    model: WeakModel  # model and names of the free parameters
+    p: Array  # (n_parameters,)
 
     @property
-    def p(self) -> Array:
-        """All parameters of the model, in its order."""
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle with fitted values and standard errors."""
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the free parameters."""
-
-    @property
+    @abstractmethod
     def gram(self) -> Array:
-        """Information J'J of the data as they were weighed, without priors."""
+        """Information J'J of the data as they were weighted, without priors, (n_free, n_free)."""
 
     @property
+    @abstractmethod
     def noise_gram(self) -> Array:
         """The same if nothing but the noise of the sensors were in the data."""
 
     @property
+    @abstractmethod
+    def covariance(self) -> Array:
+        """Covariance of the free parameters."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle with fitted values and standard errors, those of tied parameters included."""
+        values, errors = self.values, self.standard_errors
+        tied = followers(self.model, values), follower_errors(self.model, errors)
+        return estimated(self.model.functions.vehicle, values | tied[0], errors | tied[1])
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values of the free parameters, SI and SNAME signs."""
+        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard error of every free parameter."""
+        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
     def condition(self) -> float:
         """Condition number of the scaled regressor."""
+        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
+        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
 
     @property
     def active(self) -> list[str]:
-        """Constraints that hold the estimates back, by name."""
+        """Constraints that hold the estimates back, by name: bounds, then matrices at their limit."""
+        bounds = [f"{name} at its bound {bound:g}" for name, bound in at_bounds(self.model, self.p).items()]
+        return [*bounds, *self.model.limits.active(self.p)]
 
 
 Verdict = Literal["identified", "weakly identified", "not identifiable"]
@@ -208,7 +204,7 @@ def verdicts(fit: Fitted) -> dict[str, Verdict]:
 def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
     if t < SURE or undetermined:
         return "not identifiable"
-    return "weakly identified" if t < _CLEAR or doubtful else "identified"
+    return "weakly identified" if t < SETTINGS.clear or doubtful else "identified"
 
 
 def cramer_rao(fit: Fitted) -> dict[str, float]:
@@ -238,15 +234,7 @@ def t_value(value: float, error: float) -> float:
 
 
 def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
-    """What speaks against a fitted value, by parameter: not identifiable, at a bound, far from its prior.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The fit.
-    stated : Vehicle
-        The vehicle with the values and priors that were stated before.
-    """
+    """What speaks against fitted values: not identifiable, at a bound, far from the stated prior."""
     found: dict[str, list[str]] = {n: [] for n in fit.model.free}
     for part in (_unsure(fit), _tied(fit), _bound(fit), _moved(fit, stated)):
         for name, text in part.items():
@@ -265,7 +253,7 @@ def _tied(fit: Fitted) -> dict[str, str]:
     return {
         names[i]: f"known only together with {names[j]}: correlation {between[i, j]:.3f}"
         for i, j in enumerate(partner)
-        if abs(between[i, j]) > _TIED and sure[names[i]] < _WELL
+        if abs(between[i, j]) > SETTINGS.tied and sure[names[i]] < SETTINGS.untied
     }
 
 
@@ -279,7 +267,7 @@ def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:
         prior = stated.value_of(name)
         if prior.sigma:
             distance = abs(value - prior.value) / np.hypot(prior.sigma, fit.standard_errors[name])
-            if distance > _FAR:
+            if distance > SETTINGS.far:
                 found[name] = f"{distance:.1f} standard deviations from its prior"
     return found
 
@@ -289,11 +277,6 @@ class Triangle:
 
     Rows are added in blocks and not kept: what is held are (k + 1)^2 numbers for k parameters. The solution
     is that of all rows together, with the precision of a QR decomposition (not that of normal equations).
-
-    Parameters
-    ----------
-    parameters : int
-        How many there are.
     """
 
     def __init__(self, parameters: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
+from undertow.codegen.engine import call, mapped
 from undertow.codegen.functions import Functions
+from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
 from undertow.typing import Array, Index
-
-from .pointwise import call, mapped
 
 
 def change(values: Array) -> Array:
@@ -87,22 +87,13 @@ class Inputs(NamedTuple):
     dt: ca.SX
 
 
-class Carried:
+class PropagatedState:
     """States under given rates over the intervals between samples, and the mean of an output along each.
 
-    The states alone follow one after the other. At known states, the derivatives of all intervals are worked
-    out side by side; what is then left of carrying derivatives along is one banded triangular solution.
-
-    Parameters
-    ----------
-    z : (n,) expression
-        The states.
-    inputs : Inputs
-        What drives them.
-    free : (m,) expression
-        Parameters that derivatives are taken in.
-    rate, output : callable
-        Rate of the states, and the output, from the states and the share of the interval that has passed.
+    `rate` and `output` are functions of the states and of the share of the interval that has passed; `free`
+    are the parameters that derivatives are taken in. The states alone follow one after the other. At known
+    states, the derivatives of all intervals are worked out side by side; what is then left of propagating
+    derivatives is one banded triangular solution.
     """
 
     def __init__(self, z: ca.SX, inputs: Inputs, free: ca.SX, rate: At, output: At) -> None:
@@ -140,7 +131,7 @@ class Carried:
         inside = [states[:-1], *columns, dt[:, None]]
         by_state, free, mean_by_state, mean_free, mean = mapped(self._slopes, inside, p, t)
         first = np.hstack([slope, np.eye(len(start))])
-        slopes = _carried_slopes(first, by_state, _with_start(free, len(start)))
+        slopes = _propagated_slopes(first, by_state, _with_start(free, len(start)))
         means = mean_by_state @ slopes[:-1] + _with_start(mean_free, len(start))
         return states, slopes, mean[:, :, 0], means
 
@@ -150,7 +141,7 @@ def _with_start(direct: Array, states: int) -> Array:
     return np.concatenate([direct, np.zeros((*direct.shape[:2], states))], axis=2)
 
 
-def _carried_slopes(first: Array, factor: Array, added: Array) -> Array:
+def _propagated_slopes(first: Array, factor: Array, added: Array) -> Array:
     """Solution of S_k+1 = A_k S_k + B_k from S_0, shapes (N, n, n) and (N, n, m): (N + 1, n, m)."""
     count, size, _ = factor.shape
     right = np.concatenate([first[None], added]).reshape((count + 1) * size, -1)
@@ -168,18 +159,14 @@ def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX
     h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
     mean = output(z, 0.0)
     for step in range(_SUBSTEPS):
-        z = _runge_kutta(rate, z, h, step * share, share)
+
+        def rates(at: Sequence[ca.SX], reach: float, begin: float = step * share) -> list[ca.SX]:
+            return [rate(at[0], begin + reach * share)]
+
+        (z,) = runge_kutta(rates, [z], [h])
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
-
-
-def _runge_kutta(rate: At, z: ca.SX, h: ca.SX, share: float, width: float) -> ca.SX:
-    k1 = rate(z, share)
-    k2 = rate(z + h / 2 * k1, share + width / 2)
-    k3 = rate(z + h / 2 * k2, share + width / 2)
-    k4 = rate(z + h * k3, share + width)
-    return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 @lru_cache(maxsize=64)
@@ -188,38 +175,23 @@ def _accumulated(function: ca.Function, count: int) -> ca.Function:
 
 
 @dataclass(frozen=True)
-class Driven:
-    """A driven signal with its derivative in the free parameters.
+class DrivenSignal:
+    """A driven signal with its derivative in the free parameters."""
 
-    Attributes
-    ----------
-    value : (N, k) array
-        Value at each sample, or mean over the interval that follows it.
-    slope : (N, k, n_free) array
-        Its derivative.
-    start : (N, k, n_states) array
-        Its derivative in the states that it started from, which no log tells.
-    """
-
-    value: Array
-    slope: Array
-    start: Array
+    value: Array  # (N, k) value at each sample, or mean over the interval that follows it
+    slope: Array  # (N, k, n_free) its derivative
+    start: Array  # (N, k, n_states) its derivative in the states that it started from, which no log tells
 
 
 @dataclass(frozen=True)
-class Actuated(Driven):
-    """Actuation along a log.
+class Actuation(DrivenSignal):
+    """Actuation along a log."""
 
-    Attributes
-    ----------
-    before : Driven
-        What it was before it changed at each sample; the same where it follows the commands without jumps.
-    """
-
-    before: Driven
+    # What it was before it changed at each sample; the same where it follows the commands without jumps
+    before: DrivenSignal
 
     @classmethod
-    def of(cls, now: Driven, before: Driven) -> Actuated:
+    def of(cls, now: DrivenSignal, before: DrivenSignal) -> Actuation:
         """What it is, and what it was."""
         return cls(now.value, now.slope, now.start, before)
 
@@ -227,32 +199,23 @@ class Actuated(Driven):
 class ActuatorStates:
     """Actuation along the logged commands: mean output over each sampling interval.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the free parameters.
-
-    Raises
-    ------
-    UndertowError
-        If a step of the chain feels the motion: the chain follows the commands, before any motion is known.
+    An actuation effect that depends on the motion is refused: actuation follows the commands, before any
+    motion is known. `free` holds the places in p of the free parameters.
     """
 
     def __init__(self, functions: Functions, free: tuple[int, ...]) -> None:
         self.functions, self.free = functions, free
         _refuse_motion(functions)
 
-    def along(self, t: Array, u: Array, p: Array) -> Actuated:
+    def along(self, t: Array, u: Array, p: Array) -> Actuation:
         """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
         size, count = self.functions.actuation.shape[0], len(t)
         if size == 0:
             nothing = _nothing(count, len(self.free))
-            return Actuated.of(nothing, nothing)
-        mean = self._carried_along(t, u, p) if self._has_states else self._static(t, u, p)
+            return Actuation.of(nothing, nothing)
+        mean = self._propagate(t, u, p) if self._has_states else self._static(t, u, p)
         late = self._delayed(t, mean, p)
-        return Actuated.of(late, late if self._has_states else self._before(t, late, p))
+        return Actuation.of(late, late if self._has_states else self._before(t, late, p))
 
     @property
     def _has_states(self) -> bool:
@@ -264,13 +227,13 @@ class ActuatorStates:
         composition = self.functions.vehicle.composition
         return self._has_states or bool(self._felt) or composition.dead_time != 0
 
-    def _carried_along(self, t: Array, u: Array, p: Array) -> Driven:
+    def _propagate(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         step = np.append(np.diff(t), 0.0)
         start, slope = (np.asarray(v) for v in self._rest(u[0], p, t[0]))
-        _, _, mean, slopes = self._carried.along(start[:, 0], slope, [u], p, t, step)
+        _, _, mean, slopes = self._propagated.along(start[:, 0], slope, [u], p, t, step)
         return _driven(mean, slopes, self._felt, len(self.free))
 
-    def _static(self, t: Array, u: Array, p: Array) -> Driven:
+    def _static(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         """A chain without states: its output in the middle of every interval."""
         middle = t + np.append(np.diff(t), 0.0) / 2
         value, slope = mapped(self._output, [u], p, middle)
@@ -300,13 +263,13 @@ class ActuatorStates:
         return _chosen(self.functions, [self.free[k] for k in self._felt])
 
     @cached_property
-    def _carried(self) -> Carried:
+    def _propagated(self) -> PropagatedState:
         f, dt = self.functions, ca.SX.sym("dt")
         z = f.actuator_states
         rates, output = (
             ca.Function("step", [z, f.u, f.p, f.t], [v]) for v in (f.chain_rates, f.chain_output)
         )
-        return Carried(
+        return PropagatedState(
             z,
             Inputs([f.u], f.p, f.t, dt),
             self._free,
@@ -321,7 +284,7 @@ class ActuatorStates:
         slope = ca.jacobian(expression, _chosen(f, list(self.free)))
         return ca.Function("dead_time", [f.p], [expression, ca.densify(slope)])
 
-    def _delayed(self, t: Array, driven: Driven, p: Array) -> Driven:
+    def _delayed(self, t: Array, driven: DrivenSignal, p: Array) -> DrivenSignal:
         if self.functions.vehicle.composition.dead_time == 0:
             return driven
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
@@ -332,26 +295,28 @@ class ActuatorStates:
             for s in (driven.slope, driven.start)
         )
         per_second = -shift_rate(t, driven.value, seconds)
-        return Driven(value, moved + per_second[:, :, None] * slope.ravel(), start)
+        return DrivenSignal(value, moved + per_second[:, :, None] * slope.ravel(), start)
 
     def seconds_late(self, p: Array) -> float:
         """Dead time between commands and what they bring about, s."""
         return float(self._dead_time(p)[0]) if self.functions.vehicle.composition.dead_time != 0 else 0.0
 
-    def _before(self, t: Array, driven: Driven, p: Array) -> Driven:
+    def _before(self, t: Array, driven: DrivenSignal, p: Array) -> DrivenSignal:
         """What a chain without states gave before each sample.
 
         A jump that falls between samples bends the velocity there: trapezoids over a kink at the share s of a
         step are off by 1 - 6 s (1 - s) times what they are off by over one at a sample.
         """
         if not self.moves:
-            return Driven(np.concatenate([driven.value[:1], driven.value[:-1]]), driven.slope, driven.start)
+            return DrivenSignal(
+                np.concatenate([driven.value[:1], driven.value[:-1]]), driven.slope, driven.start
+            )
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
         value, by_free, by_start = (change(a) for a in (driven.value, driven.slope, driven.start))
         turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
-        return Driven(
+        return DrivenSignal(
             driven.value - weight[:, None] * value,
             driven.slope - weight[:, None, None] * by_free + turned[:, :, None] * slope.ravel(),
             driven.start - weight[:, None, None] * by_start,
@@ -359,15 +324,7 @@ class ActuatorStates:
 
 
 class Memory:
-    """States of wrenches along the measured motion, at the samples of a segment.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    true_motion : CasADi expression
-        Pose and velocity in terms of `measured`.
-    """
+    """States of wrenches along the measured motion; `true_motion` is the motion in terms of `measured`."""
 
     def __init__(
         self, functions: Functions, free: tuple[int, ...], measured: ca.SX, true_motion: ca.SX
@@ -375,14 +332,14 @@ class Memory:
         self.functions, self.free = functions, free
         self._measured, self._true_motion = measured, true_motion
 
-    def along(self, t: Array, measured: Array, actuation: Array, u: Array, p: Array) -> Driven:
+    def along(self, t: Array, measured: Array, actuation: Array, u: Array, p: Array) -> DrivenSignal:
         """States at the samples, zero at the first; the motion is taken as linear between samples."""
         size, count = self.functions.memory.shape[0], len(t)
         if size == 0:
             return _nothing(count, len(self.free))
         columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
         start, slope = np.zeros(size), np.zeros((size, len(self._felt)))
-        states, slopes, _, _ = self._carried.along(start, slope, columns, p, t[:-1], np.diff(t))
+        states, slopes, _, _ = self._propagated.along(start, slope, columns, p, t[:-1], np.diff(t))
         return _driven(states, slopes, self._felt, len(self.free))
 
     @cached_property
@@ -396,7 +353,7 @@ class Memory:
         return _dependence(self.functions, self.free, self._rates)
 
     @cached_property
-    def _carried(self) -> Carried:
+    def _propagated(self) -> PropagatedState:
         f, dt, after = self.functions, ca.SX.sym("dt"), ca.SX.sym("after", self._measured.shape[0])
         rate = ca.Function("rate", [f.memory, self._measured, f.actuation, f.u, f.p, f.t], [self._rates])
 
@@ -404,7 +361,7 @@ class Memory:
             here = self._measured + share * (after - self._measured)
             return rate(state, here, f.actuation, f.u, f.p, f.t + share * dt)
 
-        return Carried(
+        return PropagatedState(
             f.memory,
             Inputs([self._measured, after, f.actuation, f.u], f.p, f.t, dt),
             _chosen(f, [self.free[k] for k in self._felt]),
@@ -422,8 +379,8 @@ def _refuse_motion(functions: Functions) -> None:
         )
 
 
-def _nothing(count: int, n_free: int) -> Driven:
-    return Driven(np.zeros((count, 0)), np.zeros((count, 0, n_free)), np.zeros((count, 0, 0)))
+def _nothing(count: int, n_free: int) -> DrivenSignal:
+    return DrivenSignal(np.zeros((count, 0)), np.zeros((count, 0, n_free)), np.zeros((count, 0, 0)))
 
 
 def _chosen(functions: Functions, places: list[int]) -> ca.SX:
@@ -436,8 +393,8 @@ def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) 
     return [k for k, place in enumerate(free) if place in used]
 
 
-def _driven(value: Array, slopes: Array, felt: list[int], n_free: int) -> Driven:
+def _driven(value: Array, slopes: Array, felt: list[int], n_free: int) -> DrivenSignal:
     """Values, and slopes put in the columns of the parameters that they belong to."""
     slope = np.zeros((*value.shape, n_free))
     slope[:, :, felt] = slopes[:, :, : len(felt)]
-    return Driven(value, slope, slopes[:, :, len(felt) :])
+    return DrivenSignal(value, slope, slopes[:, :, len(felt) :])

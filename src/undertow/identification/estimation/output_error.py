@@ -14,52 +14,56 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .data import prepare
+from .data import NOISE, prepare
+from .fitted import Fitted
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
-from .step import Constraints, Solution, bounds_of, clustered, limited_step, physical, prior_cost, prior_of
+from .step import Constraints, SearchSpace, clustered, prior_of
 from .weak_form import fit_weak, free_parameters
 from .windows import Windows, cut
 
-_MAX_ITERATIONS = 40
-# Fall of the sum of squares below which nothing is left to gain.
-_ENOUGH = 1e-3
-_ROUNDS, _ROBUST_ROUNDS = 3, 20
-_SETTLED = 0.05
-# A log without noise would weigh infinitely: no channel counts as better known than this share of its rms.
-_FINEST = 1e-6
-_DAMPING = (1e-3, 1e-9, 1e9)
+
+@dataclass(frozen=True)
+class OutputErrorSettings:
+    """Numbers of the fit by output error."""
+
+    horizon: float = 5.0  # length of a window, s
+    most_steps: int = 40
+    least_fall: float = 1e-3  # of the sum of squares, below which there is nothing left to gain
+    rounds: int = 3  # of weights by channel
+    robust_rounds: int = 20  # of weights by sample
+    # Change of a logarithm of a channel's weight, or of the parameters in standard deviations, with which
+    # rounds end.
+    converged: float = 0.05
+    # A log without noise would weigh infinitely: no channel counts as better known than this share of its
+    # rms.
+    least_noise: float = 1e-6
+    damping: float = 1e-3
+    least_damping: float = 1e-9
+    most_damping: float = 1e9
+    # Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber,
+    # Robust Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
+    huber: float = 1.345
+    # Degrees of freedom, kept fixed (Lange, Little and Taylor, J. American Statistical Association 84, 1989).
+    student: float = 4.0
+
+
+SETTINGS = OutputErrorSettings()
 
 
 @dataclass(frozen=True)
-class OutputErrorFit(Solution):
-    """A model fitted to logs by its simulation error.
+class OutputErrorFit(Fitted):
+    """A model fitted to logs by its simulation error."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    windows : Windows
-        What was simulated.
-    starts : (b, 2n) array
-        Estimated true pose and velocity at the start of every window.
-    at : Reduced
-        Linearised problem at p.
-    dispersion : (2n,) array
-        Mean square of the simulation error over the noise that a channel was weighted with, at least 1.
-    iterations : int
-        Steps taken in all.
-    """
-
-    model: WeakModel
-    p: Array
-    windows: Windows
-    starts: Array
-    at: Reduced
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
+    windows: Windows  # What was simulated
+    starts: Array  # (b, 2n) estimated true pose and velocity at the start of every window
+    at: Reduced  # Linearised problem at p
+    # (2n,) mean square of the simulation error over the noise that a channel was weighted with, at
+    # least 1
     dispersion: Array
-    iterations: int
+    iterations: int  # Steps taken in all
 
     @property
     def gram(self) -> Array:
@@ -97,41 +101,18 @@ class OutputErrorFit(Solution):
 
 @dataclass(frozen=True)
 class State:
-    """Where a descent has come to.
+    """Where a descent has come to."""
 
-    Attributes
-    ----------
-    p : (n_parameters,) array
-        All parameters.
-    starts : (b, 2n) array
-        True pose and velocity at the start of every window.
-    at : Reduced
-        Linearised problem there.
-    damping : float
-        Of the next step.
-    """
-
-    p: Array
-    starts: Array
-    at: Reduced
-    damping: float
+    p: Array  # (n_parameters,) all parameters
+    starts: Array  # (b, 2n) true pose and velocity at the start of every window
+    at: Reduced  # Linearised problem there
+    damping: float  # Of the next step
 
 
 class Descent:
     """Levenberg-Marquardt on the parameters, with the best starts for every step.
 
-    Parameters
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    windows : Windows
-        What is simulated.
-    compiled : bool, optional
-        As for `Simulator`.
-    progress : callable
-        Told what share is done, and what is being done.
-    enough : float
-        Fall of the sum of squares below which nothing is left to gain.
+    It ends when the sum of squares falls by less than `enough`.
     """
 
     def __init__(
@@ -140,42 +121,42 @@ class Descent:
         windows: Windows,
         compiled: bool | None = None,
         progress: Progress = lambda done, words: None,
-        enough: float = _ENOUGH,
+        enough: float = SETTINGS.least_fall,
     ) -> None:
         self._enough = enough
         self.model, self.windows = model, windows
         self._weight = channel_weights(windows)
         self._shooting = Shooting(model.functions, windows, model.free, self._weight, compiled=compiled)
-        self._bounds, self._prior = bounds_of(model), prior_of(model)
+        self._space = SearchSpace(model)
         self._progress = progress
         self._steps = 0
 
     def fit(self, p: Array) -> OutputErrorFit:
         """Descend, weigh every channel by what the model leaves in it, until that settles."""
-        starts = self._shooting.settled_starts(p)
+        starts = self._shooting.fitted_starts(p)
         dispersion = np.ones(len(self.windows.names))
-        state = self.settled(p, starts)
-        for round_ in range(1, _ROUNDS):
-            self._progress(round_ / _ROUNDS, "output error")
+        state = self.minimise(p, starts)
+        for round_ in range(1, SETTINGS.rounds):
+            self._progress(round_ / SETTINGS.rounds, "output error")
             found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
-            if np.max(np.abs(np.log(found / dispersion))) < _SETTLED:
+            if np.max(np.abs(np.log(found / dispersion))) < SETTINGS.converged:
                 break
             dispersion = found
             self._shooting.weight = self._weight / np.sqrt(dispersion)
-            state = self.settled(state.p, state.starts)
+            state = self.minimise(state.p, state.starts)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
         )
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Descend with weights for each sample by its error, until the parameters settle."""
-        starts = self._shooting.settled_starts(p)
-        state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
-        for round_ in range(_ROBUST_ROUNDS):
-            self._progress(round_ / _ROBUST_ROUNDS, "output error, outliers down-weighted")
+        starts = self._shooting.fitted_starts(p)
+        state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
+        for round_ in range(SETTINGS.robust_rounds):
+            self._progress(round_ / SETTINGS.robust_rounds, "output error, outliers down-weighted")
             scale = self._weighed(state, loss)
-            before, state = state.p, self.settled(state.p, state.starts)
-            if self._moved(state, before) < _SETTLED:
+            before, state = state.p, self.minimise(state.p, state.starts)
+            if self._moved(state, before) < SETTINGS.converged:
                 break
         return self._robust(state, scale, loss)
 
@@ -209,21 +190,15 @@ class Descent:
             self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
         )
 
-    def settled(self, p: Array, starts: Array) -> State:
-        """Where steps from these parameters and starts lead, with the weights as they are.
-
-        Raises
-        ------
-        UndertowError
-            If the simulation diverges with these parameters.
-        """
-        state = State(p, starts, self._shooting.linearise(p, starts), _DAMPING[0])
+    def minimise(self, p: Array, starts: Array) -> State:
+        """Where steps from these parameters and starts lead, with the weights as they are."""
+        state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         if not np.isfinite(state.at.cost):
             raise UndertowError(
                 "the simulation diverges with the starting values of the parameters: give a shorter horizon, "
                 "or values nearer to the truth"
             )
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(SETTINGS.most_steps):
             self._steps += 1
             state, gained = self._stepped(state)
             if gained < self._enough:
@@ -232,31 +207,23 @@ class Descent:
 
     def _stepped(self, state: State) -> tuple[State, float]:
         """The next state and the fall of the cost; the same state and zero where no step helps."""
-        places = list(self.model.places)
-        damping = state.damping
-        while damping < _DAMPING[2]:
-            step = limited_step(self.model, _damped(state.at, damping), state.p, self._bounds, self._prior)
-            p = state.p.copy()
-            p[places] = np.clip(p[places] + step, *self._bounds)
+        damping, before = state.damping, self._space.cost(state.p, state.at.cost)
+        while damping < SETTINGS.most_damping:
+            step = self._space.step(_damped(state.at, damping), state.p)
+            p = self._space.moved(state.p, step)
             starts = state.starts + state.at.start_step + state.at.start_slope @ step
             # Most steps help: to simulate with derivatives at once is cheaper than to look first.
             at = self._shooting.linearise(p, starts)
-            before, after = self._cost(state.p, state.at.cost), self._cost(p, at.cost)
+            after = self._space.cost(p, at.cost)
             if after < before:
-                return State(p, starts, at, max(damping / 10, _DAMPING[1])), before - after
-            if before - self._promised(state, step) < self._enough:
+                return State(p, starts, at, max(damping / 10, SETTINGS.least_damping)), before - after
+            if (
+                before - self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
+                < self._enough
+            ):
                 break
             damping *= 10
         return state, 0.0
-
-    def _cost(self, p: Array, squares: float) -> float:
-        return squares + prior_cost(self._prior, p[list(self.model.places)])
-
-    def _promised(self, state: State, step: Array) -> float:
-        """Cost after a step by the linearised problem."""
-        p = state.p.copy()
-        p[list(self.model.places)] += step
-        return self._cost(p, float(np.sum((state.at.r + state.at.J @ step) ** 2)))
 
 
 def _damped(at: Reduced, damping: float) -> Linearised:
@@ -273,7 +240,7 @@ def channel_weights(windows: Windows) -> Array:
     size = np.sqrt(np.nansum(windows.measured**2, axis=(0, 1)) / np.maximum(count, 1))
     derived = {name for run in windows.runs for name in run.derived}
     used = (count > 0) & np.array([name not in derived for name in windows.names])
-    noise = np.maximum(windows.sigma, _FINEST * size)
+    noise = np.maximum(windows.sigma, SETTINGS.least_noise * size)
     return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
 
 
@@ -289,37 +256,20 @@ def _mean_square(at: Reduced, starts: Array, dispersion: Array) -> Array:
 
 # --- what counts as an error ----------------------------------------------------------------------
 LossName = Literal["gaussian", "huber", "student-t"]
-# Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber, Robust
-# Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
-_HUBER = 1.345
-# Degrees of freedom, kept fixed (Lange, Little and Taylor, J. American Statistical Association 84, 1989).
-_FREEDOM = 4.0
-_GAUSSIAN_MAD = 1.4826
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss by what iterated reweighting needs of it.
+    """A loss by what iterated reweighting needs of it."""
 
-    Attributes
-    ----------
-    weight : callable
-        Weight of an error z in standard deviations: influence over error.
-    slope : callable
-        Derivative of the influence.
-    """
-
-    weight: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
+    weight: Callable[[Array], Array]  # Weight of an error z in standard deviations: influence over error
+    slope: Callable[[Array], Array]  # Derivative of the influence
 
     def correction(self, z: Array) -> tuple[float, float]:
         """What the covariance of weighted least squares lacks for errors such as z.
 
-        Returns
-        -------
-        float, float
-            Factor on the variance where errors are independent, mean(w) mean(psi^2) / mean(psi')^2, and on
-            scores in a sandwich, mean(w) / mean(psi').
+        A factor on the variance where errors are independent, mean(w) mean(psi^2) / mean(psi')^2, and one on
+        scores in a sandwich, mean(w) / mean(psi').
         """
         weight, slope = self.weight(z), max(float(np.mean(self.slope(z))), 0.1)
         mean = float(np.mean(weight))
@@ -327,19 +277,19 @@ class Loss:
 
 
 def _huber_weight(z: Array) -> Array:
-    return np.asarray(_HUBER / np.maximum(np.abs(z), _HUBER))
+    return np.asarray(SETTINGS.huber / np.maximum(np.abs(z), SETTINGS.huber))
 
 
 def _huber_slope(z: Array) -> Array:
-    return (np.abs(z) < _HUBER).astype(float)
+    return (np.abs(z) < SETTINGS.huber).astype(float)
 
 
 def _student_weight(z: Array) -> Array:
-    return np.asarray((_FREEDOM + 1) / (_FREEDOM + z**2))
+    return np.asarray((SETTINGS.student + 1) / (SETTINGS.student + z**2))
 
 
 def _student_slope(z: Array) -> Array:
-    return np.asarray((_FREEDOM + 1) * (_FREEDOM - z**2) / (_FREEDOM + z**2) ** 2)
+    return np.asarray((SETTINGS.student + 1) * (SETTINGS.student - z**2) / (SETTINGS.student + z**2) ** 2)
 
 
 LOSSES: dict[str, Loss] = {
@@ -350,10 +300,9 @@ LOSSES: dict[str, Loss] = {
 
 def robust_scale(errors: Array) -> float:
     """Standard deviation of errors by their median magnitude: up to half of them may be anything."""
-    return _GAUSSIAN_MAD * float(np.median(np.abs(errors))) if len(errors) else 1.0
+    return NOISE.gaussian_mad * float(np.median(np.abs(errors))) if len(errors) else 1.0
 
 
-HORIZON = 5.0
 _PLAIN = Constraints()
 
 
@@ -361,7 +310,7 @@ def fit_output_error(
     vehicle: Vehicle,
     runs: Sequence[Run],
     free: Sequence[str] | None = None,
-    horizon: float | None = HORIZON,
+    horizon: float | None = SETTINGS.horizon,
     *,
     start: Mapping[str, float] | None = None,
     compiled: bool | None = None,
@@ -387,20 +336,11 @@ def fit_output_error(
         Length of a window in s; None: each stretch without gaps is one.
     start : mapping, optional
         Starting values; by default those of a weak-form fit.
-    compiled : bool, optional
-        As for `Simulator`.
     constraints : Constraints
         What else is asked of the parameters.
     loss : str
-        "gaussian" squares every error; "huber" and "student-t" let no outlier pull without limit, by weights
-        for each sample, worked out anew until they settle.
-    progress : callable
-        Told what share is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, no stretch is as long as the horizon, or the simulation diverges.
+        "gaussian" squares every error; "huber" and "student-t" reweight each sample until the parameters
+        converge, so that no outlier pulls without limit.
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
@@ -425,6 +365,4 @@ def started(model: WeakModel, start: Mapping[str, float]) -> Array:
     p = np.array(model.functions.values(), dtype=float)
     for name, value in start.items():
         p[model.functions.parameter_names.index(name)] = value
-    places, bounds = list(model.places), bounds_of(model)
-    p[places] = np.clip(p[places], *bounds)
-    return physical(model, p, bounds)
+    return SearchSpace(model).nearest(p)

@@ -4,117 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from undertow.codegen.engine import call
 from undertow.codegen.functions import Functions, solve_symmetric
-from undertow.codegen.tape import blockwise
 from undertow.model.effect import Wrench
 from undertow.typing import Array
-
-# Making a map costs time in proportion to its length; one of this length serves segments of any length.
-_CHUNK = 128
-
-
-def mapped(function: ca.Function, columns: list[Array], p: Array, t: Array) -> list[Array]:
-    """Values at N samples of `function(*columns, p, t)`, each (N, rows, columns); `columns` are (N, k).
-
-    The function's outputs have to be dense.
-    """
-    flat = nonzeros(function, [*columns, p, t[:, None]], len(t))
-    shapes = [function.size_out(i) for i in range(function.n_out())]
-    # CasADi is column-major: a sample's matrix lies transposed in the flat result.
-    return [f.reshape(len(t), c, r).transpose(0, 2, 1) for f, (r, c) in zip(flat, shapes, strict=True)]
-
-
-def nonzeros(function: ca.Function, arguments: list[Array], count: int) -> list[Array]:
-    """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Function of one sample.
-    arguments : list of arrays
-        (count, k) for what differs from sample to sample, (k,) for what is the same for all.
-    count : int
-        Number of samples.
-    """
-    run = blockwise(function)
-    return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
-
-
-def _in_chunks(function: ca.Function, arguments: list[Array], count: int) -> list[Array]:
-    """The same by CasADi's virtual machine, where there is no compiler."""
-    chunks = -(-count // _CHUNK)
-    inputs = [_padded(a, chunks) if a.ndim > 1 else np.tile(a, (_CHUNK, 1)) for a in arguments]
-    results = [np.zeros((chunks * _CHUNK, function.nnz_out(i))) for i in range(function.n_out())]
-    buffer, evaluate = map_over(function, _CHUNK).buffer()
-    for i, a in enumerate(inputs):
-        if arguments[i].ndim == 1:
-            buffer.set_arg(i, _view(a))
-    for chunk in range(chunks):
-        rows = slice(chunk * _CHUNK, (chunk + 1) * _CHUNK)
-        for i, a in enumerate(inputs):
-            if arguments[i].ndim > 1:
-                buffer.set_arg(i, _view(a[rows]))
-        for i, a in enumerate(results):
-            buffer.set_res(i, _view(a[rows]))
-        evaluate()
-    return [a[:count] for a in results]
-
-
-def _padded(column: Array, chunks: int) -> Array:
-    """The samples, the last repeated until the last chunk is full."""
-    missing = chunks * _CHUNK - len(column)
-    table = np.concatenate([column, np.repeat(column[-1:], missing, axis=0)]) if missing else column
-    return np.ascontiguousarray(table, dtype=float)
-
-
-def _view(array: Array) -> memoryview:
-    return memoryview(array.reshape(-1).data)
-
-
-def call(function: ca.Function, arguments: list[Array]) -> list[Array]:
-    """Call a function once through its buffers; arguments and results are flat, column-major, dense."""
-    buffer, evaluate = function.buffer()
-    inputs = [np.ascontiguousarray(a, dtype=float) for a in arguments]
-    results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-    for i, array in enumerate(inputs):
-        buffer.set_arg(i, _view(array))
-    for i, array in enumerate(results):
-        buffer.set_res(i, _view(array))
-    evaluate()
-    return results
-
-
-@lru_cache(maxsize=256)
-def map_over(function: ca.Function, count: int) -> ca.Function:
-    """The function over `count` samples in one call; made once."""
-    return function.map(count)
 
 
 class Pointwise:
     """Terms of the weak form at a sample, for one vehicle.
 
     The measured pose and velocity are first turned back into the true ones (inverse of the measurement
-    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration
-    by the
-    commands; n rows each. The equations of motion are divided by the mass matrix: their noise then
-    hardly depends on the
-    parameters, and least squares is not drawn to small inertia, as it is where the noise is multiplied
-    by what is
-    estimated.
+    effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration by
+    the commands; n rows each. The equations of motion are divided by the mass matrix: their noise then hardly
+    depends on the parameters, and least squares is not drawn to small inertia, as it is where the noise is
+    multiplied by what is estimated.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the parameters that derivatives are taken in.
-    chain_moves : bool
-        Whether what reaches the thrusters depends on any of these, or on states.
+    `free` holds the places in p of the parameters that derivatives are taken in; `chain_moves` says whether
+    what reaches the thrusters depends on any of these, or on states.
     """
 
     def __init__(self, functions: Functions, free: tuple[int, ...], *, chain_moves: bool = True) -> None:
@@ -293,10 +204,18 @@ def _solved(report: ca.SX, motion: ca.SX, measured: ca.SX) -> ca.SX:
     return rest if slope.is_eye() else ca.solve(ca.substitute(ca.densify(slope), motion, zero), rest)
 
 
-# Least eigenvalue of the mass matrix, as a share of the stated inertia of each motion.
-_LEAST_MASS = 1e-3
-# Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at it.
-ROUNDING, _AT_LIMIT = 1e-7, 1e-5
+@dataclass(frozen=True)
+class LimitSettings:
+    """Numbers by which a matrix counts as positive."""
+
+    least_mass: float = 1e-3  # least eigenvalue of the mass matrix, as a share of the stated inertias
+    # Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at
+    # it.
+    rounding: float = 1e-7
+    at_limit: float = 1e-5
+
+
+SETTINGS = LimitSettings()
 
 
 @dataclass(frozen=True)
@@ -308,17 +227,10 @@ class Cut:
 
 
 class Limits:
-    """Which parameters a model can have together.
+    """Which parameters a model can have together: matrices that have to be positive.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    places : sequence of int
-        Places in p of the free parameters.
-    dissipative : bool
-        Whether linear damping has to take energy from every motion, D + D' >= 0. It is not asked for by
-        itself: at speed, the coefficients of a hull hold lift and the Munk moment too, which need not.
+    Dissipative linear damping, D + D' >= 0, is only asked for by the user: at speed, the coefficients of a
+    hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
     def __init__(self, functions: Functions, places: Sequence[int], *, dissipative: bool = False) -> None:
@@ -326,7 +238,8 @@ class Limits:
         free = ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
         stated = np.array(functions.values(), dtype=float)
         found = [
-            _Matrix("mass matrix M > 0", m, free, functions, stated, _LEAST_MASS) for m in _masses(functions)
+            _Matrix("mass matrix M > 0", m, free, functions, stated, SETTINGS.least_mass)
+            for m in _masses(functions)
         ]
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
@@ -338,11 +251,11 @@ class Limits:
 
     def broken(self, p: Array) -> bool:
         """Whether a matrix is not positive at p."""
-        return any(matrix.least(p) < -ROUNDING for matrix in self._matrices)
+        return any(matrix.least(p) < -SETTINGS.rounding for matrix in self._matrices)
 
     def impossible(self, p: Array) -> list[str]:
         """Names of all matrices that are not positive at p, those that no free parameter changes too."""
-        return [matrix.told(p) for matrix in self._all if matrix.least(p) < -ROUNDING]
+        return [matrix.described(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
 
     def moved(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""
@@ -352,7 +265,7 @@ class Limits:
 
     def active(self, p: Array) -> list[str]:
         """Names of the limits that hold the parameters back, with the motions that they concern."""
-        return [matrix.told(p) for matrix in self._matrices if matrix.least(p) < _AT_LIMIT]
+        return [matrix.described(p) for matrix in self._matrices if matrix.least(p) < SETTINGS.at_limit]
 
 
 class _Matrix:
@@ -386,15 +299,15 @@ class _Matrix:
 
     def cuts(self, p: Array) -> Iterator[Cut]:
         over, vectors = self._directions(p)
-        if over[0] >= -ROUNDING:
+        if over[0] >= -SETTINGS.rounding:
             return
         slope = self._values(p)[1]
         for excess, vector in zip(over, vectors.T, strict=True):
-            if excess < -ROUNDING:
+            if excess < -SETTINGS.rounding:
                 motion = vector * self._scale
                 yield Cut(np.einsum("i,kij,j->k", motion, slope, motion), -float(excess))
 
-    def told(self, p: Array) -> str:
+    def described(self, p: Array) -> str:
         direction = self._directions(p)[1][:, 0]
         part = np.abs(direction) > 0.1 * np.max(np.abs(direction))
         return f"{self.name} ({', '.join(m for m, there in zip(self._motions, part, strict=True) if there)})"

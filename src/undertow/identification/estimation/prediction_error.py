@@ -7,29 +7,28 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Progress
+from undertow.typing import Array, Flags, Index, Progress
 
+from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
 from .shooting import Shooting
 from .step import (
     Constraints,
-    Solution,
-    bounds_of,
+    SearchSpace,
     clustered,
     inverse_of,
-    limited_step,
-    prior_cost,
     prior_of,
     require_rows,
+    squared,
+    summed_scores,
 )
-from .weak_form import free_parameters
+from .weak_form import free_parameters, mean_square_by
 from .windows import Windows, cut_by_samples
 
 
@@ -38,42 +37,19 @@ class LinearWindows:
     """All windows linearised at parameters p and starts, k samples of 2n channels each.
 
     The state of a window is its start, pose and velocity, and a slow disturbance of the n accelerations: 3n.
-
-    Attributes
-    ----------
-    error : (b, k, 2n, 1 + n_free) array
-        Simulation error, and its derivatives in the free parameters.
-    by_start : (b, k, 2n, 3n) array
-        Its derivative in the state.
-    used : (b, k, 2n) array of bool
-        What is measured; a sample that two windows share counts once.
-    defect : (b, 3n, 1 + n_free) array
-        How far the end of a window is from the start of the next, and its derivatives in the parameters.
-    by_end : (b, 3n, 3n) array
-        Derivative of the end in the state.
     """
 
-    error: Array
-    by_start: Array
-    used: NDArray[np.bool_]
+    error: Array  # (b, k, 2n, 1 + n_free) simulation error, and its derivatives in the free parameters
+    by_start: Array  # (b, k, 2n, 3n) its derivative in the state
+    used: Flags  # (b, k, 2n) what is measured; a sample that two windows share counts once
+    # (b, 3n, 1 + n_free) how far the end of a window is from the start of the next, and its
+    # derivatives in the parameters
     defect: Array
-    by_end: Array
+    by_end: Array  # (b, 3n, 3n) derivative of the end in the state
 
 
 class Chained:
-    """Windows that follow each other, simulated by one model.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    windows : Windows
-        Windows that share their last sample with the next, stretch by stretch.
-    free : sequence of str
-        Names of the parameters to differentiate by.
-    compiled : bool, optional
-        As for `Simulator`.
-    """
+    """Windows that share their last sample with the next, stretch by stretch, simulated by one model."""
 
     def __init__(
         self, functions: Functions, windows: Windows, free: tuple[str, ...], compiled: bool | None
@@ -87,13 +63,13 @@ class Chained:
         self.used = _counted_once(windows, self.last)
 
     @property
-    def late(self) -> bool:
+    def has_sensor_delay(self) -> bool:
         """Whether a sensor reports late, so that windows hang together by more than the motion."""
-        return self._predictor.lateness.present
+        return self._predictor.sensor_delay.present
 
-    def first_starts(self, p: Array) -> Array:
+    def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
-        return self._shooting.first_starts(p)
+        return self._shooting.measured_starts(p)
 
     def linearise(self, p: Array, starts: Array) -> LinearWindows:
         """Simulate every window with sensitivities."""
@@ -147,13 +123,13 @@ def _pushed(by_start: Array, since: Array) -> Array:
     return np.asarray((by_velocity + by_velocity[:, :1]) / 2 * since[:, :, None, None])
 
 
-def _last(windows: Windows) -> NDArray[np.bool_]:
+def _last(windows: Windows) -> Flags:
     following = windows.first + windows.count - 1
     goes_on = (windows.run[1:] == windows.run[:-1]) & (windows.first[1:] == following[:-1])
     return np.append(~(goes_on & (windows.segment[1:] == windows.segment[:-1])), True)
 
 
-def _counted_once(windows: Windows, last: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _counted_once(windows: Windows, last: Flags) -> Flags:
     """Measured samples of every window, its last one only where no window goes on from there."""
     steps = np.arange(windows.t.shape[1])
     own = steps < (windows.count - 1 + last)[:, None]
@@ -162,61 +138,35 @@ def _counted_once(windows: Windows, last: NDArray[np.bool_]) -> NDArray[np.bool_
 
 @dataclass(frozen=True)
 class Noise:
-    """What is random in the model.
+    """What is random in the model."""
 
-    Attributes
-    ----------
-    variance : (2n,) array
-        Of the noise of the channels, in the square of their units.
-    intensity : (3n,) array
-        Of what changes each state beside the model, its square per second: zero for a pose, the strength of
-        the white disturbance of an acceleration for a velocity, the wander of its slow part at last.
-    vague : (3n,) array
-        Standard deviation of the state at the start of a stretch before anything is measured.
-    """
-
-    variance: Array
+    variance: Array  # (2n,) of the noise of the channels, in the square of their units
+    # (3n,) of what changes each state beside the model, its square per second: zero for a pose, the
+    # strength of the white disturbance of an acceleration for a velocity, the wander of its slow part
+    # at last
     intensity: Array
+    # (3n,) standard deviation of the state at the start of a stretch before anything is measured
     vague: Array
 
 
 @dataclass(frozen=True)
 class Filtered:
-    """What a pass leaves.
+    """What a pass leaves."""
 
-    Attributes
-    ----------
-    table : (m, 1 + n_free) array
-        Whitened innovations with their derivatives.
-    window, channel : (m,) array
-        Where each of them is from.
-    log_determinant : float
-        Sum of the logarithms of the innovations' variances.
-    predicted, seen : list of (array, array)
-        State (3n, 1 + n_free) and its covariance, before and after each window's samples are seen.
-    """
-
-    table: Array
-    window: NDArray[np.intp]
-    channel: NDArray[np.intp]
-    log_determinant: float
+    table: Array  # (m, 1 + n_free) whitened innovations with their derivatives
+    window: Index  # (m,) where each of them is from
+    channel: Index
+    log_determinant: float  # Sum of the logarithms of the innovations' variances
+    # list of (array, array): State (3n, 1 + n_free) and its covariance, before and after each window's
+    # samples are seen
     predicted: list[tuple[Array, Array]]
     seen: list[tuple[Array, Array]]
 
 
-def filtered(linear: LinearWindows, last: NDArray[np.bool_], seconds: Array, noise: Noise) -> Filtered:
-    """One pass over all windows in order of time.
+def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -> Filtered:
+    """One pass of a Kalman filter over all windows in order of time.
 
-    Parameters
-    ----------
-    linear : LinearWindows
-        The windows.
-    last : (b,) array of bool
-        Windows with which a stretch ends.
-    seconds : (b,) array
-        Their length, s.
-    noise : Noise
-        Of the channels and of the motion.
+    `last` (b,) marks windows with which a stretch ends; `seconds` (b,) is the length of each.
     """
     columns, size = linear.defect.shape[2], linear.defect.shape[1]
     rows, windows, channels, predicted, seen = [], [], [], [], []
@@ -254,26 +204,17 @@ def _symmetric(matrix: Array) -> Array:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The motion given all that is measured, and the noise that explains it.
+    """The motion given all that is measured, and the noise that explains it."""
 
-    Attributes
-    ----------
-    motion : (b, 3n, 1 + n_free) array
-        Change of every state, and its derivative in the free parameters.
-    disturbance : (3n, 2) array
-        Sum of the squared disturbances over their length, and how many of them the data tell, by state.
-    errors : (2n, 2) array
-        Sum of the squared errors of the channels, and how many are left to tell their noise.
-    """
-
-    motion: Array
+    motion: Array  # (b, 3n, 1 + n_free) change of every state, and its derivative in the free parameters
+    # (3n, 2) sum of the squared disturbances over their length, and how many of them the data tell, by
+    # state
     disturbance: Array
+    # (2n, 2) sum of the squared errors of the channels, and how many are left to tell their noise
     errors: Array
 
 
-def smoothed(
-    linear: LinearWindows, last: NDArray[np.bool_], seconds: Array, noise: Noise, passed: Filtered
-) -> Smoothed:
+def smoothed(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, passed: Filtered) -> Smoothed:
     """The way back, from the last window to the first (Rauch, Tung and Striebel)."""
     count, size, columns = linear.defect.shape
     motion = np.zeros((count, size, columns))
@@ -285,22 +226,25 @@ def smoothed(
             ahead, cover = passed.predicted[j + 1]
             inverse = inverse_of(cover)
             change, shrink = motion[j + 1] - ahead, later - cover
-            disturbance += _told(noise.intensity * seconds[j], seconds[j], inverse, change, shrink)
+            disturbance += _disturbance_sums(noise.intensity, seconds[j], inverse, change, shrink)
             gain = spread @ linear.by_end[j].T @ inverse
             mean, spread = mean + gain @ change, _symmetric(spread + gain @ shrink @ gain.T)
         motion[j], later = mean, spread
-        errors += _left(linear, j, mean, spread, noise.variance)
+        errors += _error_sums(linear, j, mean, spread, noise.variance)
     return Smoothed(motion, disturbance, errors)
 
 
-def _told(intensity: Array, seconds: float, inverse: Array, change: Array, shrink: Array) -> Array:
+def _disturbance_sums(
+    intensity: Array, seconds: float, inverse: Array, change: Array, shrink: Array
+) -> Array:
     """Squared disturbance of one window over its length, and the share of it that the data tell, by state."""
-    size = intensity * (inverse @ change[:, 0])
-    share = -intensity * np.diag(inverse @ shrink @ inverse)
+    variance = intensity * seconds
+    size = variance * (inverse @ change[:, 0])
+    share = -variance * np.diag(inverse @ shrink @ inverse)
     return np.column_stack([size**2 / max(seconds, 1e-12), share])
 
 
-def _left(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: Array) -> Array:
+def _error_sums(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: Array) -> Array:
     """Squared errors of one window's samples after smoothing, and how many of them are free, by channel."""
     H = linear.by_start[j]
     error = linear.error[j][..., 0] + H @ mean[:, 0]
@@ -309,58 +253,49 @@ def _left(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: A
     return np.column_stack([np.sum(error**2 * used, axis=0), np.sum((1.0 - taken) * used, axis=0)])
 
 
-# Sampling intervals in a window: the disturbance acts between windows.
-_INTERVALS = 2
-_MOST_SAMPLES = 60_000
-_MAX_ITERATIONS = 60
-# Promised fall of the sum of squares, and change of minus twice the log likelihood, with which a search ends.
-_ENOUGH, _SETTLED = 0.02, 0.2
-# How vague the motion at the start of a stretch is, in sizes of the motion that is measured.
-_VAGUE = 30.0
-# No channel counts as better known than this share of its rms: covariances would lose their digits.
-_FINEST = 1e-4
-# Disturbance over the interval between samples that the noise of a velocity hides entirely, as a share of it.
-_LEAST = 1e-6
-# A disturbance that is too strong falls slowly from step to step: it goes further, but not by leaps.
-_FURTHER, _LEAP = 2.0, (0.05, 20.0)
-# Time over which a slow and a white disturbance do the same before anything is known of them, s.
-_SLOW = 3.0
-_BLOCK = 5.0
+@dataclass(frozen=True)
+class PredictionErrorSettings:
+    """Numbers of the fit by prediction error."""
+
+    intervals: int = 2  # sampling intervals in a window: process noise acts between windows
+    most_samples: int = 60_000
+    most_steps: int = 60
+    # Predicted fall of the sum of squares, and change of minus twice the log likelihood, with which a search
+    # ends.
+    least_fall: float = 0.02
+    converged: float = 0.2
+    shares: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in turn until the cost falls
+    # How vague the motion at the start of a stretch is, in sizes of the motion that is measured.
+    vague: float = 30.0
+    # No channel counts as better known than this share of its rms: covariances would lose their digits.
+    least_noise: float = 1e-4
+    # Process noise over the interval between samples that the noise of a velocity hides entirely, as a share
+    # of it.
+    least_process_noise: float = 1e-6
+    # Process noise that is too strong falls slowly from step to step: it goes further, but not by leaps.
+    overshoot: float = 2.0
+    leap: tuple[float, float] = (0.05, 20.0)
+    # Time over which slow and white process noise do the same before anything is known of them, s.
+    slow: float = 3.0
+    block: float = 5.0  # length of stretches of innovations that count as independent, s
+
+
+SETTINGS = PredictionErrorSettings()
 _PLAIN = Constraints()
 
 
 @dataclass(frozen=True)
-class PredictionErrorFit(Solution):
-    """A model fitted to logs by its innovations.
+class PredictionErrorFit(Fitted):
+    """A model fitted to logs by its innovations."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    windows : Windows
-        What was simulated.
-    starts : (b, 2n) array
-        Estimated true pose and velocity at the start of every window.
-    passed : Filtered
-        Whitened innovations at p, with their derivatives.
-    quiet : Filtered
-        The same without a disturbance.
-    noise : Noise
-        Estimated noise of the channels, and strength of the disturbance.
-    iterations : int
-        Steps taken.
-    """
-
-    model: WeakModel
-    p: Array
-    windows: Windows
-    starts: Array
-    passed: Filtered
-    quiet: Filtered
-    noise: Noise
-    iterations: int
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
+    windows: Windows  # What was simulated
+    starts: Array  # (b, 2n) estimated true pose and velocity at the start of every window
+    passed: Filtered  # Whitened innovations at p, with their derivatives
+    without_process_noise: Filtered  # The same without a disturbance
+    noise: Noise  # Estimated noise of the channels, and strength of the disturbance
+    iterations: int  # Steps taken
 
     @property
     def gram(self) -> Array:
@@ -370,7 +305,7 @@ class PredictionErrorFit(Solution):
     @property
     def noise_gram(self) -> Array:
         """J' J in units of the noise of the sensors alone, without a disturbance."""
-        return _gram(self.quiet)
+        return _gram(self.without_process_noise)
 
     @cached_property
     def covariance(self) -> Array:
@@ -381,11 +316,10 @@ class PredictionErrorFit(Solution):
         """
         table = self.passed.table
         t = self.windows.t[self.passed.window, 0]
-        within = np.floor((t - t.min(initial=0.0)) / _BLOCK).astype(np.intp)
+        within = np.floor((t - t.min(initial=0.0)) / SETTINGS.block).astype(np.intp)
         pairs = np.column_stack([self.windows.run[self.passed.window], within])
         block = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
-        scores = np.zeros((int(block.max(initial=0)) + 1, table.shape[1] - 1))
-        np.add.at(scores, block, table[:, 1:] * table[:, :1])
+        scores = summed_scores(table[:, 0], table[:, 1:], block)
         return clustered(self.gram + np.diag(prior_of(self.model)[1] ** 2), scores)
 
     @property
@@ -409,10 +343,7 @@ class PredictionErrorFit(Solution):
 
     def mean_square(self) -> Array:
         """Mean square of the whitened innovations by channel; NaN where one is not used."""
-        size = len(self.windows.names)
-        total = np.bincount(self.passed.channel, self.passed.table[:, 0] ** 2, size)
-        count = np.bincount(self.passed.channel, minlength=size)
-        return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
+        return mean_square_by(self.passed.channel, self.passed.table[:, 0], len(self.windows.names))
 
 
 def _gram(passed: Filtered) -> Array:
@@ -430,36 +361,27 @@ def fit_prediction_error(
     constraints: Constraints = _PLAIN,
     progress: Progress = lambda done, words: None,
 ) -> PredictionErrorFit:
-    """Fit the free parameters of a vehicle that a disturbance pushes, by the errors of its predictions.
+    """Fit the free parameters of a vehicle with process noise by the errors of its predictions.
 
-    Parameters
-    ----------
-    vehicle, runs, free, start, compiled, constraints, progress
-        As for `fit_output_error`.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short or too long, a sensor reports late, or the simulation
-        diverges.
+    The parameters are those of `fit_output_error`.
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     _refuse_long(runs)
     progress(0.0, "weak-form fit")
     model = constraints.model(vehicle, names)
     p = started(model, weak_start(model, runs) if start is None else start)
-    windows = cut_by_samples(runs, vehicle, _INTERVALS)
+    windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
-    if chained.late:
+    if chained.has_sensor_delay:
         raise UndertowError(
             f"vehicle '{vehicle.name}' has a sensor that reports late, which prediction error does not "
             "follow: use --method output-error, or shift the channel in the log"
         )
-    require_rows(model, _fit_told(chained), runs, "prediction-error")
+    require_rows(model, _informative_samples(chained), runs, "prediction-error")
     return _Search(model, chained, progress).fit(p)
 
 
-def _fit_told(chained: Chained) -> int:
+def _informative_samples(chained: Chained) -> int:
     """Samples of the velocities, or of the pose where that tells more, beyond those that a start takes."""
     by_channel = np.sum(chained.used, axis=(0, 1))
     beyond = np.maximum(by_channel - np.count_nonzero(chained.last), 0)
@@ -469,10 +391,10 @@ def _fit_told(chained: Chained) -> int:
 
 def _refuse_long(runs: Sequence[Run]) -> None:
     samples = sum(len(run.t) for run in runs)
-    if samples > _MOST_SAMPLES:
+    if samples > SETTINGS.most_samples:
         raise UndertowError(
-            f"the logs have {samples} samples, prediction error takes at most {_MOST_SAMPLES}: take a part "
-            "of them with --from and --to, or use --method output-error"
+            f"the logs have {samples} samples, prediction error takes at most {SETTINGS.most_samples}: "
+            "take a part of them with --from and --to, or use --method output-error"
         )
 
 
@@ -498,25 +420,25 @@ class _Search:
 
     def __init__(self, model: WeakModel, chained: Chained, progress: Progress) -> None:
         self.model, self._chained, self._progress = model, chained, progress
-        self._bounds, self._prior = bounds_of(model), prior_of(model)
+        self._space = SearchSpace(model)
         windows = chained.windows
         self._seconds = windows.t[:, -1] - windows.t[:, 0]
         self._noise = self._first_noise()
-        self._least = _LEAST * self._noise.intensity
+        self._least = SETTINGS.least_process_noise * self._noise.intensity
 
     def _first_noise(self) -> Noise:
         windows = self._chained.windows
         weight, size = channel_weights(windows), len(windows.names)
         rms = np.sqrt(np.mean(windows.start**2, axis=0))
-        self._finest = (_FINEST * rms) ** 2
+        self._finest = (SETTINGS.least_noise * rms) ** 2
         known = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 1.0) ** 2
         variance = np.maximum(known, self._finest)
         seconds = float(np.median(self._seconds))
         # What no sensor measures is known as well as differences of the pose tell it.
         lacking, pose = weight[size // 2 :] == 0, variance[: size // 2]
         velocity = np.where(lacking, pose / seconds**2, variance[size // 2 :]) / seconds
-        intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / _SLOW**2])
-        return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * _VAGUE))
+        intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / SETTINGS.slow**2])
+        return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * SETTINGS.vague))
 
     def _vague(self, noise: Noise) -> Noise:
         """The noise, with a slow disturbance that wandered for as long as a stretch before that starts."""
@@ -527,23 +449,23 @@ class _Search:
 
     def fit(self, p: Array) -> PredictionErrorFit:
         """Alternate steps and noise until neither changes."""
-        state = self._at(p, self._chained.first_starts(p))
+        state = self._at(p, self._chained.measured_starts(p))
         if not np.isfinite(state.passed.table).all():
             raise UndertowError(
                 "the simulation diverges with the starting values of the parameters: give values nearer to "
                 "the truth"
             )
-        for iteration in range(1, _MAX_ITERATIONS + 1):
-            self._progress(iteration / _MAX_ITERATIONS, "prediction error")
+        for iteration in range(1, SETTINGS.most_steps + 1):
+            self._progress(iteration / SETTINGS.most_steps, "prediction error")
             before = self._cost(state)
             back = smoothed(state.linear, self._chained.last, self._seconds, self._noise, state.passed)
-            state, promised = self._stepped(state, back)
+            state, predicted = self._stepped(state, back)
             self._match(back)
             state = replace(state, passed=self._pass(state.linear, self._noise))
-            if promised < _ENOUGH and abs(self._cost(state) - before) < _SETTLED:
+            if predicted < SETTINGS.least_fall and abs(self._cost(state) - before) < SETTINGS.converged:
                 break
-        quiet = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
-        passes = state.passed, self._pass(state.linear, quiet)
+        sensor_noise = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
+        passes = state.passed, self._pass(state.linear, sensor_noise)
         return PredictionErrorFit(
             self.model, state.p, self._chained.windows, state.starts, *passes, self._noise, iteration
         )
@@ -556,25 +478,24 @@ class _Search:
         return filtered(linear, self._chained.last, self._seconds, noise)
 
     def _stepped(self, state: _State, back: Smoothed) -> tuple[_State, float]:
-        """The state after one step, and the fall of the sum of squares that it promised."""
+        """The state after one step, and the predicted fall of the sum of squares."""
         r, J = state.passed.table[:, 0], state.passed.table[:, 1:]
-        at = Linearised(r, J, np.zeros((len(r), 0)))
-        step = limited_step(self.model, at, state.p, self._bounds, self._prior)
-        places = list(self.model.places)
-        promised = float(np.sum(r**2) - np.sum((r + J @ step) ** 2))
-        for share in (1.0, 0.5, 0.2, 0.05):
-            p = state.p.copy()
-            p[places] = np.clip(p[places] + share * step, *self._bounds)
-            motion = back.motion[..., 0] + back.motion[..., 1:] @ (share * step)
-            tried = self._at(p, state.starts + motion[:, : state.starts.shape[1]])
-            if self._cost(tried) <= self._cost(state) + _ENOUGH:
-                return tried, promised
-        return state, 0.0
+        step = self._space.step(Linearised(r, J, np.zeros((len(r), 0))), state.p)
+        predicted = squared(r) - squared(r + J @ step)
+        limit = self._cost(state) + SETTINGS.least_fall
+        tried = (self._after(share * step, state, back) for share in SETTINGS.shares)
+        found = next((after for after in tried if self._cost(after) <= limit), None)
+        return (state, 0.0) if found is None else (found, predicted)
+
+    def _after(self, step: Array, state: _State, back: Smoothed) -> _State:
+        """The state after a step of the parameters and the smoothed change of the starts with it."""
+        motion = back.motion[..., 0] + back.motion[..., 1:] @ step
+        return self._at(self._space.moved(state.p, step), state.starts + motion[:, : state.starts.shape[1]])
 
     def _cost(self, state: _State) -> float:
         """What the parameters are to make small while the noise is as it is."""
-        stated = prior_cost(self._prior, state.p[list(self.model.places)])
-        cost = float(np.sum(state.passed.table[:, 0] ** 2)) + state.passed.log_determinant + stated
+        squares = squared(state.passed.table[:, 0]) + state.passed.log_determinant
+        cost = self._space.cost(state.p, squares)
         return cost if np.isfinite(cost) else np.inf
 
     def _match(self, back: Smoothed) -> None:
@@ -584,14 +505,14 @@ class _Search:
         greatest, and is reached much faster than by expectation and maximisation.
         """
         known = self._noise.intensity
-        ratio = _per(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
-        intensity = known * np.clip(ratio, *_LEAP) ** _FURTHER
+        ratio = _per_term(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
+        intensity = known * np.clip(ratio, *SETTINGS.leap) ** SETTINGS.overshoot
         intensity = np.where(self._noise.intensity > 0, np.maximum(intensity, self._least), 0.0)
-        variance = np.maximum(_per(back.errors, 1.0, self._noise.variance), self._finest)
+        variance = np.maximum(_per_term(back.errors, 1.0, self._noise.variance), self._finest)
         self._noise = self._vague(replace(self._noise, variance=variance, intensity=intensity))
 
 
-def _per(told: Array, least: float, known: Array) -> Array:
+def _per_term(sums: Array, least: float, known: Array) -> Array:
     """Sums of squares per term that the data tell; what is known where they tell less than `least`."""
-    there = told[:, 1] > least
-    return np.where(there, told[:, 0] / np.where(there, told[:, 1], 1.0), known)
+    there = sums[:, 1] > least
+    return np.where(there, sums[:, 0] / np.where(there, sums[:, 1], 1.0), known)

@@ -4,51 +4,58 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
-from .inputs import Carried, Inputs, shifted_mean, without_gaps
-from .pointwise import Pointwise, mapped
-from .residual import Lateness
-from .windows import Drive, Prediction, Windows, arriving, cut, prediction_error
+from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
+from .pointwise import Pointwise
+from .residual import SensorDelay
+from .windows import Drive, Prediction, Windows, arriving, cut
 
 Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
-# Seconds of the first window that its beginning is estimated from.
-_LOOK = 10.0
-# Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
-_MOTION = 3.0
-_FINEST = 1e-6
 
 
-class Inherited:
-    """Own states of a model at the start of windows.
+@dataclass(frozen=True)
+class StartSettings:
+    """Numbers of the estimate of a model's own states at the start of a stretch."""
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    points : Pointwise
-        Its true motion in terms of the measured one.
-    lateness : Lateness
-        How late its sensors are.
-    simulate : callable
-        Reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b, 2n).
+    seconds: float = 10.0  # of the first window that they are estimated from
+    # Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
+    motion: float = 3.0
+    least_noise: float = 1e-6  # of a channel, relative to its rms
+    rounds: int = 12
+    secant: float = 1e-6
+    shares: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.0)  # of a step that are tried together
+    least_fall: float = 1e-6  # of the sum of squares, below which the search ends
+    # Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
+    kept: int = 24
+
+
+SETTINGS = StartSettings()
+
+
+class OwnStates:
+    """Own states of a model at the start of windows: memory of wrenches, and actuators.
+
+    `simulate` reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b,
+    2n).
     """
 
     def __init__(
-        self, functions: Functions, points: Pointwise, lateness: Lateness, simulate: Simulate
+        self, functions: Functions, points: Pointwise, sensor_delay: SensorDelay, simulate: Simulate
     ) -> None:
         self._functions, self._points, self._simulate = functions, points, simulate
-        self._lateness = lateness
+        self._sensor_delay = sensor_delay
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
@@ -56,25 +63,15 @@ class Inherited:
     ) -> Array:
         """Memory and actuator states at the start of every window, shape (b, size).
 
-        Parameters
-        ----------
-        windows : Windows
-            The windows.
-        motion : (b, 2n) array
-            True pose and velocity at the starts.
-        held : sequence of (N, n_commands) arrays
-            Commands of every run, without gaps.
-        delay : float
-            How late they arrive, s.
-        p : (n_parameters,) array
-            Parameters.
+        `motion` (b, 2n) is the true one at the starts; commands `held`, (N, n_commands) for each run, arrive
+        `delay` s late.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
             return own
         stretches = _stretches(windows)
         first = np.array([rows[0] for rows in stretches])
-        look = _opening(windows, first)
+        look = _first_windows(windows, first)
         drive = arriving(look, held, delay)
         drives = [
             shifted_mean(run.t, u, delay) if delay else u for run, u in zip(windows.runs, held, strict=True)
@@ -83,7 +80,9 @@ class Inherited:
         scale = self._scale(
             [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
         )
-        begin = self._begun(look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p)
+        begin = self._best_starts(
+            look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p
+        )
         for rows, state in zip(stretches, begin, strict=True):
             along = self._along(windows, rows, drives, state, p)
             own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
@@ -114,17 +113,17 @@ class Inherited:
         reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
         measured = self._measured(windows, run, reach, p)[: count + 1]
         columns = [measured[:-1], measured[1:], u[:-1]]
-        return self._carried.states(start, columns, p, t[:-1], np.diff(t))
+        return self._propagated.states(start, columns, p, t[:-1], np.diff(t))
 
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
         log = windows.runs[run]
         zero = np.zeros(len(log.t))
         measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
-        return self._lateness.at_its_time(log.t[piece], measured, p)
+        return self._sensor_delay.at_its_time(log.t[piece], measured, p)
 
     @cached_property
-    def _carried(self) -> Carried:
+    def _propagated(self) -> PropagatedState:
         """Own states from sample to sample: the motion is linear in between, the command is held."""
         f, measured = self._functions, self._points.measured
         after, dt, rate = ca.SX.sym("after", measured.shape[0]), ca.SX.sym("dt"), self._rates
@@ -134,7 +133,9 @@ class Inherited:
             return rate(state, measured + share * (after - measured), f.u, f.p, f.t + share * dt)
 
         inputs = Inputs([measured, after, f.u], f.p, f.t, dt)
-        return Carried(ca.vertcat(f.memory, f.actuator_states), inputs, nothing, at, lambda *_: nothing)
+        return PropagatedState(
+            ca.vertcat(f.memory, f.actuator_states), inputs, nothing, at, lambda *_: nothing
+        )
 
     @cached_property
     def _rates(self) -> ca.Function:
@@ -145,7 +146,7 @@ class Inherited:
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
 
     # --- at its beginning ---------------------------------------------------------------------
-    def _begun(
+    def _best_starts(
         self, look: Windows, start: Array, drive: Drive, scale: Array, noise: Array, p: Array
     ) -> Array:
         """Own states at the beginning of every stretch."""
@@ -155,14 +156,14 @@ class Inherited:
             return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
 
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
-        width = np.concatenate([_MOTION * noise, scale])
+        width = np.concatenate([SETTINGS.motion * noise, scale])
         return best_start(report, measured, start, width)[:, -self.size :]
 
 
-def _opening(windows: Windows, first: Index) -> Windows:
+def _first_windows(windows: Windows, first: Index) -> Windows:
     """The first seconds of the first window of every stretch."""
     step = float(np.median(np.diff(windows.runs[0].t)))
-    return windows.take(first, max(int(_LOOK / step), 3))
+    return windows.take(first, max(int(SETTINGS.seconds / step), 3))
 
 
 def _stretches(windows: Windows) -> list[Index]:
@@ -179,35 +180,19 @@ def _noise(windows: Windows) -> Array:
         np.sum(np.where(there, windows.measured, 0.0) ** 2, axis=(0, 1))
         / np.maximum(there.sum(axis=(0, 1)), 1)
     )
-    return np.maximum(np.maximum(windows.sigma, _FINEST * size), _FINEST)
+    return np.maximum(np.maximum(windows.sigma, SETTINGS.least_noise * size), SETTINGS.least_noise)
 
 
 # --- the state at the beginning, by how the log goes on -------------------------------------------
-_ROUNDS = 12
-_SECANT = 1e-6
-_SHARES = np.array([1.0, 0.3, 0.1, 0.03, 0.0])
-# Fall of the sum of squares below which the search ends.
-_ENOUGH = 1e-6
 _LOST = 1e300
 
 
 def best_start(report: Callable[[Array], Array], measured: Array, start: Array, width: Array) -> Array:
-    """Starts that explain best what follows, drawn to the given ones by a prior.
+    """Starts (b, m) that explain best what follows, by Gauss-Newton with a prior around the given ones.
 
-    Parameters
-    ----------
-    report : callable
-        What follows, in units of the noise, shape (b r, k, c), of b r starts: r trials for each log in turn.
-    measured : (b, k, c) array
-        What was measured, in units of the noise; NaN where nothing was.
-    start : (b, m) array
-        Where the search begins, and the centre of the prior.
-    width : (m,) array
-        Standard deviation of the prior.
-
-    Returns
-    -------
-    (b, m) array
+    `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
+    (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
+    deviation of the prior.
     """
     used = np.isfinite(measured)[:, None]
     known = np.where(used, measured[:, None], 0.0)
@@ -219,16 +204,16 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
     moved = np.zeros_like(start)
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)
-        trials = moved[:, None] + _SHARES[:, None] * step[:, None]
+        trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
         with np.errstate(over="ignore"):
             cost = np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
         cost = np.nan_to_num(cost, nan=_LOST, posinf=_LOST)
         best = np.argmin(cost, axis=1)
         moved = trials[np.arange(len(best)), best]
         gained = cost[:, -1] - cost[np.arange(len(best)), best]
-        if not np.any(gained > _ENOUGH):
+        if not np.any(gained > SETTINGS.least_fall):
             break
     return start + moved * width
 
@@ -236,8 +221,8 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
 def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
     """Step in units of the prior, shape (b, m); zero where a simulation diverged."""
     m = moved.shape[1]
-    r = residual(moved[:, None] + np.vstack([np.zeros(m), _SECANT * np.eye(m)]))
-    slope = (r[:, :1] - r[:, 1:]) / _SECANT
+    r = residual(moved[:, None] + np.vstack([np.zeros(m), SETTINGS.secant * np.eye(m)]))
+    slope = (r[:, :1] - r[:, 1:]) / SETTINGS.secant
     gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
     right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
     good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
@@ -246,27 +231,15 @@ def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
     return step
 
 
-# Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
-_KEPT = 24
-
-
 class Predictor:
-    """Predicts windows with one model; keeps its compiled code from one call to the next.
-
-    Parameters
-    ----------
-    model : Vehicle or Functions
-        The model.
-    compiled : bool, optional
-        As for `Simulator`.
-    """
+    """Predicts windows with one model; keeps its compiled code from one call to the next."""
 
     def __init__(self, model: Vehicle | Functions, *, compiled: bool | None = None) -> None:
         self.functions = model if isinstance(model, Functions) else Functions(model)
         self.simulator = Simulator(self.functions, compiled=compiled)
         self._points = Pointwise(self.functions, ())
-        self.lateness = Lateness(self.functions)
-        self._inherited = Inherited(self.functions, self._points, self.lateness, self.simulated)
+        self.sensor_delay = SensorDelay(self.functions)
+        self._own_states = OwnStates(self.functions, self._points, self.sensor_delay, self.simulated)
         # Bound as one, so that threads with windows of their own do not mix them up.
         self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
         self._recent = (lambda: None), {}
@@ -276,21 +249,10 @@ class Predictor:
         """Parameters of the vehicle."""
         return np.array(self.functions.values(), dtype=float)
 
-    def predict(self, windows: Windows, p: Array | None = None) -> Prediction:
-        """Simulate every window from its measured start, by default with the vehicle's own values."""
-        return Prediction(windows, self.reports(windows, self.values if p is None else p))
-
     def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
         """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
 
-        Parameters
-        ----------
-        windows : Windows
-            What is simulated.
-        p : (n_parameters,) array
-            Parameters.
-        motion : (b, 2n) array, optional
-            True pose and velocity at the starts; as measured where not given.
+        `motion` (b, 2n) is the true one at the starts; as measured where not given.
         """
         start, drive = self.start_and_drive(windows, p, motion)
         reported = self.simulated(start, windows.t, drive, p, windows.start)
@@ -319,8 +281,8 @@ class Predictor:
         found = recent.get(key := p.tobytes())
         if found is None:
             measured = self.measured_motion(windows, u, p)
-            found = measured, self._inherited.at_starts(windows, measured, held, delay, p)
-            if len(recent) >= _KEPT:
+            found = measured, self._own_states.at_starts(windows, measured, held, delay, p)
+            if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
             recent[key] = found
         return found
@@ -329,32 +291,24 @@ class Predictor:
         """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""
         f, count = self.functions, len(windows)
         nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
-        late = self.lateness.present
-        start = windows.start_after(self.lateness.seconds(p)) if late else windows.start
+        late = self.sensor_delay.present
+        start = windows.start_after(self.sensor_delay.seconds(p)) if late else windows.start
         (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
     def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
-        """Simulate, and say what the sensors report, shape (b, k, 2n).
+        """Simulate from states (b, nx), and say what the sensors report, shape (b, k, 2n).
 
-        Parameters
-        ----------
-        start : (b, nx) array
-            States at the starts.
-        t : (b, k) array
-            Times of the samples, s.
-        drive : Drive
-            Commands as they arrive.
-        p : (n_parameters,) array
-            Parameters.
-        before : (b, 2n) array, optional
-            What sensors that are late report at the starts; without it the vehicle was as at the start.
+        `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at the
+        start.
         """
         states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
         prompt = self.reported(states, t, drive.u, p)
-        if not self.lateness.present:
+        if not self.sensor_delay.present:
             return prompt
-        return reported_late(prompt, t, self.lateness.seconds(p), prompt[:, 0] if before is None else before)
+        return reported_late(
+            prompt, t, self.sensor_delay.seconds(p), prompt[:, 0] if before is None else before
+        )
 
     def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
         """What sensors that are not late report of states of shape (b, k, nx)."""
@@ -380,25 +334,11 @@ class Predictor:
 
 # --- what sensors report late ---------------------------------------------------------------------
 def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Array:
-    """What is reported at each sample where every channel comes late by a time of its own.
+    """What is reported at each sample where every channel comes late by a time of its own, (b, k, c, ...).
 
-    A window knows nothing of what was before it but what was reported at its start: from there a late channel
-    goes in a straight line to the first value of the simulation, where its own time reaches the window.
-
-    Parameters
-    ----------
-    values : (b, k, c, ...) array
-        What would be reported at once, or derivatives of that.
-    t : (b, k) array
-        Time, s; not decreasing.
-    seconds : (c,) array
-        Delay of each channel, s.
-    before : (b, c, ...) array
-        What is reported at the start.
-
-    Returns
-    -------
-    (b, k, c, ...) array
+    A window knows nothing of what was before it but what was reported at its start, `before` (b, c, ...):
+    from there a late channel goes in a straight line to the first value of the simulation, where its own time
+    reaches the window.
     """
     late = values.copy()
     rest = (1,) * (values.ndim - 3)
@@ -416,7 +356,7 @@ def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Arr
     return late
 
 
-def _places(t: Array, when: Array) -> tuple[NDArray[np.intp], Array]:
+def _places(t: Array, when: Array) -> tuple[Index, Array]:
     """Interval of each row of t that an instant lies in, and the share of it that is over."""
     last = t.shape[1] - 2
     pairs = zip(t, when, strict=True)
@@ -431,36 +371,21 @@ def predict(
     runs: Sequence[Run] | Windows,
     horizon: float | None = 5.0,
     *,
-    p: Array | None = None,
-    overlap: float = 0.0,
     compiled: bool | None = None,
 ) -> Prediction:
-    """Predict logs window by window.
+    """Predict logs, or windows that were cut already, window by window.
 
     Parameters
     ----------
     model : Vehicle, Functions or Predictor
         The model; a Predictor keeps its compiled code from one call to the next.
     runs : sequence of Run, or Windows
-        Logs, or logs that are cut already (then horizon and overlap are theirs).
+        What is predicted; the horizon is that of the windows where they are given.
     horizon : float or None
         Length of a window in s; None: each stretch without gaps from its first sample to its end.
-    p : (n_parameters,) array, optional
-        Parameters; those of the vehicle by default.
-    overlap : float
-        Share of a window that the next one repeats.
     compiled : bool, optional
         As for `Simulator`.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, or no stretch without gaps is as long as the horizon.
     """
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
-    vehicle = predictor.functions.vehicle
-    windows = runs if isinstance(runs, Windows) else cut(runs, vehicle, horizon, overlap=overlap)
-    return predictor.predict(windows, p)
-
-
-__all__ = ["Prediction", "Predictor", "Windows", "cut", "predict", "prediction_error"]
+    windows = runs if isinstance(runs, Windows) else cut(runs, predictor.functions.vehicle, horizon)
+    return Prediction(windows, predictor.reports(windows, predictor.values))

@@ -9,37 +9,45 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
-from .data import DOUBT, Segment, WeakData, Whitening, overlap, residual_covariance
-from .inputs import Actuated, ActuatorStates, Driven, Memory, without_gaps
-from .pointwise import Limits, Pointwise, nonzeros
+from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
+from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
+from .pointwise import Limits, Pointwise
 from .test_functions import Entries, kink_delay, meeting, tested
 
-# Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
-# noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1 up
-# to 0.15 of the sampling rate, with three it does not.
-_REACH = 4
-# Sum of squared weights from which uneven samples amplify noise instead of interpolating.
-_LOUDEST = 2.0
-# Steps of finite differences, relative to a sampling interval.
-_STEP = 1e-3
+
+@dataclass(frozen=True)
+class ResidualSettings:
+    """Numbers of sensor delays, dead times and spikes in the weak residual."""
+
+    # Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
+    # noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1
+    # up to 0.15 of the sampling rate, with three it does not.
+    interpolation: int = 4
+    # Sum of squared weights from which uneven samples amplify noise instead of interpolating.
+    most_amplified: float = 2.0
+    delay_step: float = 1e-3  # of finite differences, relative to a sampling interval
+    # Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
+    most_directions: int = 240
+    # Neighbours on each side that a sample is held against, by the cubic through them.
+    neighbours: int = 2
+    # Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
+    spike: float = 5.0
+    # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
+    bend: float = 0.25
+    spike_rounds: int = 30
 
 
-class Lateness:
-    """How old every measured channel is, and what follows for a segment.
+SETTINGS = ResidualSettings()
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : tuple of int
-        Places in p of the free parameters.
-    """
+
+class SensorDelay:
+    """How old every measured channel is, and what follows for a segment."""
 
     def __init__(self, functions: Functions, free: tuple[int, ...] = ()) -> None:
         self._functions, self._free = functions, free
@@ -78,7 +86,7 @@ class Lateness:
         moved = _moved(s, seconds)
         at = of(moved)
         J = at.J.copy()
-        step = _STEP * float(np.median(np.diff(s.t)))
+        step = SETTINGS.delay_step * float(np.median(np.diff(s.t)))
         for k, slope in self._slopes(p):
             # Of the signal alone: differentiated noise would promise a precision that is not there.
             change = step * slope * _at_delays(s.t, s.rate, seconds)
@@ -126,21 +134,9 @@ def _at_delays(t: Array, signals: Array, seconds: Array) -> Array:
 
 
 def interpolated(t: Array, y: Array, when: Array) -> Array:
-    """A sampled signal between its samples, by the polynomial through the eight samples around.
+    """Sampled signals (N, k) at other instants, by the polynomial through the eight samples around.
 
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s; intervals may differ.
-    y : (N, k) array
-        Signals.
-    when : (M,) array
-        Where to evaluate, s; after the last sample its value is held.
-
-    Returns
-    -------
-    (M, k) array
-        In the unit of y.
+    After the last sample its value is held.
     """
     if len(t) < 2:
         return np.repeat(y, len(when), axis=0)
@@ -155,14 +151,15 @@ def stencil(t: Array, when: Array) -> tuple[Index, Array]:
     """
     when = np.minimum(when, t[-1])
     left = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 2)
-    index = np.clip(left[:, None] + np.arange(1 - _REACH, 1 + _REACH), 0, len(t) - 1)
+    most = SETTINGS.interpolation
+    index = np.clip(left[:, None] + np.arange(1 - most, 1 + most), 0, len(t) - 1)
     weight = np.zeros(index.shape)
     waiting = np.ones(len(when), dtype=bool)
-    for reach in range(_REACH, 0, -1):
+    for reach in range(most, 0, -1):
         rows = np.flatnonzero(waiting & (left + 1 >= reach) & (left + reach < len(t)))
-        columns = slice(_REACH - reach, _REACH + reach)
+        columns = slice(most - reach, most + reach)
         found = lagrange(t[index[rows, columns]], when[rows])
-        good = (np.sum(found**2, axis=1) <= _LOUDEST) | (reach == 1)
+        good = (np.sum(found**2, axis=1) <= SETTINGS.most_amplified) | (reach == 1)
         weight[rows[good], columns] = found[good]
         waiting[rows[good]] = False
     return index, weight
@@ -178,33 +175,16 @@ def lagrange(nodes: Array, when: Array) -> Array:
     return weight
 
 
-# Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
-_MOST_DIRECTIONS = 240
-
-
 @dataclass(frozen=True)
 class Linearised:
-    """A residual and its derivatives.
+    """A residual and its derivatives."""
 
-    Attributes
-    ----------
-    r : (m,) array
-        Residual.
-    J : (m, n_free) array
-        Derivative in the free parameters.
-    start : (m, n_states) array
-        Derivative in the effects' own states at the start of the segment.
-    known : int, optional
-        Rows from here on need what was not measured yet when the segment ended, and count for nothing.
-    unknown : int
-        How many of the last columns of `start` stand for a row each of which nothing is known.
-    """
-
-    r: Array
-    J: Array
-    start: Array
+    r: Array  # (m,) residual
+    J: Array  # (m, n_free) derivative in the free parameters
+    start: Array  # (m, n_states) derivative in the effects' own states at the start of the segment
+    # Rows from here on need what was not measured yet when the segment ended, and count for nothing
     known: int | None = None
-    unknown: int = 0
+    unknown: int = 0  # How many of the last columns of `start` stand for a row each of which nothing is known
 
 
 class _At(NamedTuple):
@@ -216,17 +196,7 @@ class _At(NamedTuple):
 
 
 class WeakModel:
-    """Weak residuals of one vehicle for a choice of free parameters.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    free : sequence of str
-        Names of the parameters that may change.
-    dissipative : bool
-        Whether a fit keeps linear damping from feeding energy into any motion.
-    """
+    """Weak residuals of one vehicle for a choice of free parameters."""
 
     def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
         self.functions, self._dissipative = functions, dissipative
@@ -235,7 +205,7 @@ class WeakModel:
         self._chain = ActuatorStates(functions, self.places)
         self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
         self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
-        self._late = Lateness(functions, self.places)
+        self._sensor_delay = SensorDelay(functions, self.places)
         self._known: dict[int, _At] = {}
 
     @cached_property
@@ -254,13 +224,7 @@ class WeakModel:
         return list(known.parts)
 
     def require_defined(self, data: WeakData, p: Array) -> None:
-        """Refuse a model that has no value somewhere along the logs: all that is told of it would have none.
-
-        Raises
-        ------
-        UndertowError
-            If the residual or its derivative is not finite; run and time are named.
-        """
+        """Refuse a model whose residual is not finite somewhere along the logs."""
         for part, s in zip(self.linearise(data, p), data.segments, strict=True):
             if not (np.isfinite(part.r).all() and np.isfinite(part.J).all()):
                 name, run = self.functions.vehicle.name, data.runs[s.run].name
@@ -279,13 +243,13 @@ class WeakModel:
             for begin, part, s in zip(known, parts, data.segments, strict=True)
         ]
 
-    def _driven(self, data: WeakData, p: Array) -> list[Actuated]:
+    def _driven(self, data: WeakData, p: Array) -> list[Actuation]:
         return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
 
-    def _in_time(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
-        return self._late.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
+    def _in_time(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
+        return self._sensor_delay.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
-    def _segment(self, s: Segment, actuation: Actuated, rows: tuple[int, ...], p: Array) -> Linearised:
+    def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
         entries = self._entries(inputs, actuation, memory)
@@ -298,17 +262,17 @@ class WeakModel:
         return self._tested(entries, s, rows)
 
     def _inputs(
-        self, measured: Array, actuation: Actuated, memory: Array, u: Array, p: Array, t: Array
+        self, measured: Array, actuation: Actuation, memory: Array, u: Array, p: Array, t: Array
     ) -> list[Array]:
         forces = u[:, actuation.value.shape[1] :]
         before = np.hstack([actuation.before.value, np.vstack([forces[:1], forces[:-1]])])
         inverse, delay = self._points.mass_inverse(p), kink_delay(t)[:, None]
         return [measured, actuation.value, memory, u, inverse, before, delay, p, t[:, None]]
 
-    def _entries(self, inputs: list[Array], actuation: Actuated, memory: Driven) -> list[Entries]:
+    def _entries(self, inputs: list[Array], actuation: Actuation, memory: DrivenSignal) -> list[Entries]:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
         function = self._points.value_and_derivatives
-        value, free, *by_driven = nonzeros(function, inputs, len(inputs[0]))
+        value, free, *by_driven = at_samples(function, inputs, len(inputs[0]))
         first, last = 1, 1 + len(self.free)
         pattern, direct, *patterns = (function.sparsity_out(i) for i in range(function.n_out()))
         entries = [Entries.of(value, pattern, 0), Entries.of(free, direct, first)]
@@ -333,7 +297,7 @@ class WeakModel:
             np.where(place[equation] >= 0, place[equation] * width + e.column, -1)
             for e, (_, equation) in zip(entries, met, strict=True)
         ]
-        table = tested(s.functions.windows, entries, [kind for kind, _ in met], target, len(rows) * width)
+        table = tested(s.functions.supports, entries, [kind for kind, _ in met], target, len(rows) * width)
         stacked = table.reshape(-1, width)
         return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
@@ -341,27 +305,28 @@ class WeakModel:
         """Whitening of every segment under the noise of the channels, at parameters p."""
         driven = self._driven(data, p)
         return [
-            self._segment_whitening(self._late.in_time(s, p), _cut(driven[s.run], s), data, p)
+            self._segment_whitening(self._sensor_delay.in_time(s, p), _cut(driven[s.run], s), data, p)
             for s in data.segments
         ]
 
-    def _segment_whitening(self, s: Segment, actuation: Actuated, data: WeakData, p: Array) -> Whitening:
+    def _segment_whitening(self, s: Segment, actuation: Actuation, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
         inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
         function = self._points.noise
-        (slope,) = nonzeros(function, inputs, len(s.t))
+        (slope,) = at_samples(function, inputs, len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
-        sigma = data.sigma if s.doubted is None else np.where(s.doubted, DOUBT, 1.0) * data.sigma
+        sigma = data.sigma if s.doubted is None else np.where(s.doubted, NOISE.doubt, 1.0) * data.sigma
         noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
 
-def _cut(driven: Actuated, s: Segment) -> Actuated:
+def _cut(driven: Actuation, s: Segment) -> Actuation:
     parts = [
-        Driven(d.value[s.samples], d.slope[s.samples], d.start[s.samples]) for d in (driven, driven.before)
+        DrivenSignal(d.value[s.samples], d.slope[s.samples], d.start[s.samples])
+        for d in (driven, driven.before)
     ]
-    return Actuated.of(*parts)
+    return Actuation.of(*parts)
 
 
 def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
@@ -371,11 +336,11 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
     A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
     because little is left to be wrong about.
     """
-    lost = int(np.searchsorted(s.t[s.functions.windows.first], begin))
+    lost = int(np.searchsorted(s.t[s.functions.supports.first], begin))
     if not 0 < 2 * lost < s.functions.count:
         return part
     forces = [k for k, row in enumerate(rows) if row < n]
-    lost = min(lost, _MOST_DIRECTIONS // max(len(forces), 1))
+    lost = min(lost, SETTINGS.most_directions // max(len(forces), 1))
     places = (np.arange(lost)[:, None] * len(rows) + forces).ravel()
     directions = np.zeros((len(part.r), len(places)))
     directions[places, np.arange(len(places))] = 1.0
@@ -383,18 +348,10 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
-    """All segments together, in units of their noise, free of what the unknown first states of effects
-    contribute.
+    """All segments together, in units of their noise, without what unknown first states contribute.
 
-    Parameters
-    ----------
-    parts : list of Linearised
-        Residual of every segment.
-    whitening : list of Whitening
-        Noise of every segment.
-    beside : (m,) array, optional
-        Whitened residual of a model that this one is judged against. What the unknown first states take
-        from this one is taken over from there, so that having them wins nothing.
+    `beside` (m,) is the whitened residual of a model that this one is judged against. What the unknown first
+    states take from this one is taken over from there, so that having them wins nothing.
     """
     lengths = np.cumsum([len(part.r) for part in parts])[:-1]
     others = [None] * len(parts) if beside is None else np.split(beside, lengths)
@@ -427,15 +384,6 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
     return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ moved)))
 
 
-# Neighbours on each side that a sample is held against, by the cubic through them.
-_SPIKES_REACH = 2
-# Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
-_FAR = 5.0
-# Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
-_BEND = 0.25
-_ROUNDS = 30
-
-
 def without_spikes(data: WeakData) -> WeakData:
     """The same data with spikes replaced by the cubic through their neighbours, and doubted.
 
@@ -445,7 +393,7 @@ def without_spikes(data: WeakData) -> WeakData:
 
 
 def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
-    if len(segment.t) <= 4 * _SPIKES_REACH:
+    if len(segment.t) <= 4 * SETTINGS.neighbours:
         return segment
     measured, doubted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
     for k in range(measured.shape[1]):
@@ -454,25 +402,17 @@ def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
     return replace(segment, measured=measured, doubted=doubted) if doubted.any() else segment
 
 
-def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, NDArray[np.bool_]]:
-    """A signal with its spikes replaced by what their neighbours say, and where they were.
-
-    Parameters
-    ----------
-    t, y : (N,) array
-        Time in s, and signal.
-    sigma : float
-        Standard deviation of its noise, in the unit of y.
-    """
+def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
+    """A signal with noise `sigma`, its spikes replaced by what their neighbours say; and where they were."""
     index, weight = _neighbours(t)
     spread = np.sqrt(1.0 + np.sum(weight**2, axis=1))
     clean, spike = y.copy(), np.zeros(len(y), dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.spike_rounds):
         guess = np.sum(weight * clean[index], axis=1)
-        bend = _BEND * np.median(np.abs(np.diff(clean[index], axis=1)), axis=1)
+        bend = SETTINGS.bend * np.median(np.abs(np.diff(clean[index], axis=1)), axis=1)
         far = np.where(spike, 0.0, np.abs(clean - guess) / (spread * sigma + bend))
         # A spike makes its neighbours look odd as well: the worst of each neighbourhood goes first.
-        worst = (far > _FAR) & (far >= np.max(far[index], axis=1))
+        worst = (far > SETTINGS.spike) & (far >= np.max(far[index], axis=1))
         clean[spike | worst] = guess[spike | worst]
         if not worst.any():
             break
@@ -480,10 +420,10 @@ def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, NDArray[np.bool_]
     return clean, spike
 
 
-def _neighbours(t: Array) -> tuple[NDArray[np.intp], Array]:
+def _neighbours(t: Array) -> tuple[Index, Array]:
     """The samples beside each one without itself, and the weights of the cubic through them there."""
-    count, width = len(t), 2 * _SPIKES_REACH + 1
-    first = np.clip(np.arange(count) - _SPIKES_REACH, 0, count - width)
+    count, width = len(t), 2 * SETTINGS.neighbours + 1
+    first = np.clip(np.arange(count) - SETTINGS.neighbours, 0, count - width)
     whole = first[:, None] + np.arange(width)
     index = whole[whole != np.arange(count)[:, None]].reshape(count, width - 1)
     return index, lagrange(t[index], t)

@@ -8,61 +8,60 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
-from undertow.codegen.gauss_newton import Products, products_of
-from undertow.typing import Array
+from undertow.codegen.trajectories import Products, products_of
+from undertow.typing import Array, Flags, Integers
 
-from .pointwise import mapped
 from .predictor import Predictor, reported_late
 from .windows import Drive, Windows
 
-# Keeps a start bounded in directions that its window does not show, relative to those that it shows.
-_HOLD = 1e-12
+
+@dataclass(frozen=True)
+class ShootingSettings:
+    """Numbers of the fit of the starts of windows."""
+
+    # Keeps a start bounded in directions that its window does not show, relative to those that it shows.
+    regularisation: float = 1e-12
+    # First part of a window, s, to which its start is fitted before twice as much is taken; steps for each.
+    first_part: float = 1.0
+    steps: int = 3
+    # Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
+    wrong_start: float = 2.0
+    # Share of the mean square of a window that a step has to gain for another to follow.
+    worth_a_step: float = 0.01
+    batch: int = 5_000_000  # numbers in the sensitivities of one batch of windows: 40 MB
+    # Steps of finite differences: relative to a parameter, and for dead times to a sampling interval.
+    difference: float = 1e-3
+    delay_difference: float = 0.25
+
+
+SETTINGS = ShootingSettings()
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """The linearised problem of all windows with their starts eliminated.
+    """The linearised problem of all windows with their starts eliminated."""
 
-    Attributes
-    ----------
-    r : (m,) array
-        What is left of the residual, m = n_free + 1: the square of its norm is the cost at the best starts.
-    J : (m, n_free) array
-        Its derivative in the free parameters.
-    cost : float
-        Sum of squares at the present starts; inf if a simulation diverged.
-    squares, counts : (2n,) array
-        Sum of squares by channel, and number of samples in it.
-    scores : (groups, n_free) array
-        J' r of groups of residuals that count as independent: windows, or parts of long ones.
-    start_step, start_slope : (b, k) and (b, k, n_free) array
-        Best change of every start, and its derivative in the parameters.
-    """
-
+    # (m,) what is left of the residual, m = n_free + 1: the square of its norm is the cost at the best
+    # starts
     r: Array
-    J: Array
-    cost: float
-    squares: Array
+    J: Array  # (m, n_free) its derivative in the free parameters
+    cost: float  # Sum of squares at the present starts; inf if a simulation diverged
+    squares: Array  # (2n,) sum of squares by channel, and number of samples in it
     counts: Array
+    # (groups, n_free) J' r of groups of residuals that count as independent: windows, or parts of long
+    # ones
     scores: Array
-    start_step: Array
+    start_step: Array  # (b, k) best change of every start, and its derivative in the parameters
     start_slope: Array
 
 
 def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
     """The problem that remains once every window has its best start.
 
-    Parameters
-    ----------
-    parts : list of Products
-        Sums of all windows, batch by batch; derivatives in the n free parameters come first.
-    counts : (2n,) array
-        Samples that count, by channel.
-    n : int
-        Number of free parameters.
+    `parts` are sums over windows, batch by batch, with derivatives in the n free parameters first.
     """
     windows, size = sum(len(p.squares) for p in parts), len(counts)
     with np.errstate(over="ignore"):
@@ -99,7 +98,7 @@ def _starts(table: Array, n: int) -> Array:
     gram, right = table[:, n:-1, n:-1], _outer(table, n)
     scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     scale = np.where(scale > 0, scale, 1.0)[:, :, None]
-    scaled = gram / (scale * np.swapaxes(scale, 1, 2)) + _HOLD * np.eye(gram.shape[1])
+    scaled = gram / (scale * np.swapaxes(scale, 1, 2)) + SETTINGS.regularisation * np.eye(gram.shape[1])
     return np.asarray(np.linalg.solve(scaled, right / scale) / scale)
 
 
@@ -137,42 +136,12 @@ def _diverged(windows: int, n: int, size: int) -> Reduced:
     return Reduced(np.zeros(1), nothing, float("inf"), np.zeros(size), np.zeros(size), nothing, *steps)
 
 
-# First part of a window, s, to which its start is fitted before twice as much is taken; and steps for each.
-_OPENING = 1.0
-_START_STEPS = 3
-# Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
-_STUCK = 2.0
-# Share of the mean square of a window that a step has to gain for another to follow.
-_WORTH_A_STEP = 0.01
-# Numbers in the sensitivities of one batch of windows: 40 MB.
-_BATCH = 5_000_000
-# Steps of finite differences: relative to a parameter, and for dead times relative to a sampling interval.
-_STEP = 1e-3
-_SHARE_OF_SAMPLE = 0.25
-
-
 class Shooting:
-    """Windows of logs simulated by one model.
+    """Windows of logs simulated by one model, with derivatives in the parameters `free`.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    windows : Windows
-        What is simulated.
-    free : sequence of str
-        Names of the parameters to differentiate by.
-    weight : (2n,) array
-        Weight of the channels, one over their noise; zero for a channel that is not used.
-    block : float
-        Length of the parts of a window that count as independent of each other, s.
-    compiled : bool, optional
-        As for `Simulator`.
-
-    Attributes
-    ----------
-    trust : (b, k, 2n) array or None
-        Weight of each sample in the sum of squares, beside that of its channel; None: all alike.
+    `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `block` is the length
+    in s of the parts of a window that count as independent of each other. `trust` (b, k, 2n) weighs each
+    sample in the sum of squares, beside its channel; None: all alike.
     """
 
     def __init__(
@@ -191,31 +160,31 @@ class Shooting:
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
 
-    def first_starts(self, p: Array) -> Array:
+    def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
         return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
 
-    def settled_starts(self, p: Array) -> Array:
+    def fitted_starts(self, p: Array) -> Array:
         """Starts of the windows that fit these parameters best, shape (b, 2n).
 
         What is read off the log at one sample is a little off, and a window may run away from there: then
         its beginning is fitted first, twice as much of it after that and so on, and all in the end.
         """
-        first = self.first_starts(p)
+        first = self.measured_starts(p)
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
-            return self._opened(p, first)[0]
+            return self._fitted_progressively(p, first)[0]
         starts, squares = self._stepped(p, first)
-        if not np.max(squares) > _STUCK * np.median(squares):
+        if not np.max(squares) > SETTINGS.wrong_start * np.median(squares):
             return starts
-        opened, after = self._opened(p, first)
+        opened, after = self._fitted_progressively(p, first)
         return np.where((after < squares)[:, None], opened, starts)
 
-    def _opened(self, p: Array, starts: Array) -> tuple[Array, Array]:
+    def _fitted_progressively(self, p: Array, starts: Array) -> tuple[Array, Array]:
         """Starts fitted to more and more of every window, and the mean square of each with them."""
         trust = self.trust
         elapsed = self.windows.t - self.windows.t[:, :1]
-        part = _OPENING
+        part = SETTINGS.first_part
         while part < np.max(elapsed):
             within = np.where(elapsed <= part, 1.0, 0.0)[:, :, None]
             self.trust = within if trust is None else trust * within
@@ -229,14 +198,14 @@ class Shooting:
         A window takes the steps that do it good.
         """
         squares = self.mean_squares(p, starts)
-        for _ in range(_START_STEPS):
+        for _ in range(SETTINGS.steps):
             at = self.linearise(p, starts)
             if not np.isfinite(at.cost):
                 break
             tried = starts + at.start_step
             found = self.mean_squares(p, tried)
             better = found < squares
-            gained = np.any(found < (1.0 - _WORTH_A_STEP) * squares)
+            gained = np.any(found < (1.0 - SETTINGS.worth_a_step) * squares)
             starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
             if not gained:
                 break
@@ -284,14 +253,14 @@ class Shooting:
         return np.where(self.used, (reported - self.windows.measured) * self.weight, np.nan)
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Flags:
         """Which samples of which channels count, shape (b, k, 2n)."""
         return np.isfinite(self.windows.measured) & (self.weight > 0)
 
     def _batches(self) -> Iterator[slice]:
         columns = len(self.free) + self._size
         one = self.windows.t.shape[1] * len(self.functions.state_names) * columns
-        size = max(1, _BATCH // one)
+        size = max(1, SETTINGS.batch // one)
         return (slice(i, i + size) for i in range(0, len(self.windows), size))
 
     # --- derivatives --------------------------------------------------------------------------
@@ -319,20 +288,14 @@ class Shooting:
         return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts))
 
     def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
-        """Derivatives in those free parameters that act before a window starts, by finite differences.
-
-        Parameters
-        ----------
-        p : (n_parameters,) array
-            Where to differentiate.
-        of : callable
-            What to differentiate, from all parameters.
-        """
+        """Derivatives by finite differences in those free parameters that act before a window starts."""
         return {k: self._difference(p, of, self.places[k]) for k in self._indirect}
 
     def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
-        step = _SHARE_OF_SAMPLE * sample if place in self._delays else _STEP * max(abs(p[place]), 1e-3)
+        step = SETTINGS.difference * max(abs(p[place]), 1e-3)
+        if place in self._delays:
+            step = SETTINGS.delay_difference * sample
         high, low = p[place] + step, p[place] - step
         if place in self._delays:  # nothing comes before its time
             low = max(low, 0.0)
@@ -361,24 +324,24 @@ class Shooting:
     @cached_property
     def _reports_states(self) -> bool:
         """Whether all that is compared are states of the simulation, and nothing acts before a window."""
-        lateness = self.predictor.lateness
-        return self.predictor.sensors_are_true and not lateness.present and not self._indirect
+        sensor_delay = self.predictor.sensor_delay
+        return self.predictor.sensors_are_true and not sensor_delay.present and not self._indirect
 
     def _all_weights(self, rows: slice) -> Array:
         """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
         return np.where(self.used[rows], self._weights(rows), 0.0)
 
-    def _groups(self, t: Array) -> NDArray[np.int64]:
+    def _groups(self, t: Array) -> Integers:
         """Part of its window that a sample belongs to, shape (b, k); parts count as independent."""
         parts = np.floor((t - t[:, :1]) / self._block)
         return np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0)).astype(np.int64)
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
         """Report and slopes at the time that they come; what was before a window moves with nothing."""
-        if not self.predictor.lateness.present:
+        if not self.predictor.sensor_delay.present:
             return reported, slope
         t, before = self.windows.t[rows], self.windows.start[rows]
-        seconds = self.predictor.lateness.seconds(p)
+        seconds = self.predictor.sensor_delay.seconds(p)
         still = np.zeros((*before.shape, slope.shape[3]))
         return reported_late(reported, t, seconds, before), reported_late(slope, t, seconds, still)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,34 +14,40 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .data import WeakData
 from .pointwise import Cut
 from .residual import Linearised, WeakModel
 
-# A stated prior only holds what the data leave open: at five of its standard deviations it does not bias.
-PRIOR_WIDTH = 5.0
-# Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.
-_REACH = 10.0
-# The same as a share of all that is physical: a tether may come from far away.
-_REACH_OF_BOUNDS = 0.02
-# Square of a derivative, in units of the noise per SI unit, below which there is none but rounding.
-_UNFELT = 1e-24
-# Cutting planes that a step may need; each is a direction of a matrix of at most six motions.
-_MOST_CUTS = 60
-# Norm of the residual of a dual problem from which no step satisfies all inequalities.
-_IMPOSSIBLE = 1e-9
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Numbers that a bounded step depends on."""
+
+    # Standard deviations of a stated prior that it is widened by: it holds what the data leave open, and at
+    # five it does not bias what they determine.
+    prior_width: float = 5.0
+    # Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.
+    largest_step: float = 10.0
+    # The same as a share of the distance of its bounds: a tether may come from far away.
+    share_of_bounds: float = 0.02
+    # Square of a derivative, in units of the noise per SI unit, below which there is nothing but rounding.
+    no_effect: float = 1e-24
+    # Cutting planes that a step may need; each is a direction of a matrix of at most six motions.
+    most_cuts: int = 60
+    # Norm of the residual of the dual problem below which no step satisfies all inequalities.
+    infeasible: float = 1e-9
+    # Standard error, in the SI unit, from which the data say nothing of a parameter.
+    undetermined: float = 1e12
+
+
+SETTINGS = StepSettings()
+PRIOR_WIDTH, NOTHING_SAID = SETTINGS.prior_width, SETTINGS.undetermined
 
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
-    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too.
-
-    Raises
-    ------
-    UndertowError
-        If parameters that are to be equal cannot be by their bounds.
-    """
+    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too."""
     table = np.array([_joint_bounds(model, name) for name in model.free]).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 
@@ -69,13 +74,7 @@ def _bounds(model: WeakModel, name: str) -> tuple[float, float]:
 
 
 def check_known_leaders(model: WeakModel) -> None:
-    """Refuse a parameter that is tied to a known one and is not physical by that.
-
-    Raises
-    ------
-    UndertowError
-        Naming it, its value and its bounds.
-    """
+    """Refuse a parameter that is tied to a known one and is not physical by that."""
     vehicle = model.functions.vehicle
     for name, (other, factor) in model.functions.equal.items():
         value, (low, high) = factor * vehicle.value_of(other).value, _bounds(model, name)
@@ -123,27 +122,73 @@ def _both(centre: float, weight: float, value: float, sigma: float, factor: floa
     return (weight**2 * centre + other**2 * value / factor) / total, float(np.sqrt(total))
 
 
-def reach_of(model: WeakModel) -> Array:
+def step_limits(model: WeakModel) -> Array:
     """How far each free parameter moves at least in one step; without end for one that is linear.
 
     Where the data hardly feel one, a place far off say, the linearised problem would send it to its bound.
     """
     vehicle = model.functions.vehicle
-    return np.array([_reach(vehicle.declaration(n)) for n in model.free])
+    return np.array([_step_limit(vehicle.declaration(n)) for n in model.free])
 
 
-def _reach(parameter: Parameter) -> float:
+def _step_limit(parameter: Parameter) -> float:
     if parameter.linear:
         return np.inf
     span = parameter.bounds[1] - parameter.bounds[0]
-    wide = _REACH_OF_BOUNDS * span if np.isfinite(span) else 0.0
-    return max(_REACH * max(1.0, *map(abs, parameter.starts), 0.0), wide)
+    wide = SETTINGS.share_of_bounds * span if np.isfinite(span) else 0.0
+    return max(SETTINGS.largest_step * max(1.0, *map(abs, parameter.starts), 0.0), wide)
 
 
-def within_reach(bounds: tuple[Array, Array], now: Array, reach: Array) -> tuple[Array, Array]:
-    """Bounds of the next step: a parameter moves no farther than its reach, or some times its own size."""
-    reach = np.maximum(reach, _REACH * np.abs(now))
-    return np.maximum(bounds[0], now - reach), np.minimum(bounds[1], now + reach)
+def within_limits(bounds: tuple[Array, Array], now: Array, limits: Array) -> tuple[Array, Array]:
+    """Bounds of the next step: a parameter moves no farther than its limit, or some times its own size."""
+    limits = np.maximum(limits, SETTINGS.largest_step * np.abs(now))
+    return np.maximum(bounds[0], now - limits), np.minimum(bounds[1], now + limits)
+
+
+class SearchSpace:
+    """Where the free parameters of a model may go, for every estimator: bounds, stated priors, step limits.
+
+    The estimators share the step, its bounds and the priors. How a step is kept short differs, because their
+    residuals do: the weak form, nearly linear and cheap, and prediction error, which reestimates the noise
+    after every step, shorten a Gauss-Newton step until the cost falls; output error, whose simulations may
+    diverge, damps it (Levenberg-Marquardt); instrumental variables solve equations and have no sum of squares
+    to watch. Only the weak form, which starts far away, needs step limits.
+    """
+
+    def __init__(self, model: WeakModel, *, limited: bool = False) -> None:
+        self.model, self.places = model, list(model.places)
+        self.bounds, self.prior = bounds_of(model), prior_of(model)
+        self._limits = step_limits(model) if limited else None
+
+    def nearest(self, p: Array) -> Array:
+        """All parameters, the free ones moved as little as makes the model physical."""
+        return physical(self.model, self.moved(p, np.zeros(len(self.places))), self.bounds)
+
+    def step(self, at: Linearised, p: Array) -> Array:
+        """Bounded Gauss-Newton step of the free parameters after which the model is physical."""
+        bounds = self.bounds
+        if self._limits is not None:
+            bounds = within_limits(bounds, p[self.places], self._limits)
+        return limited_step(self.model, at, p, bounds, self.prior)
+
+    def moved(self, p: Array, step: Array) -> Array:
+        """All parameters after a step of the free ones, which stay within their bounds."""
+        after = p.copy()
+        after[self.places] = np.clip(p[self.places] + step, *self.bounds)
+        return after
+
+    def cost(self, p: Array, squares: float) -> float:
+        """A sum of squares with what stated priors add to it."""
+        return squares + prior_cost(self.prior, p[self.places])
+
+    def predicted_cost(self, p: Array, step: Array, r: Array) -> float:
+        """Cost after a step that leaves the residual r of the linearised problem."""
+        return squared(r) + prior_cost(self.prior, p[self.places] + step)
+
+
+def squared(r: Array) -> float:
+    """Sum of squares."""
+    return float(np.sum(r**2))
 
 
 def limited_step(
@@ -157,7 +202,7 @@ def limited_step(
     now, limits = p[list(model.places)], model.limits
     step = bounded_step(at, now, bounds, prior)
     cuts: list[Cut] = []
-    while len(cuts) < _MOST_CUTS and (found := limits.cuts(limits.moved(p, step))):
+    while len(cuts) < SETTINGS.most_cuts and (found := limits.cuts(limits.moved(p, step))):
         cuts += [Cut(c.slope, c.lacking + float(c.slope @ step)) for c in found]
         step = bounded_step(at, now, bounds, prior, cuts)
     return _held_back(model, p, step) if cuts else step
@@ -194,7 +239,7 @@ def bounded_step(
     cuts: Sequence[Cut] = (),
 ) -> Array:
     """Bounded least-squares step of the linearised problem; what the data do not feel stays where it is."""
-    felt = np.sum(at.J**2, axis=0) + prior[1] ** 2 > _UNFELT
+    felt = np.sum(at.J**2, axis=0) + prior[1] ** 2 > SETTINGS.no_effect
     step = np.zeros(len(now))
     if felt.any():
         chosen = Linearised(at.r, at.J[:, felt], at.start)
@@ -249,7 +294,7 @@ def _within(factor: Array, target: Array, low: Array, high: Array, table: Array,
     reach = max(float(np.max(h)), 1e-300)
     dual = np.vstack([G.T, h / reach])
     multiplier, rest = nnls(dual, np.append(np.zeros(len(target)), 1.0))
-    if rest < _IMPOSSIBLE or np.max(h) <= 0.0:
+    if rest < SETTINGS.infeasible or np.max(h) <= 0.0:
         return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x
     missing = dual @ multiplier
     missing[-1] -= 1.0
@@ -263,20 +308,10 @@ def inverse_of(information: Array) -> Array:
     return np.linalg.inv(scaled) * np.outer(scale, scale)
 
 
-#: Standard error from which the data say nothing of a parameter, in its SI unit.
-NOTHING_SAID = 1e12
-
-
 def estimated(vehicle: Vehicle, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
-    """The vehicle with fitted values and their standard errors.
+    """The vehicle with fitted values and their standard errors, SI and SNAME signs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model before the fit.
-    values, errors : mapping
-        Value and standard error of every free parameter, SI and SNAME signs. What the data say nothing of
-        keeps the error that was stated for it, if any.
+    What the data say nothing of keeps the error that was stated for it, if any.
     """
     found = {}
     for name, value in values.items():
@@ -292,28 +327,14 @@ _EQUALITY = re.compile(rf"\s*(\w+)\s*=\s*(?:({_NUMBER})(?:\s*\*\s*|\s+))?([A-Za-
 
 @dataclass(frozen=True)
 class Constraints:
-    """Demands on the parameters of a fit. That its mass matrix is positive is asked for in any case.
+    """Demands on the parameters of a fit. That its mass matrix is positive is asked for in any case."""
 
-    Attributes
-    ----------
-    equal : mapping
-        Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs.
-    dissipative : bool
-        Whether linear damping has to take energy from every motion, D + D' >= 0.
-    """
-
+    # Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs
     equal: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    dissipative: bool = False
+    dissipative: bool = False  # Whether linear damping has to take energy from every motion, D + D' >= 0
 
     def model(self, vehicle: Vehicle, free: Sequence[str]) -> WeakModel:
-        """The model of a vehicle with its free parameters, without those that follow others.
-
-        Raises
-        ------
-        UndertowError
-            If an equality names what is no parameter of the equations, leads in a circle, or leaves no
-            physical model.
-        """
+        """The model of a vehicle with its free parameters, without those that follow others."""
         equal = _resolved(self.equal, vehicle)
         kept = [n for n in free if n not in equal]
         model = WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
@@ -365,20 +386,7 @@ def _must_be_there(name: str, vehicle: Vehicle) -> None:
 
 
 def read_equalities(texts: Sequence[str], vehicle: Vehicle) -> dict[str, tuple[str, float]]:
-    """Equalities as a user writes them, such as ``Y_vdot = Z_wdot`` or ``N_r = 0.5 M_q``.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        One equality each, in the sign convention of the vehicle's file.
-    vehicle : Vehicle
-        Whose parameters they are.
-
-    Raises
-    ------
-    UndertowError
-        If a text is no equality, or names what the vehicle does not have.
-    """
+    """Equalities such as ``Y_vdot = Z_wdot`` or ``N_r = 0.5 M_q``, in the signs of the vehicle's file."""
     found: dict[str, tuple[str, float]] = {}
     for text in texts:
         name, other, factor = _read(text)
@@ -430,78 +438,18 @@ def follower_errors(model: WeakModel, errors: Mapping[str, float]) -> dict[str, 
     return {name: abs(factor) * errors.get(other, 0.0) for name, (other, factor) in tied}
 
 
-def fitted_vehicle(model: WeakModel, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
-    """The vehicle of a model with the fitted values of its free parameters, and of those tied to them."""
-    whole = {**values, **followers(model, values)}
-    return estimated(model.functions.vehicle, whole, {**errors, **follower_errors(model, errors)})
-
-
-def active(model: WeakModel, p: Array) -> list[str]:
-    """Names of the constraints that hold a fit back: bounds, then matrices that are at their limit."""
-    bounds = [f"{name} at its bound {bound:g}" for name, bound in at_bounds(model, p).items()]
-    return [*bounds, *model.limits.active(p)]
-
-
-class Solution(ABC):
-    """Values of the free parameters of a model, found by least squares.
-
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    """
-
-    model: WeakModel
-    p: Array
-
-    @property
-    @abstractmethod
-    def gram(self) -> Array:
-        """J' J of the weighted residual, shape (n_free, n_free)."""
-
-    @property
-    @abstractmethod
-    def covariance(self) -> Array:
-        """Covariance of the free parameters."""
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle with the fitted values and their standard errors."""
-        return fitted_vehicle(self.model, self.values, self.standard_errors)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values of the free parameters, SI and SNAME signs."""
-        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
-
-    @property
-    def standard_errors(self) -> dict[str, float]:
-        """Standard error of every free parameter."""
-        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the scaled regressor."""
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
-        return float(np.sqrt(np.linalg.cond(self.gram / np.outer(scale, scale)))) if len(scale) else 1.0
-
-    @property
-    def active(self) -> list[str]:
-        """Constraints that hold the estimates back, by name."""
-        return active(self.model, self.p)
+def summed_scores(r: Array, J: Array, block: Index) -> Array:
+    """J' r of the rows of each block, (blocks, k)."""
+    scores = np.zeros((int(block.max(initial=0)) + 1, J.shape[1]))
+    np.add.at(scores, block, J * r[:, None])
+    return scores
 
 
 def clustered(information: Array, scores: Array) -> Array:
-    """Covariance of an estimate: never less than noise alone gives, and robust to what hangs together.
+    """Covariance of an estimate: never less than noise alone gives, and robust to correlated residuals.
 
-    Parameters
-    ----------
-    information : (k, k) array
-        J' J of the weighted residual, with what priors add.
-    scores : (groups, k) array
-        J' r of groups of residuals that count as independent of each other.
+    `information` is J' J with what priors add; `scores` (groups, k) holds J' r of groups of residuals that
+    count as independent of each other.
     """
     inverse = inverse_of(information)
     robust = np.diag(inverse @ (scores.T @ scores) @ inverse)
@@ -511,25 +459,13 @@ def clustered(information: Array, scores: Array) -> Array:
 
 # --- more equations than parameters ---------------------------------------------------------------
 def require_equations(model: WeakModel, data: WeakData, method: str) -> None:
-    """Refuse logs that are too short for the parameters of a model, by their weak equations of motion.
-
-    Raises
-    ------
-    UndertowError
-        If there are no more equations than parameters without a prior.
-    """
+    """Refuse logs with no more weak equations of motion than parameters without a prior."""
     count = int(np.count_nonzero(data.equation < len(data.names) // 2))
     require_rows(model, count, data.runs, method)
 
 
 def require_rows(model: WeakModel, count: int, runs: Sequence[Run], method: str) -> None:
-    """Refuse as many equations as there are parameters without a prior, or fewer.
-
-    Raises
-    ------
-    UndertowError
-        Naming the runs, what they give, and what is sought.
-    """
+    """Refuse as many equations as there are parameters without a prior, or fewer."""
     sought = int(np.count_nonzero(prior_of(model)[1] == 0.0))
     if sought and count <= sought:
         lengths = ", ".join(f"'{run.name}' {len(run.t)} samples" for run in runs)

@@ -16,34 +16,23 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import csr_array
 
 from undertow.codegen.cache import library_for
-from undertow.codegen.compiler import Compiler, compiled_or_virtual
-from undertow.codegen.driver import loaded, pointer
+from undertow.codegen.compiler import Compiler, compiled_or_virtual, loaded, pointer
 from undertow.codegen.source import EXPORTED, digest
 from undertow.typing import Array, Index
 
 
 # --- the samples that a test function sees --------------------------------------------------------
 @dataclass(frozen=True)
-class Windows:
-    """Windows of one width W for K test functions.
+class Supports:
+    """Supports of one width W for K test functions."""
 
-    Attributes
-    ----------
-    first : (K,) array of int
-        First sample of each window; none begins before the one in front of it.
-    samples : int
-        Number of samples; a window may reach beyond the last one, with weights of zero.
-    weights : (kinds, K, W) array
-        Weights of every kind.
-    """
-
-    first: Index
-    samples: int
-    weights: Array
+    first: Index  # (K,) first sample of each window; none begins before the one in front of it
+    samples: int  # Number of samples; a window may reach beyond the last one, with weights of zero
+    weights: Array  # (kinds, K, W) weights of every kind
 
     @classmethod
-    def of(cls, kinds: Sequence[csr_array]) -> Windows:
-        """Windows around what every test function sees with any kind of weights (K, N)."""
+    def of(cls, kinds: Sequence[csr_array]) -> Supports:
+        """Supports around what every test function sees with any kind of weights (K, N)."""
         parts = [w.tocoo() for w in kinds]
         count, samples = kinds[0].shape
         first, last = np.full(count, samples - 1), np.zeros(count, dtype=np.intp)
@@ -57,9 +46,9 @@ class Windows:
             kind[part.row, part.col - first[part.row]] = part.data
         return cls(first, samples, weights)
 
-    def part(self, which: slice) -> Windows:
+    def part(self, which: slice) -> Supports:
         """Some of the windows."""
-        return Windows(self.first[which], self.samples, self.weights[:, which])
+        return Supports(self.first[which], self.samples, self.weights[:, which])
 
     @property
     def index(self) -> Index:
@@ -73,32 +62,22 @@ SAMPLES_PER_KNOT = 5
 
 @dataclass(frozen=True)
 class TestFunctions:
-    """Quadrature weights of K test functions phi over the N samples of a segment.
+    """Quadrature weights of K test functions phi over the N samples of a segment."""
 
-    Attributes
-    ----------
-    value : sparse (K, N)
-        Weights for the integral of phi times a smooth signal.
-    rate : sparse (K, N)
-        Weights for the integral of d(phi)/dt times a smooth signal.
-    held : sparse (K, N)
-        Integrals of phi over [t_i, t_i+1), for the mean of a signal over this interval; with `rate` they give
-        exactly zero for such a signal and its integral, whatever its jumps and the spacing of samples.
-    centre : (K,) array
-        Middle of each support, s.
-    """
-
-    value: csr_array
-    rate: csr_array
+    value: csr_array  # Weights for the integral of phi times a smooth signal
+    rate: csr_array  # Weights for the integral of d(phi)/dt times a smooth signal
+    # Integrals of phi over [t_i, t_i+1), for the mean of a signal over this interval; with `rate` they
+    # give exactly zero for such a signal and its integral, whatever its jumps and the spacing of
+    # samples
     held: csr_array
-    centre: Array
+    centre: Array  # (K,) middle of each support, s
 
     __test__ = False  # not a pytest class
 
     @cached_property
-    def windows(self) -> Windows:
+    def supports(self) -> Supports:
         """The weights of value, rate and held, as windows."""
-        return Windows.of([self.value, self.rate, self.held])
+        return Supports.of([self.value, self.rate, self.held])
 
     @property
     def count(self) -> int:
@@ -122,15 +101,7 @@ def knot_spacing(t: Array) -> float:
 
 
 def test_functions(t: Array, spacing: float) -> TestFunctions | None:
-    """B-splines whose whole support lies within the segment; None if it is too short for a single one.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Sample times, s.
-    spacing : float
-        Distance of the knots, s; the support of a function is four times that.
-    """
+    """B-splines, `spacing` s between knots, whose support lies in the segment; None if it is too short."""
     count = int((t[-1] - t[0]) / spacing + 1e-9) - DEGREE
     if count < 1:
         return None
@@ -151,19 +122,12 @@ test_functions.__test__ = False  # type: ignore[attr-defined]
 
 
 def boxes(t: Array, spacing: float) -> TestFunctions | None:
-    """Boxes, one from every sample on: with them the weak form is the integral form.
+    """Boxes of about `spacing` s, one from every sample on: with them the weak form is the integral form.
 
     A box has no derivative but a peak at either end, so that its residual is the change of velocity less the
-    integral of the acceleration, of position less that of velocity. All of a segment is used, since boxes
-    overlap, and generalised least squares knows how they hang together. Signals are integrated by the cubic
-    through the four samples around each interval.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Sample times, s.
-    spacing : float
-        Length of a box, s, brought to whole samples.
+    integral of the acceleration, of position less that of velocity. Boxes overlap; generalised least squares
+    knows how they are correlated. Signals are integrated by the cubic through the four samples around each
+    interval.
     """
     width = max(round(spacing / float(np.median(np.diff(t)))), 1)
     count = len(t) - width
@@ -253,19 +217,9 @@ def _held(rate: csr_array, t: Array) -> csr_array:
 
 
 def kink_delay(t: Array) -> Array:
-    """How much later than at its sample a signal with a kink has to be read for its quadrature to be right.
+    """How much later, s, than at its sample a signal with a kink has to be read for its quadrature to hold.
 
     Over even steps that is a twelfth of a step: of the jump of the slope, trapezoids miss h^2/12.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Sample times, s.
-
-    Returns
-    -------
-    (N,) array
-        Seconds.
     """
     step = np.diff(t)
     before, after = np.append(step[:1], step), np.append(step, step[-1:])
@@ -282,22 +236,12 @@ def _trapezoid(t: Array) -> Array:
 
 @dataclass(frozen=True)
 class Entries:
-    """Entries of a matrix at N samples.
+    """Entries of a matrix at N samples."""
 
-    Attributes
-    ----------
-    row, column : (E,) array
-        Place of every entry; the same place may occur more than once, its entries add up.
-    data : (N, E) array
-        Values at the samples.
-    width : int
-        Columns of the whole matrix.
-    """
-
-    row: Index
+    row: Index  # (E,) place of every entry; the same place may occur more than once, its entries add up
     column: Index
-    data: Array
-    width: int
+    data: Array  # (N, E) values at the samples
+    width: int  # Columns of the whole matrix
 
     @classmethod
     def of(cls, data: Array, pattern: ca.Sparsity, first: int) -> Entries:
@@ -335,7 +279,7 @@ _SIDE = 8
 _NAMES = ("TESTED", "PRODUCTS", "SOLVED")
 
 
-class _Windows(ctypes.Structure):
+class _Supports(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in ("count", "width", "samples")),
         ("first", ctypes.c_void_p),
@@ -344,7 +288,7 @@ class _Windows(ctypes.Structure):
 
 
 class _Sums(Protocol):
-    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None: ...
+    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None: ...
 
     def products(self, first: Index, felt: Array, bands: Array) -> None: ...
 
@@ -361,14 +305,14 @@ class SumsInC:
         for entry in self._call.values():
             entry.restype = None
 
-    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
+    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
         chosen = np.flatnonzero(target >= 0)
         runs = np.ascontiguousarray(_runs(chosen, kind))
         data = np.ascontiguousarray(part.data)
         count, width = windows.weights.shape[1:]
         first, places = (np.ascontiguousarray(a, dtype=np.int64) for a in (windows.first, target))
         sums = np.empty(data.shape[1])
-        about = _Windows(count, width, windows.samples, first.ctypes.data, windows.weights.ctypes.data)
+        about = _Supports(count, width, windows.samples, first.ctypes.data, windows.weights.ctypes.data)
         self._call["TESTED"](
             ctypes.byref(about),
             ctypes.c_int64(data.shape[1]),
@@ -400,7 +344,7 @@ class SumsInC:
 class SumsInNumPy:
     """The same without a compiler."""
 
-    def tested(self, windows: Windows, part: Entries, kind: Index, target: Index, table: Array) -> None:
+    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
         index, flat = windows.index, table.reshape(len(table), -1)
         for e in np.flatnonzero(target >= 0):
             weights = windows.weights[kind[e]]
@@ -462,24 +406,11 @@ def _runs(chosen: Index, kind: Index) -> Index:
 
 
 def tested(
-    windows: Windows, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
+    windows: Supports, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
 ) -> Array:
-    """Sums over each window of weight times signal, gathered in the places that the signals belong to.
+    """Sums over each of K windows of weight times signal, (K, size), gathered in the places of the signals.
 
-    Parameters
-    ----------
-    windows : Windows
-        K windows over N samples.
-    parts : sequence of Entries
-        Signals.
-    kind, target : sequences of arrays of int
-        For every signal of every part which weights it meets, and its place; -1 for none.
-    size : int
-        Number of places.
-
-    Returns
-    -------
-    (K, size) array
+    `kind` and `target` say for every signal of every part which weights it meets, and its place; -1 for none.
     """
     table = np.zeros((len(windows.first), size))
     for part, weights, places in zip(parts, kind, target, strict=True):
@@ -488,19 +419,9 @@ def tested(
 
 
 def products(first: Index, felt: Array) -> Array:
-    """Products of all pairs of rows whose windows overlap, in LAPACK's banded storage.
+    """Products of all pairs of rows (K, rows, W, channels) whose windows overlap, in LAPACK's lower bands.
 
-    Parameters
-    ----------
-    first : (K,) array of int
-        First sample of every window, in ascending order.
-    felt : (K, rows, W, channels) array
-        Rows of every window.
-
-    Returns
-    -------
-    (b, K rows) array
-        Lower half, ordered by window, then by row.
+    Ordered by window, then by row; `first` holds the first sample of every window, in ascending order.
     """
     count, rows, width, _ = felt.shape
     reach = int(np.max(np.searchsorted(first, first + width) - np.arange(count)))

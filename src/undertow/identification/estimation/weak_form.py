@@ -11,45 +11,65 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .data import Segment, WeakData, Whitening, prepare
+from .fitted import Fitted
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, whitened
 from .step import (
     Constraints,
-    Solution,
-    bounds_of,
+    SearchSpace,
     clustered,
-    limited_step,
-    physical,
-    prior_cost,
     prior_of,
-    reach_of,
     require_equations,
-    within_reach,
+    squared,
+    summed_scores,
 )
 from .windows import Windows, cut
 
-_MATCHING_STEPS = 4
-# Largest mean square of an equation that still counts as noise of the channels.
-_NOISE_EXPLAINS = 1.6
+
+@dataclass(frozen=True)
+class WeakFormSettings:
+    """Numbers of the fit in the weak form."""
+
+    most_steps: int = 15
+    # Predicted reduction of chi-square below which a step cannot change any judgement.
+    least_reduction: float = 0.01
+    shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.02)  # of a step, tried in turn until the cost falls
+    # Steps of the intensity of the disturbance, which makes the mean square of the whitened residual one.
+    matching_steps: int = 4
+    # Largest mean square of an equation that still counts as noise of the channels.
+    noise_explains: float = 1.6
+    # The same, up to which a fit without any disturbance may bring it down to that.
+    worth_without_disturbance: float = 30.0
+    noise_rounds: int = 6
+    noise_converged: float = 0.2  # change of the logarithm of an intensity with which the rounds end
+    # Relative change of a parameter from which the covariance by the sensors' noise is worked out anew.
+    noise_moved: float = 0.05
+
+
+SETTINGS = WeakFormSettings()
+_PLAIN = Constraints()
 
 
 def mean_square(r: Array, data: WeakData) -> Array:
     """Mean square of a whitened residual for each of the 2n equations; 1 is the noise floor."""
-    size = len(data.names)
-    total = np.bincount(data.equation, weights=r**2, minlength=size)
-    count = np.bincount(data.equation, minlength=size)
+    return mean_square_by(data.equation, r, len(data.names))
+
+
+def mean_square_by(group: Index, r: Array, size: int) -> Array:
+    """Mean square of the rows of each of `size` groups; NaN for a group without rows."""
+    total, count = np.bincount(group, r**2, size), np.bincount(group, minlength=size)
     return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
 
 
-def disturbed(quiet: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
+def with_process_noise(sensor_noise: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
     """A noise model with a disturbance of the given intensity in each equation."""
     level = disturbance[list(data.rows)]
     return [
         w.with_disturbance(np.tile(level, s.functions.count))
-        for w, s in zip(quiet, data.segments, strict=True)
+        for w, s in zip(sensor_noise, data.segments, strict=True)
     ]
 
 
@@ -60,66 +80,39 @@ def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
     return np.nan_to_num(mean_square(raw, data)) / float(np.mean(lengths))
 
 
-def matched_disturbance(fit: WeakFit, quiet: list[Whitening]) -> Array:
+def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
     """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
 
     Zero where the noise of the channels explains the residual by itself.
     """
     data = fit.data
     parts = fit.model.linearise(data, fit.p)
-    if fits_noise(whitened(parts, quiet), data):
+    if fits_noise(whitened(parts, sensor_noise), data):
         return np.zeros(len(data.names))
     level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
-    for _ in range(_MATCHING_STEPS):
-        square = mean_square(whitened(parts, disturbed(quiet, level, data)).r, data)
+    for _ in range(SETTINGS.matching_steps):
+        square = mean_square(whitened(parts, with_process_noise(sensor_noise, level, data)).r, data)
         level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
     return np.asarray(level)
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:
-    return bool(np.nanmax(mean_square(at.r, data)) < _NOISE_EXPLAINS)
-
-
-_MAX_ITERATIONS = 15
-# A step that promises less than this in chi-square cannot change any judgement.
-_ENOUGH = 0.01
-_NOISE_ROUNDS = 6
-_NOISE_SETTLED = 0.2
-_MOVED = 0.05
-# The same, up to which a fit without any disturbance may bring it down to that.
-_WORTH_A_LOOK = 30.0
-_PLAIN = Constraints()
+    return bool(np.nanmax(mean_square(at.r, data)) < SETTINGS.noise_explains)
 
 
 @dataclass(frozen=True)
-class WeakFit(Solution):
-    """A model fitted to logs in the weak form.
+class WeakFit(Fitted):
+    """A model fitted to logs in the weak form."""
 
-    Attributes
-    ----------
-    model : WeakModel
-        Model and names of the free parameters.
-    p : (n_parameters,) array
-        All parameters.
-    data : WeakData
-        What it was fitted to.
-    whitening : list of Whitening
-        Noise model that was used.
-    at : Linearised
-        Whitened residual and derivative at p.
-    disturbance : (2n,) array
-        Intensity of what the model leaves beyond the noise, for each equation, (m/s^2)^2 s and the like.
-    iterations : int
-        Gauss-Newton steps taken.
-    """
-
-    model: WeakModel
-    p: Array
-    data: WeakData
-    whitening: list[Whitening]
-    at: Linearised
+    model: WeakModel  # Model and names of the free parameters
+    p: Array  # (n_parameters,) all parameters
+    data: WeakData  # What it was fitted to
+    whitening: list[Whitening]  # Noise model that was used
+    at: Linearised  # Whitened residual and derivative at p
+    # (2n,) intensity of what the model leaves beyond the noise, for each equation, (m/s^2)^2 s and the
+    # like
     disturbance: Array
-    iterations: int
+    iterations: int  # Gauss-Newton steps taken
 
     @cached_property
     def gram(self) -> Array:
@@ -129,8 +122,8 @@ class WeakFit(Solution):
     @cached_property
     def noise_gram(self) -> Array:
         """J' J in units of the noise of the sensors alone, without a disturbance."""
-        quiet = self.model.whitening(self.data, self.p)
-        J = whitened(self.model.linearise(self.data, self.p), quiet).J
+        sensor_noise = self.model.whitening(self.data, self.p)
+        J = whitened(self.model.linearise(self.data, self.p), sensor_noise).J
         return np.asarray(J.T @ J)
 
     @cached_property
@@ -145,11 +138,7 @@ class WeakFit(Solution):
 
         Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
         """
-        scores = self.at.J * self.at.r[:, None]
-        block = self.data.block
-        summed = np.zeros((int(block.max(initial=0)) + 1, scores.shape[1]))
-        np.add.at(summed, block, scores)
-        return clustered(self.information, summed)
+        return clustered(self.information, summed_scores(self.at.r, self.at.J, self.data.block))
 
     @property
     def cost(self) -> float:
@@ -174,7 +163,7 @@ def fit_weak(
     start: Mapping[str, float] | None = None,
     whitening: list[Whitening] | None = None,
     disturbance: Array | None = None,
-    max_iterations: int = _MAX_ITERATIONS,
+    max_iterations: int = SETTINGS.most_steps,
     enough: float = 0.0,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
@@ -208,26 +197,26 @@ def fit_weak(
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
     model.require_defined(data, p)
     disturbance = first_guess(model, data, p)
-    loud = disturbed(model.whitening(data, p), disturbance, data)
-    return settled(_solved(model, p, data, loud, disturbance, max_iterations))
+    loud = with_process_noise(model.whitening(data, p), disturbance, data)
+    return with_reestimated_noise(_solved(model, p, data, loud, disturbance, max_iterations))
 
 
 def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constraints) -> WeakModel:
     return constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
 
 
-def settled(fit: WeakFit, most: int = _NOISE_ROUNDS) -> WeakFit:
+def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> WeakFit:
     """Match the noise model to what a fit leaves, and fit again, until neither changes."""
-    quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
+    sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
         # How the sensors' noise enters is dear to work out, and hangs on the parameters but little.
         if _moved(fit.p, at):
-            quiet, at = fit.model.whitening(fit.data, fit.p), fit.p
-        disturbance = matched_disturbance(fit, quiet)
+            sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
+        disturbance = matched_disturbance(fit, sensor_noise)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
-        whitening = disturbed(quiet, disturbance, fit.data)
-        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, _MAX_ITERATIONS)
-        if changed < _NOISE_SETTLED or not np.any(disturbance):
+        whitening = with_process_noise(sensor_noise, disturbance, fit.data)
+        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
+        if changed < SETTINGS.noise_converged or not np.any(disturbance):
             break
     return _without_disturbance(fit)
 
@@ -239,21 +228,21 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
     """
     if not np.any(fit.disturbance):
         return fit
-    quiet = fit.model.whitening(fit.data, fit.p)
-    left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), quiet).r, fit.data)
-    if np.nanmax(left) > _WORTH_A_LOOK:
+    sensor_noise = fit.model.whitening(fit.data, fit.p)
+    left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), sensor_noise).r, fit.data)
+    if np.nanmax(left) > SETTINGS.worth_without_disturbance:
         return fit
     none = np.zeros_like(fit.disturbance)
-    other = _solved(fit.model, fit.p, fit.data, quiet, none, _MAX_ITERATIONS)
+    other = _solved(fit.model, fit.p, fit.data, sensor_noise, none, SETTINGS.most_steps)
     return other if fits_noise(other.at, fit.data) else fit
 
 
 def _moved(p: Array, since: Array) -> bool:
     """Whether a parameter has changed so much that the noise of the sensors enters otherwise."""
-    return bool(np.any(np.abs(p - since) > _MOVED * np.abs(since)))
+    return bool(np.any(np.abs(p - since) > SETTINGS.noise_moved * np.abs(since)))
 
 
-def opened(
+def start_fit(
     model: WeakModel,
     data: WeakData,
     start: Mapping[str, float],
@@ -270,13 +259,12 @@ def opened(
     return _solved(model, p, data, whitening, disturbance, steps)
 
 
-def promise(fit: WeakFit) -> tuple[float, dict[str, float]]:
-    """Sum of squares that one more Gauss-Newton step promises, and the parameters after it."""
-    model, places = fit.model, list(fit.model.places)
-    bounds = within_reach(bounds_of(model), fit.p[places], reach_of(model))
-    step = limited_step(model, fit.at, fit.p, bounds, prior_of(model))
-    after = np.clip(fit.p[places] + step, *bounds)
-    return _squares(fit.at.r + fit.at.J @ step), dict(zip(model.free, after.tolist(), strict=True))
+def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
+    """Sum of squares that is predicted after one more Gauss-Newton step, and the parameters after it."""
+    space = SearchSpace(fit.model, limited=True)
+    step = space.step(fit.at, fit.p)
+    after = space.moved(fit.p, step)[space.places]
+    return squared(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
 
 
 def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
@@ -292,60 +280,39 @@ def _solved(
     max_iterations: int,
     enough: float = 0.0,
 ) -> WeakFit:
-    bounds = bounds_of(model)
-    prior, reach = prior_of(model), reach_of(model)
-    places = list(model.places)
-    p = p.copy()
-    p[places] = np.clip(p[places], *bounds)
-    p = physical(model, p, bounds)
+    """Gauss-Newton steps from p under a fixed noise model."""
+    space = SearchSpace(model, limited=True)
+    p = space.nearest(p)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
     for _ in range(max_iterations):
-        step = limited_step(model, at, p, within_reach(bounds, p[places], reach), prior)
-        now, then = (prior_cost(prior, p[places] + s) for s in (0.0, step))
-        promised = _squares(at.r) + now - _squares(at.r + at.J @ step) - then
-        if promised < max(_ENOUGH, enough * _squares(at.r)):
+        step, cost = space.step(at, p), space.cost(p, squared(at.r))
+        predicted = space.predicted_cost(p, step, at.r + at.J @ step)
+        if cost - predicted < max(SETTINGS.least_reduction, enough * squared(at.r)):
             break
-        before = p
-        p, at = _line_search(model, p, step, at, data, whitening, bounds, prior)
         iteration += 1
-        if p is before:  # no share of the step helps, and the next one would be the same
+        tried = (space.moved(p, share * step) for share in SETTINGS.shares)
+        ends = ((q, whitened(model.linearise(data, q), whitening)) for q in tried)
+        limit = cost * (1 + 1e-12)
+        found = next((end for end in ends if space.cost(end[0], squared(end[1].r)) <= limit), None)
+        if found is None:  # no share of the step helps, and the next one would be the same
             break
+        p, at = found
     return WeakFit(model, p, data, whitening, at, disturbance, iteration)
 
 
-def _squares(r: Array) -> float:
-    return float(np.sum(r**2))
+@dataclass(frozen=True)
+class InstrumentalSettings:
+    """Numbers of the search with instrumental variables."""
+
+    most_steps: int = 25
+    shortest_step: float = 1e-3  # in standard deviations; a search ends with it
+    # Outer nodes of a three-point Gauss-Hermite rule, in standard deviations, and their weight.
+    node: float = float(np.sqrt(3.0))
+    weight: float = 1.0 / 6.0
 
 
-def _line_search(
-    model: WeakModel,
-    p: Array,
-    step: Array,
-    at: Linearised,
-    data: WeakData,
-    whitening: list[Whitening],
-    bounds: tuple[Array, Array],
-    prior: tuple[Array, Array],
-) -> tuple[Array, Linearised]:
-    """Halve the step until the weighted error falls, what stated priors add to it included."""
-    places = list(model.places)
-    before = _squares(at.r) + prior_cost(prior, p[places])
-    for share in (1.0, 0.5, 0.25, 0.1, 0.02):
-        tried = p.copy()
-        tried[places] = np.clip(p[places] + share * step, *bounds)
-        after = whitened(model.linearise(data, tried), whitening)
-        if _squares(after.r) + prior_cost(prior, tried[places]) <= before * (1 + 1e-12):
-            return tried, after
-    return p, at
-
-
-_INSTRUMENTAL_MAX_ITERATIONS = 25
-# Length of a step, in standard deviations, with which a search ends.
-_INSTRUMENTAL_ENOUGH = 1e-3
-# Nodes of a three-point Gauss-Hermite rule, in standard deviations, and the weight of the outer ones.
-_NODE, _WEIGHT = np.sqrt(3.0), 1.0 / 6.0
-_INSTRUMENTAL_PLAIN = Constraints()
+INSTRUMENTAL = InstrumentalSettings()
 
 
 def fit_instrumental(
@@ -355,30 +322,12 @@ def fit_instrumental(
     horizon: float | None = None,
     *,
     compiled: bool | None = None,
-    constraints: Constraints = _INSTRUMENTAL_PLAIN,
+    constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle by the weak form with simulated regressors as instruments.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Model with starting values and priors.
-    runs : sequence of Run
-        Logs with the velocities and commands of the vehicle.
-    free : sequence of str, optional
-        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
-    horizon : float or None
-        Length of the windows that are simulated from the measured motion at their start, s; None: each
-        stretch without gaps is one.
-    compiled : bool, optional
-        As for `Simulator`.
-    constraints : Constraints
-        What else is asked of the parameters.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short, or the simulation diverges.
+    The parameters are those of `fit_output_error`; with `horizon` None each stretch without gaps is simulated
+    as a whole from its measured start.
     """
     model = constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
     data = prepare(runs, vehicle)
@@ -395,26 +344,23 @@ class _Instruments:
         self._predictor = Predictor(model.functions, compiled=compiled)
 
     def fit(self) -> WeakFit:
-        model, plain = self._model, self._plain
-        p, places = plain.p.copy(), list(model.places)
-        bounds, prior = bounds_of(model), prior_of(model)
-        taken = 0
-        while taken < _INSTRUMENTAL_MAX_ITERATIONS:
+        space, p, taken = SearchSpace(self._model), self._plain.p, 0
+        while taken < INSTRUMENTAL.most_steps:
             taken += 1
             at = self._at(p)
-            step = limited_step(model, at, p, bounds, prior)
-            p[places] = np.clip(p[places] + step, *bounds)
-            if np.linalg.norm(at.J @ step) < _INSTRUMENTAL_ENOUGH:
+            step = space.step(at, p)
+            p = space.moved(p, step)
+            if np.linalg.norm(at.J @ step) < INSTRUMENTAL.shortest_step:
                 break
-        return replace(plain, p=p, at=self._at(p), iterations=taken)
+        return replace(self._plain, p=p, at=self._at(p), iterations=taken)
 
     def _at(self, p: Array) -> Linearised:
         """Whitened residual of the measured motion less its excess, and the instruments."""
         data = self._plain.data
         simulated = self._simulated(p)
         # Weights by the measured motion would know of its noise as well.
-        quiet = self._model.whitening(simulated, p)
-        whitening = disturbed(quiet, self._plain.disturbance, simulated)
+        sensor_noise = self._model.whitening(simulated, p)
+        whitening = with_process_noise(sensor_noise, self._plain.disturbance, simulated)
         smooth = self._model.linearise(simulated, p)
         excess = self._excess(simulated, [part.r for part in smooth], p)
         measured = self._model.linearise(data, p)
@@ -443,10 +389,10 @@ class _Instruments:
         """Mean of the residual over the noise of the channels, less the residual without noise."""
         found = [np.zeros(len(r)) for r in smooth]
         for channel in np.flatnonzero(self._plain.data.sigma > 0):
-            for sign in (_NODE, -_NODE):
+            for sign in (INSTRUMENTAL.node, -INSTRUMENTAL.node):
                 moved = self._model.linearise(_shifted(simulated, int(channel), sign), p)
                 for total, part, r in zip(found, moved, smooth, strict=True):
-                    total += _WEIGHT * (part.r - r)
+                    total += INSTRUMENTAL.weight * (part.r - r)
         return found
 
 

@@ -14,92 +14,80 @@ from scipy.special import chdtri
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 from .data import around, channel_noise, local_polynomial
 
 _ANGLES = ("phi", "psi")
-_FEWEST = 3  # samples of a window
-# The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
-_LACKING = 0.1
+
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """Numbers by which logs are cut into windows, and the motion at their start is smoothed."""
+
+    fewest: int = 3  # samples of a window
+    # The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
+    lacking: float = 0.1
+    # Half-widths in samples of the fits that are tried, from narrow to wide; for what is left of an angle
+    # once its rate is integrated, a line over a long time.
+    widths: tuple[int, ...] = (2, 3, 5)
+    widths_of_angles: tuple[int, ...] = (2, 3, 5, 10, 20, 40)
+    # A fit that misses its samples by more than noise does in one of a hundred cases is not used.
+    refused: float = 0.01
+    # A sample further off than this many ranges of its neighbours is an outlier.
+    outlier: float = 3.0
+    # Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
+    together: float = 1e-6
+
+
+SETTINGS = WindowSettings()
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of several runs, side by side; those with fewer samples than others are padded.
-
-    Attributes
-    ----------
-    runs : tuple of Run
-        The logs.
-    horizon : float or None
-        Length of a window in s, of the longest where runs differ; None: as long as there is no gap.
-    names : tuple of str
-        Names of the 2n channels, pose then velocity of the degrees of freedom.
-    commands : tuple of str
-        Names of the command columns.
-    sigma : (2n,) array
-        Noise of the channels, in their units.
-    run : (b,) array of int
-        Run of every window.
-    first : (b,) array of int
-        Sample of the run at which a window starts.
-    segment : (b,) array of int
-        Sample of the run at which the stretch without gaps starts that a window lies in.
-    count : (b,) array of int
-        Samples of every window.
-    t : (b, k) array
-        Time, s; the padding repeats the last.
-    measured : (b, k, 2n) array
-        Pose and velocity as reported; NaN in the padding and for pose that the log lacks.
-    start : (b, 2n) array
-        Reported pose and velocity at the start, smoothed locally; zero for pose that the log lacks.
-    stretches : tuple of Stretch
-        Parts of the runs without gaps that the windows were cut from.
-    """
+    """Windows of several runs, side by side; those with fewer samples than others are padded."""
 
     runs: tuple[Run, ...]
+    # Length of a window in s, of the longest where runs differ; None: as long as there is no gap
     horizon: float | None
-    names: tuple[str, ...]
-    commands: tuple[str, ...]
-    sigma: Array
-    run: NDArray[np.intp]
-    first: NDArray[np.intp]
-    segment: NDArray[np.intp]
-    count: NDArray[np.intp]
-    t: Array
+    names: tuple[str, ...]  # Names of the 2n channels, pose then velocity of the degrees of freedom
+    commands: tuple[str, ...]  # Names of the command columns
+    sigma: Array  # (2n,) noise of the channels, in their units
+    run: Index  # (b,) run of every window
+    first: Index  # (b,) sample of the run at which a window starts
+    # (b,) sample of the run at which the stretch without gaps starts that a window lies in
+    segment: Index
+    count: Index  # (b,) samples of every window
+    t: Array  # (b, k) time, s; the padding repeats the last
+    # (b, k, 2n) pose and velocity as reported; NaN in the padding and for pose that the log lacks
     measured: Array
+    # (b, 2n) reported pose and velocity at the start, smoothed locally; zero for pose that the log
+    # lacks
     start: Array
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[Stretch, ...]  # Parts of the runs without gaps that the windows were cut from
 
     @property
-    def samples(self) -> NDArray[np.intp]:
+    def samples(self) -> Index:
         """Index in its run of every sample, shape (b, k); the padding repeats the last."""
         steps = np.minimum(np.arange(self.t.shape[1]), self.count[:, None] - 1)
         return self.first[:, None] + steps
 
     @property
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> Flags:
         """Which samples are no padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
     def __len__(self) -> int:
         return len(self.run)
 
-    def take(self, rows: NDArray[np.intp], most: int) -> Windows:
+    def take(self, rows: Index, most: int) -> Windows:
         """Some of the windows, each with its first `most` samples."""
         chosen = {name: getattr(self, name)[rows] for name in ("run", "first", "segment", "start")}
         kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
         return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
 
     def start_after(self, seconds: Array) -> Array:
-        """`start`, but each channel as it is reported some time after the start, shape (b, 2n).
-
-        Parameters
-        ----------
-        seconds : (2n,) array
-            How long after the start, s; where a stretch is over by then, its last value.
-        """
+        """`start` (b, 2n), but each channel as reported some seconds (2n,) later, within its stretch."""
         found = self.start.copy()
         places = {(s.run, s.first): s for s in self.stretches}
         for pair in np.unique(np.column_stack([self.run, self.segment]), axis=0):
@@ -120,8 +108,8 @@ class Stretch:
     first: int
     t: Array
     measured: Array
-    starts: NDArray[np.intp]
-    stops: NDArray[np.intp]
+    starts: Index
+    stops: Index
 
     def smoothed(self, names: tuple[str, ...], sigma: Array, when: Array) -> Array:
         """Reported pose and velocity at some instants, smoothed locally, shape (k, 2n)."""
@@ -136,7 +124,6 @@ def cut(
     vehicle: Vehicle,
     horizon: float | None,
     *,
-    overlap: float = 0.0,
     sigma: Array | None = None,
     skip: float = 0.0,
 ) -> Windows:
@@ -150,8 +137,6 @@ def cut(
         Whose degrees of freedom and commands are wanted.
     horizon : float or None
         Length of a window in s; None makes one window of every stretch without gaps.
-    overlap : float
-        Share of a window that the next one repeats, 0 to less than 1.
     sigma : (2n,) array, optional
         Noise of the channels; estimated where it is not given.
     skip : float
@@ -164,22 +149,16 @@ def cut(
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
-    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, overlap, skip)]
+    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, skip)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)
     return _windows_of(runs, vehicle, horizon, sigma, stretches)
 
 
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
-    """Cut every run into windows of so many of its own sampling intervals.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, or a run has no stretch without gaps that is as long.
-    """
+    """Cut every run into windows of so many of its own sampling intervals."""
     lengths = [intervals * float(np.median(np.diff(run.t))) for run in runs]
-    found = [_stretches(i, run, vehicle, lengths[i], 0.0) for i, run in enumerate(runs)]
+    found = [_stretches(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
         if not any(len(s.starts) for s in own):
             _refuse([run], own, length)
@@ -200,7 +179,7 @@ def _windows_of(
 
 def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
-    wanted = f"{_FEWEST} samples" if horizon is None else f"{horizon:g} s"
+    wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
         f"no stretch without gaps is long enough to predict over {wanted}: the longest in "
         f"{', '.join(repr(r.name) for r in runs)} lasts {longest:g} s; give a longer log or a shorter horizon"
@@ -208,7 +187,7 @@ def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None
 
 
 def _stretches(
-    index: int, run: Run, vehicle: Vehicle, horizon: float | None, overlap: float, skip: float = 0.0
+    index: int, run: Run, vehicle: Vehicle, horizon: float | None, skip: float = 0.0
 ) -> list[Stretch]:
     pose = [n for n in vehicle.pose_names if run.has(n)]
     needed = [*pose, *vehicle.velocity_names]
@@ -218,7 +197,7 @@ def _stretches(
         t = run.t[piece]
         measured = np.column_stack([_column(run, n, piece) for n in names])
         late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
-        edges = (late + edge for edge in _windows(t[late:], horizon, overlap))
+        edges = (late + edge for edge in _windows(t[late:], horizon))
         found.append(Stretch(index, piece.start, t, measured, *edges))
     return found
 
@@ -230,26 +209,26 @@ def _column(run: Run, name: str, piece: slice) -> Array:
     return np.unwrap(values) if name in _ANGLES else values
 
 
-def _windows(t: Array, horizon: float | None, overlap: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _windows(t: Array, horizon: float | None) -> tuple[Index, Index]:
     """First sample, and one after the last sample, of every window; a window ends where the next starts."""
-    if len(t) < _FEWEST:
+    if len(t) < SETTINGS.fewest:
         return _columns([])
     if horizon is None:
         return _columns([(0, len(t))])
     slack = 1e-3 * float(np.median(np.diff(t)))
     found, first = [], 0
-    while t[first] + (1.0 - _LACKING) * horizon <= t[-1]:
+    while t[first] + (1.0 - SETTINGS.lacking) * horizon <= t[-1]:
         stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)
-        if stop + 1 - first >= _FEWEST:
+        if stop + 1 - first >= SETTINGS.fewest:
             found.append((first, stop + 1))
-        following = int(np.searchsorted(t, t[first] + (1.0 - overlap) * horizon - slack))
+        following = int(np.searchsorted(t, t[first] + horizon - slack))
         first = min(max(following, first + 1), len(t) - 1)
         if stop == len(t) - 1:
             break
     return _columns(found)
 
 
-def _columns(pairs: list[tuple[int, int]]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _columns(pairs: list[tuple[int, int]]) -> tuple[Index, Index]:
     table = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 
@@ -285,46 +264,20 @@ def _side_by_side(
 
 
 # --- the measured motion at one instant -----------------------------------------------------------
-# Half-widths in samples of the fits that are tried, from narrow to wide.
-_WIDTHS = (2, 3, 5)
-# What is left of an angle once its rate is integrated is a line over a long time.
-_WIDE = (2, 3, 5, 10, 20, 40)
-# A fit that misses its samples by more than noise does in one of a hundred cases is not used.
-_REFUSED = 0.01
-# A sample further off than this many ranges of its neighbours is an outlier.
-_LONE = 3.0
 
 
 def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index) -> Array:
-    """Pose and velocity at some samples of a stretch without gaps.
+    """Pose and velocity (k, 2n) at some samples of a stretch without gaps; zero for a channel not measured.
 
-    Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what
-    differs from the integral of the measured angular rates: that is kinematics and holds for every model.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Time, s.
-    measured : (N, 2n) array
-        Channels; NaN throughout for one that is not measured.
-    names : sequence of str
-        Names of the channels.
-    sigma : (2n,) array
-        Noise of the channels, in their units.
-    at : (k,) array of int
-        Samples to evaluate at.
-
-    Returns
-    -------
-    (k, 2n) array
-        In the units of the channels; zero for a channel that is not measured.
+    Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what differs
+    from the integral of the measured angular rates: that is kinematics and holds for every model.
     """
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
     turned = _angles_turned(t, dict(zip(names, measured.T, strict=True)))
     for i in np.flatnonzero(there).tolist():
         known = turned.get(names[i], np.zeros(len(t)))
-        widths, degree = (_WIDTHS, 2) if names[i] not in turned else (_WIDE, 1)
+        widths, degree = (SETTINGS.widths, 2) if names[i] not in turned else (SETTINGS.widths_of_angles, 1)
         rest = local_value(t, measured[:, i] - known, at, float(sigma[i]), widths, degree)
         value[:, i] = rest + known[at]
     return value
@@ -345,79 +298,48 @@ def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
 
 
 def local_value(
-    t: Array, y: Array, at: Index, sigma: float, widths: Sequence[int] = _WIDTHS, degree: int = 2
+    t: Array, y: Array, at: Index, sigma: float, widths: Sequence[int] = SETTINGS.widths, degree: int = 2
 ) -> Array:
-    """Value of a noisy signal at some of its samples.
+    """Value of a noisy signal (N,) at some of its samples (k,).
 
     A polynomial is fitted to the samples around each instant, to as many of them as it fits within the noise.
     So a kink or a jump narrows the fit instead of biasing it, down to the sample itself.
-
-    Parameters
-    ----------
-    t, y : (N,) array
-        Time in s and signal, without gaps.
-    at : (k,) array of int
-        Samples to evaluate at.
-    sigma : float
-        Standard deviation of the white noise, in the unit of y.
-    widths : sequence of int
-        Half-widths in samples of the fits that are tried, from narrow to wide.
-    degree : int
-        Of the polynomial.
-
-    Returns
-    -------
-    (k,) array
-        In the unit of y.
     """
     value = _without_outlier(y, at, sigma)
     for width in widths:
         if len(t) < 2 * width + 1:
             break
         fitted, _, misfit = local_polynomial(t, y[:, None], at, width, degree)
-        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, _REFUSED)
+        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, SETTINGS.refused)
         value = np.where(good, fitted[:, 0], value)
     return value
 
 
 def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
     """The samples themselves; one that stands far off all of its neighbours is replaced by their median."""
-    if len(y) < 2 * _WIDTHS[0] + 1:
+    if len(y) < 2 * SETTINGS.widths[0] + 1:
         return np.asarray(y[at])
-    near = around(at, _WIDTHS[0], len(y))
+    near = around(at, SETTINGS.widths[0], len(y))
     neighbours = np.where(near == at[:, None], np.nan, y[near])
     low, high = np.nanmin(neighbours, axis=1), np.nanmax(neighbours, axis=1)
-    margin = _LONE * (high - low + 2 * sigma)
+    margin = SETTINGS.outlier * (high - low + 2 * sigma)
     lone = (y[at] < low - margin) | (y[at] > high + margin)
     return np.where(lone, np.nanmedian(neighbours, axis=1), y[at])
 
 
 S = TypeVar("S", bound=np.generic)
-# Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
-_TOGETHER = 1e-6
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Commands of windows, side by side.
+    """Commands of windows, side by side."""
 
-    Attributes
-    ----------
-    u : (b, k, n_commands) array
-        Commands at work from each sample on.
-    t : (b, m) array
-        Instants from which on a command is held, s: the samples, and what arrives between them; the padding
-        repeats the last.
-    held : (b, m, n_commands) array
-        Commands at work from each instant on.
-    samples : (b, k) array of int, optional
-        Which instants are the samples; None: all are.
-    """
-
-    u: Array
+    u: Array  # (b, k, n_commands) commands at work from each sample on
+    # (b, m) instants from which on a command is held, s: the samples, and what arrives between them;
+    # the padding repeats the last
     t: Array
-    held: Array
-    samples: Index | None = None
+    held: Array  # (b, m, n_commands) commands at work from each instant on
+    samples: Index | None = None  # (b, k) which instants are the samples; None: all are
 
     @classmethod
     def at_once(cls, t: Array, u: Array) -> Drive:
@@ -450,17 +372,7 @@ class Drive:
 
 
 def arriving(windows: Windows, held: Sequence[Array], delay: float) -> Drive:
-    """Commands of windows that arrive late.
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows.
-    held : sequence of (N, n_commands) arrays
-        Commands of every run, without gaps; before a run its first ones.
-    delay : float
-        How late, s.
-    """
+    """Commands of windows that arrive `delay` s late; before a run, its first ones."""
     if delay == 0.0:
         return Drive.at_once(windows.t, _along(windows, held, windows.samples))
     instants, places, arrived = zip(*(_instants(run.t, delay) for run in windows.runs), strict=True)
@@ -490,7 +402,7 @@ def _along(windows: Windows, of_runs: Sequence[NDArray[S]], rows: Index) -> NDAr
 
 def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
     """Samples and arrivals in order of time, s; which of them are the samples; and what arrived by then."""
-    slack = _TOGETHER * float(np.median(np.diff(t)))
+    slack = SETTINGS.together * float(np.median(np.diff(t)))
     late = t + delay
     near = t[np.clip(np.searchsorted(t, late - slack), 0, len(t) - 1)]
     between = late[(late < t[-1]) & (np.abs(near - late) > slack)]
@@ -501,17 +413,11 @@ def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model predicts over windows, beside what was measured.
+    """What a model predicts over windows, beside what was measured."""
 
-    Attributes
-    ----------
-    windows : Windows
-        The windows, with the measurement.
-    predicted : (b, k, 2n) array
-        Reported pose and velocity by the model; NaN in the padding and from where a simulation diverged.
-    """
-
-    windows: Windows
+    windows: Windows  # The windows, with the measurement
+    # (b, k, 2n) reported pose and velocity by the model; NaN in the padding and from where a
+    # simulation diverged
     predicted: Array
 
     @property
@@ -561,7 +467,7 @@ class Prediction:
         return {n: 100.0 * (1.0 - self.rms[n] / s) for n, s in size.items() if s > 0}
 
     @cached_property
-    def _there(self) -> NDArray[np.intp]:
+    def _there(self) -> Index:
         return np.flatnonzero(np.isfinite(self.windows.measured).any(axis=(0, 1)))
 
     def _by_channel(self, values: Array | float) -> dict[str, float]:

@@ -15,15 +15,10 @@ from undertow.typing import Array
 
 @dataclass(frozen=True)
 class Measurable:
-    """What can be in a log.
+    """What can be in a log."""
 
-    Attributes
-    ----------
-    largest : float
-        Largest magnitude of a value or time, SI. Values that stand for a missing one (1e20, 9.97e36, 1e308)
-        are larger, distances on Earth in nm are not; its powers up to the tenth are numbers.
-    """
-
+    # Largest magnitude of a value or time, SI. Values that stand for a missing one (1e20, 9.97e36, 1e308) are
+    # larger, distances on Earth in nm are not; its powers up to the tenth are numbers.
     largest: float = 1e15
 
 
@@ -31,20 +26,7 @@ MEASURABLE = Measurable()
 
 
 def check_time(t: Array, column: str, where: str) -> None:
-    """Refuse times that are missing, infinite, too few, doubled or out of order.
-
-    Parameters
-    ----------
-    t : (n,) array
-        Time in s, rows as in the file.
-    column, where : str
-        Column name and file, for the message.
-
-    Raises
-    ------
-    UndertowError
-        Naming the first row at fault.
-    """
+    """Refuse times that are missing, infinite, too few, doubled or out of order."""
     thing = f"{where}: time column {column!r}"
     if len(t) < 2:
         found = "no sample" if len(t) == 0 else f"one sample (t = {t[0]:g} s)"
@@ -97,26 +79,14 @@ def disorder(t: Array, later: NDArray[np.bool_]) -> list[str]:
 
 
 def check_channel(name: str, t: Array, data: Array, where: str) -> None:
-    """Refuse a channel with an infinite value or without any value.
-
-    Raises
-    ------
-    UndertowError
-        Naming the channel and the first time at fault.
-    """
+    """Refuse a channel with an infinite value or without any value."""
     check_finite(name, t, data, where)
     if np.isnan(data).all():
         raise UndertowError(empty(name, len(data), where))
 
 
 def check_finite(name: str, t: Array, data: Array, where: str) -> None:
-    """Refuse a channel with an infinite value, or one that no sensor of any unit reports.
-
-    Raises
-    ------
-    UndertowError
-        Naming the channel and the first time at fault.
-    """
+    """Refuse a channel with an infinite value, or one that no sensor of any unit reports."""
     infinite = np.flatnonzero(np.isinf(data))
     if len(infinite):
         raise UndertowError(
@@ -144,47 +114,28 @@ def empty(name: str, samples: int, where: str) -> str:
 def fill_commands(
     name: str, t: Array, data: Array, policy: str, where: str, before: float = np.nan
 ) -> tuple[Array, str]:
-    """Deal with missing samples of a command, which a simulation cannot do without.
+    """Deal with missing samples of a command; return the command and a note, empty where none was missing.
 
-    Parameters
-    ----------
-    name, where : str
-        Channel and file, for the message.
-    t, data : (n,) arrays
-        Time in s and the command.
-    policy : str
-        ``"refuse"``; ``"hold"``: the last value stays until the next, as a thruster does; ``"gap"``: left
-        missing.
-    before : float
-        The last value before the first sample, where those are part of a longer log; NaN: there is none.
-
-    Returns
-    -------
-    array, str
-        The command and a note, empty when nothing was missing.
-
-    Raises
-    ------
-    UndertowError
-        If samples are missing and the policy is to refuse, or nothing comes before them that could be held.
+    The policy is "refuse", "hold" (the last value stays, as of a thruster; before the first sample it is
+    `before`) or "gap" (left missing).
     """
     missing = np.flatnonzero(np.isnan(data))
     if not len(missing):
         return data, ""
     spell = f"t = {t[missing[0]]:g} to {t[missing[-1]]:g} s"
-    told = f"command {name!r} is missing in {len(missing)} of {len(t)} rows ({spell})"
+    text = f"command {name!r} is missing in {len(missing)} of {len(t)} rows ({spell})"
     remedy = 'set missing_commands = "hold" or "gap" in the mapping file, or a time window without them'
     if policy == "refuse":
-        raise UndertowError(f"{where}: {told}: {remedy}")
+        raise UndertowError(f"{where}: {text}: {remedy}")
     if policy == "gap":
-        return data, f"{told}; left missing"
+        return data, f"{text}; left missing"
     data = np.concatenate([[before if np.isnan(data[0]) else data[0]], data[1:]])
     last = np.maximum.accumulate(np.where(np.isnan(data), -1, np.arange(len(data))))
     if last[0] < 0:
         raise UndertowError(
-            f"{where}: {told}, and none comes before t = {t[0]:g} s to be held: start the window later"
+            f"{where}: {text}, and none comes before t = {t[0]:g} s to be held: start the window later"
         )
-    return data[last], f"{told}; the last value was held"
+    return data[last], f"{text}; the last value was held"
 
 
 def constant_channels(run: Run, names: Iterable[str] | None = None) -> dict[str, float]:
@@ -195,17 +146,11 @@ def constant_channels(run: Run, names: Iterable[str] | None = None) -> dict[str,
 
 
 def refuse_constant(run: Run, names: Iterable[str]) -> None:
-    """Refuse a run in which one of the channels never changes.
-
-    Raises
-    ------
-    UndertowError
-        Naming the channels and their values.
-    """
+    """Refuse a run in which one of the channels never changes."""
     dead = constant_channels(run, names)
     if dead:
-        told = ", ".join(f"{name} = {value:g}" for name, value in dead.items())
+        text = ", ".join(f"{name} = {value:g}" for name, value in dead.items())
         raise UndertowError(
-            f"run {run.name!r}: {told} over all {len(run.t)} samples (dead sensor, or motion not excited): "
+            f"run {run.name!r}: {text} over all {len(run.t)} samples (dead sensor, or motion not excited): "
             "leave the channel out of the log, or the degree of freedom out of the vehicle"
         )

@@ -48,55 +48,27 @@ class NeedsWhole(UndertowError):
     """What is asked of a log cannot be done in parts."""
 
 
-class Part(NamedTuple):
-    """Part of a long log.
+class LogPart(NamedTuple):
+    """LogPart of a long log."""
 
-    Attributes
-    ----------
-    run : Run
-        Its samples within the window.
-    border : float
-        Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
-        those outside the window too, so that either part reaches beyond it as far as the window does.
-    """
-
-    run: Run
+    run: Run  # its samples within the window
+    # Time in the middle of the rows that it shares with the part after it, s; told by the rows of the file,
+    # those outside the window too, so that either part reaches beyond it as far as the window does.
     border: float
 
 
 @dataclass(frozen=True)
 class LongLog:
-    """A log that is read in parts.
+    """A log that is read in parts."""
 
-    Attributes
-    ----------
-    path : Path
-        CSV, CSV.gz or Parquet file.
-    mapping : Mapping
-        What its columns mean.
-    commands : tuple of str
-        Names of commands that are read where the log has them.
-    window : (t_min, t_max)
-        Part that is used, s; None: no limit.
-    missing_commands : "refuse", "hold" or "gap", optional
-        What to do where a command has no sample.
-    """
-
-    path: Path
+    path: Path  # CSV, CSV.gz or Parquet file
     mapping: LogMapping
-    commands: tuple[str, ...]
-    window: tuple[float | None, float | None] = (None, None)
-    missing_commands: CommandPolicy | None = None
+    commands: tuple[str, ...]  # names of commands that are read where the log has them
+    window: tuple[float | None, float | None] = (None, None)  # part that is used, s; None: no limit
+    missing_commands: CommandPolicy | None = None  # what to do where a command has no sample
 
-    def parts(self, rows: int, overlap: int) -> Iterator[Part]:
-        """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before.
-
-        Raises
-        ------
-        UndertowError
-            If the file cannot be read, or holds what no log may hold; if its time is a date in words, or the
-            mapping thins out or puts signals on another clock, which cannot be done part by part.
-        """
+    def parts(self, rows: int, overlap: int) -> Iterator[LogPart]:
+        """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before."""
         self._refuse()
         origin: Origin | None = None
         last: Run | None = None
@@ -109,7 +81,7 @@ class LongLog:
             if len(inside) > 1:
                 last = self._run(table, origin, _commands_before(float(inside[0]), last))
                 shared = min(max(overlap // 2, 1), len(t))
-                yield Part(last, float(np.fmax.accumulate(t)[-shared]))
+                yield LogPart(last, float(np.fmax.accumulate(t)[-shared]))
 
     def _times(self, table: pl.DataFrame, origin: Origin) -> NDArray[np.float64]:
         """Times of all rows of a table, s."""
@@ -233,11 +205,6 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
 
     Of every channel they have the sum of what is positive and the sum of what is negative; a channel that
     never changes has its value.
-
-    Raises
-    ------
-    UndertowError
-        If a channel has no value in any part.
     """
     found: dict[str, list[float]] = {}
     there: Counter[str] = Counter()

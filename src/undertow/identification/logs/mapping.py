@@ -251,15 +251,7 @@ def swap_body(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
 
 
 def velocity_to_body(channels: Mapping[str, NDArray[np.float64]], axes: str) -> Channels:
-    """Turn u, v, w that are velocities along the axes of NED or ENU into body axes, by the attitude in NED.
-
-    Parameters
-    ----------
-    channels : mapping
-        With psi, in NED; roll and pitch count as zero where they are missing.
-    axes : "NED" or "ENU"
-        What u, v, w are along: north, east, down or east, north, up.
-    """
+    """Turn u, v, w along the axes of NED or ENU into body axes, by the attitude in NED (else zero)."""
     linear = _three(channels, _LINEAR)
     north_east_down = linear if axes == "NED" else np.array([linear[1], linear[0], -linear[2]])
     turned = np.einsum("ijn,jn->in", to_body(*_three(channels, _ANGLES)), north_east_down)

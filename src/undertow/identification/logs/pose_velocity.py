@@ -17,47 +17,54 @@ from .mapping import to_body
 from .run import UNITS, Run
 
 ORDER = 3  # position, velocity, acceleration
-_DIFFUSE = 1e10  # variance of the state before the first sample, in squared standard deviations of the noise
-_OUTLYING = 100.0
-_BURN_IN = 2 * ORDER  # samples at the start of a lane that say more about _DIFFUSE than about the ratio
+# Samples at the start of a lane that say more about `diffuse` than about the ratio.
+_BURN_IN = 2 * ORDER
 # Decades of ratio that are searched. Above the last the noise is lost in the motion of one step anyway.
 _GRID = np.arange(-13.0, 4.0)
 
 
 @dataclass(frozen=True)
+class SmootherSettings:
+    """How pose is smoothed."""
+
+    # Variance of the state before the first sample, in squared standard deviations of the noise.
+    diffuse: float = 1e10
+    outlying: float = 100.0  # squared innovation, over the typical one, that counts in full
+    lost: float = 0.5  # a longer time without a sample is lost tracking, s: what happened in it is unknown
+    lost_steps: float = 4.0  # or this many usual steps, for slow logs
+    core: int = 1000  # samples of a lane that are kept
+    likely_lanes: int = 6  # lanes the likelihood is taken from
+    small: float = 0.01  # share of the usual change between samples: an error too small to matter
+    limit: float = 6.0  # robust standard deviations beyond which a sample is an outlier
+    rounds: int = 40  # of taking out outliers
+    apart: int = 3  # samples by which what is found at once lies apart at least
+    estimates: int = 6  # times the noise is estimated anew after outliers were taken out
+    lanes_at_once: int = 96
+    uncertain: float = 10.0  # times the median standard deviation: such a rate is as good as unknown
+    fewest: int = 10  # samples of a pose channel
+    still: float = 1e-9  # change of a channel, as a share of its size, that is rounding
+
+
+SETTINGS = SmootherSettings()
+
+
+@dataclass(frozen=True)
 class Lanes:
-    """Stretches of samples side by side, the short ones filled up with missing samples.
+    """Stretches of samples side by side, the short ones filled up with missing samples."""
 
-    Attributes
-    ----------
-    y : (n, lanes) array
-        Measured values, NaN where there is none.
-    step : (n, lanes) array
-        Time since the sample before, in units of the usual step.
-    jump : (n, lanes) bool array
-        Where the value may have been shifted, by any amount, since the sample before (its derivatives carry
-        on).
-    """
-
-    y: Array
-    step: Array
+    y: Array  # (n, lanes) measured values, NaN where there is none
+    step: Array  # (n, lanes) time since the sample before, in units of the usual step
+    # (n, lanes) where the value may have been shifted, by any amount, since the sample before (its
+    # derivatives carry on).
     jump: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class States:
-    """Value and its first two derivatives per step.
+    """Value and its first two derivatives per step."""
 
-    Attributes
-    ----------
-    mean : (n, lanes, 3) array
-        Estimates.
-    covariance : (n, lanes, 3, 3) array
-        Covariance of `mean`, divided by the noise variance.
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # (n, lanes, 3) estimates
+    covariance: Array  # (n, lanes, 3, 3) covariance of `mean`, divided by the noise variance
 
 
 def _transition(step: Array) -> Array:
@@ -99,9 +106,9 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
     )
     mean = np.zeros((count, ORDER))
     mean[:, 0] = measured[np.argmax(there, axis=0), np.arange(count)]
-    covariance = np.broadcast_to(_DIFFUSE * np.eye(ORDER), (count, ORDER, ORDER))
+    covariance = np.broadcast_to(SETTINGS.diffuse * np.eye(ORDER), (count, ORDER, ORDER))
     transition, process = _transition(lanes.step), _process(lanes.step, ratio)
-    process[..., 0, 0] += np.where(lanes.jump, _DIFFUSE, 0.0)
+    process[..., 0, 0] += np.where(lanes.jump, SETTINGS.diffuse, 0.0)
     for k in range(n):
         if k:
             mean = (transition[k] @ mean[..., None])[..., 0]
@@ -119,20 +126,11 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
 
 
 def smooth(lanes: Lanes, ratio: Array) -> tuple[States, Array]:
-    """Return the states given all samples of their lane, and how badly a jump is missed at each.
+    """Return the states given all samples of their lane, and how badly a jump is missed at each, (n, lanes).
 
-    Parameters
-    ----------
-    lanes : Lanes
-        Samples.
-    ratio : (lanes,) array
-        Jerk intensity * step^5 / noise variance of each lane.
-
-    Returns
-    -------
-    States, (n, lanes) array
-        The array is what a jump between a sample and the one before would be, in its standard deviations,
-        times the standard deviation of the noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806).
+    The latter is what a jump since the sample before would be, in its standard deviations, times that of the
+    noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806). `ratio` (lanes,) is jerk intensity *
+    step^5 / noise variance.
     """
     filtered = _filter(lanes, ratio)
     after, before = filtered.after, filtered.before
@@ -174,60 +172,36 @@ def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
     use = np.isfinite(tiled.y) & (seen > _BURN_IN)
     square = np.where(use, filtered.innovation**2 / filtered.variance, np.nan).reshape(-1, grid, count)
     typical = np.nanmedian(square, axis=(0, 2)) / 0.455
-    square = np.nansum(np.minimum(square, _OUTLYING * typical[:, None]), axis=(0, 2))
+    square = np.nansum(np.minimum(square, SETTINGS.outlying * typical[:, None]), axis=(0, 2))
     spread = np.where(use, np.log(filtered.variance), 0.0).reshape(-1, grid, count).sum(axis=(0, 2))
     number = max(int(use[:, :count].sum()), 1)
     variance = np.maximum(square / number, np.finfo(float).tiny)
     return number * np.log(variance) + spread, variance
 
 
-LOST = 0.5  # s; a longer time without a sample is lost tracking, and what happened in it is unknown
-_LOST_STEPS = 4.0  # ... or this many usual steps, for slow logs
-_CORE = 1000  # samples of a lane that are kept
-_LIKELY_LANES = 6  # lanes the likelihood is taken from
-_SMALL = 0.01  # of the usual change between samples: an error too small to matter
-_LIMIT = 6.0  # robust standard deviations beyond which a sample is an outlier
-_ROUNDS = 40
-_APART = 3  # samples; what is found at once lies at least this far apart
-_ESTIMATES = 6  # times the noise is estimated anew after outliers were taken out
-_LANES_AT_ONCE = 96
-_UNCERTAIN = 10.0  # times the median standard deviation: such a rate is as good as unknown
 _NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
-Stretch = tuple[int, int]
+Interval = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Track:
-    """A smoothed signal.
+    """A smoothed signal."""
 
-    Attributes
-    ----------
-    value, rate : (n,) arrays
-        The signal and its time derivative; the rate is NaN where tracking was lost.
-    value_sd, rate_sd : (n,) arrays
-        Standard deviations of both.
-    outlier : (n,) bool array
-        Samples that were not believed.
-    jump : (n,) bool array
-        Samples where the signal was shifted since the sample before (a change of camera, a new satellite).
-    lost : list of (float, float)
-        Start and end in s of the times without samples.
-    noise : float
-        Standard deviation of the measurement noise.
-    resolution : float
-        Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor
-        1 / (1 + (w resolution)^6).
-    """
-
+    # value, rate: (n,) the signal and its time derivative; the rate is NaN where tracking was lost.
     value: Array
     rate: Array
+    # value_sd, rate_sd: (n,) standard deviations of both.
     value_sd: Array
     rate_sd: Array
-    outlier: Flags
+    outlier: Flags  # (n,) samples that were not believed
+    # (n,) samples where the signal was shifted since the sample before (a change of camera, a new
+    # satellite).
     jump: Flags
-    lost: list[tuple[float, float]]
-    noise: float
+    lost: list[tuple[float, float]]  # start and end in s of the times without samples
+    noise: float  # standard deviation of the measurement noise
+    # Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor 1 / (1 + (w
+    # resolution)^6).
     resolution: float
 
 
@@ -242,25 +216,27 @@ class _Signal:
     def _breaks(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         index = np.flatnonzero(np.isfinite(self.y))
         step = np.diff(self.t[index])
-        return index, np.flatnonzero(step > max(LOST, _LOST_STEPS * float(np.median(step))))
+        return index, np.flatnonzero(step > max(SETTINGS.lost, SETTINGS.lost_steps * float(np.median(step))))
 
     def lost(self) -> list[tuple[float, float]]:
         """Return the times without a sample for too long, at the ends of the signal too."""
         index, breaks = self._breaks()
         spells = [(float(self.t[index[k]]), float(self.t[index[k + 1]])) for k in breaks]
         ends = [(float(self.t[0]), float(self.t[index[0]])), (float(self.t[index[-1]]), float(self.t[-1]))]
-        before, after = ([spell] if spell[1] - spell[0] > LOST else [] for spell in ends)
+        before, after = ([spell] if spell[1] - spell[0] > SETTINGS.lost else [] for spell in ends)
         return before + spells + after
 
-    def stretches(self) -> list[Stretch]:
+    def intervals(self) -> list[Interval]:
         """Return what lies between them; what is too short for a rate is left out."""
         index, breaks = self._breaks()
         parts = [part for part in np.split(index, breaks + 1) if len(part) > 2 * ORDER]
         if not parts:
-            raise ValueError(f"no {2 * ORDER + 1} samples without a gap of more than {LOST:g} s between them")
+            raise ValueError(
+                f"no {2 * ORDER + 1} samples without a gap of more than {SETTINGS.lost:g} s between them"
+            )
         return [(int(part[0]), int(part[-1]) + 1) for part in parts]
 
-    def lanes(self, cuts: list[Stretch]) -> Lanes:
+    def lanes(self, cuts: list[Interval]) -> Lanes:
         step = np.diff(self.t, prepend=self.t[0]) / _usual_step(self.t)
         shape = (max(stop - start for start, stop in cuts), len(cuts))
         result = Lanes(np.full(shape, np.nan), np.ones(shape), np.zeros(shape, dtype=bool))
@@ -271,25 +247,27 @@ class _Signal:
 
     def likely(self) -> tuple[float, float]:
         """Return ratio and noise variance, from some long pieces spread over the signal."""
-        cuts = sorted(_cut(self.stretches(), _CORE), key=lambda cut: cut[0] - cut[1])[: 4 * _LIKELY_LANES]
-        spread = np.linspace(0, len(cuts) - 1, min(_LIKELY_LANES, len(cuts))).round().astype(int)
+        cuts = sorted(_cut(self.intervals(), SETTINGS.core), key=lambda cut: cut[0] - cut[1])[
+            : 4 * SETTINGS.likely_lanes
+        ]
+        spread = np.linspace(0, len(cuts) - 1, min(SETTINGS.likely_lanes, len(cuts))).round().astype(int)
         return most_likely_ratio(self.lanes([cuts[k] for k in spread]))
 
     def smoothed(self, ratio: float) -> tuple[States, Array]:
-        """Smooth all stretches, long ones in pieces that overlap by many times the memory of the smoother."""
+        """Smooth all intervals, long ones in pieces that overlap by many times the memory of the smoother."""
         overlap = int(np.clip(12 * ratio ** (-1 / (2 * ORDER)), 30, 1000))
         cores = [
-            (core, stretch)
-            for stretch in self.stretches()
-            for core in _cut([stretch], max(_CORE, 2 * overlap))
+            (core, interval)
+            for interval in self.intervals()
+            for core in _cut([interval], max(SETTINGS.core, 2 * overlap))
         ]
         wide = [
             (max(low, start - overlap), min(high, stop + overlap)) for (start, stop), (low, high) in cores
         ]
         n = len(self.y)
         mean, covariance, shock = (np.full(shape, np.nan) for shape in ((n, ORDER), (n, ORDER, ORDER), (n,)))
-        for first in range(0, len(cores), _LANES_AT_ONCE):
-            group = range(first, min(first + _LANES_AT_ONCE, len(cores)))
+        for first in range(0, len(cores), SETTINGS.lanes_at_once):
+            group = range(first, min(first + SETTINGS.lanes_at_once, len(cores)))
             state, shocks = smooth(self.lanes([wide[k] for k in group]), np.full(len(group), ratio))
             for lane, k in enumerate(group):
                 (start, stop), skip = cores[k][0], wide[k][0]
@@ -299,31 +277,20 @@ class _Signal:
 
 
 def track(t: Array, y: Array) -> Track:
-    """Smooth a signal and take its rate.
-
-    Parameters
-    ----------
-    t : (n,) array
-        Time in s.
-    y : (n,) array
-        Signal, NaN where there is no sample.
-
-    Raises
-    ------
-    ValueError
-        If there are too few samples together.
-    """
+    """Smooth a signal and take its rate."""
     signal = _Signal(t, y.copy(), np.zeros(len(y), dtype=bool))
     signal.y[_gross_outliers(t, y)] = np.nan
-    for _ in range(_ESTIMATES):
+    for _ in range(SETTINGS.estimates):
         ratio, variance = signal.likely()
-        changed, state = _cleaned(signal, ratio, max(float(np.sqrt(variance)), _SMALL * _usual_change(y)))
+        changed, state = _cleaned(
+            signal, ratio, max(float(np.sqrt(variance)), SETTINGS.small * _usual_change(y))
+        )
         if not changed:
             break
     step = _usual_step(t)
     spread = np.sqrt(variance * np.maximum(np.diagonal(state.covariance, axis1=-2, axis2=-1), 0.0))
     rate, rate_sd = state.mean[:, 1] / step, spread[:, 1] / step
-    unknown = ~(rate_sd <= _UNCERTAIN * np.nanmedian(rate_sd))
+    unknown = ~(rate_sd <= SETTINGS.uncertain * np.nanmedian(rate_sd))
     rate[unknown] = rate_sd[unknown] = np.nan
     outlier = np.isnan(signal.y) & np.isfinite(y)
     return Track(
@@ -359,9 +326,9 @@ def _gross_outliers(t: Array, y: Array) -> Flags:
     close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t)
     odd = np.zeros(len(seen))
     odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
-    limit = max(5 * _LIMIT * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
+    limit = max(5 * SETTINGS.limit * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
     beside = np.maximum(np.roll(odd, 1), np.roll(odd, -1))
-    result[index[_peaks(odd, limit, _APART) & (odd > 1.25 * beside)]] = True
+    result[index[_peaks(odd, limit, SETTINGS.apart) & (odd > 1.25 * beside)]] = True
     return result
 
 
@@ -375,11 +342,11 @@ def _peaks(size: Array, limit: float, apart: int) -> Flags:
 def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]:
     """Take out what cannot be motion, the worst of each neighbourhood first, until nothing stands out."""
     # A wild sample or a shift bends the smoother on both sides, as far as its memory reaches.
-    apart = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), _APART, 20 * _APART))
+    apart = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), SETTINGS.apart, 20 * SETTINGS.apart))
     changed = False
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         state, shock = signal.smoothed(ratio)
-        outlier, jump = _odd(signal, state, shock, noise, apart)
+        outlier, jump = _suspects(signal, state, shock, noise, apart)
         if not (outlier | jump).any():
             break
         changed = True
@@ -388,7 +355,7 @@ def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]
     return changed, state
 
 
-def _odd(signal: _Signal, state: States, shock: Array, noise: float, apart: int) -> tuple[Flags, Flags]:
+def _suspects(signal: _Signal, state: States, shock: Array, noise: float, apart: int) -> tuple[Flags, Flags]:
     """Find samples that the others contradict, and jumps: whichever of the two explains more at its place."""
     residual = np.nan_to_num(signal.y - state.mean[:, 0])
     # the residual of a sample has variance 1 - P; over its square root it is the deletion residual,
@@ -396,18 +363,16 @@ def _odd(signal: _Signal, state: States, shock: Array, noise: float, apart: int)
     own = np.nan_to_num(1.0 - state.covariance[:, 0, 0], nan=1.0)
     alone = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
     shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
-    limit = _LIMIT * max(noise, _NORMAL * float(np.median(alone[np.isfinite(signal.y)])))
+    limit = SETTINGS.limit * max(noise, _NORMAL * float(np.median(alone[np.isfinite(signal.y)])))
     peak = _peaks(np.maximum(alone, shift), limit, apart)
     return peak & (alone >= shift) & np.isfinite(signal.y), peak & (shift > alone)
 
 
-def _cut(stretches: list[Stretch], length: int) -> list[Stretch]:
-    return [(at, min(at + length, stop)) for start, stop in stretches for at in range(start, stop, length)]
+def _cut(intervals: list[Interval], length: int) -> list[Interval]:
+    return [(at, min(at + length, stop)) for start, stop in intervals for at in range(start, stop, length)]
 
 
 _DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
-_FEWEST = 10  # samples of a pose channel
-_STILL = 1e-9  # change of a channel, as a share of its size, that is rounding
 
 
 def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge", "sway", "yaw")) -> Run:
@@ -453,7 +418,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
         resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
-    ).noted(_summary(tracks, sigma), *(_told(run, name, one) for name, one in tracks.items()))
+    ).with_notes(_summary(tracks, sigma), *(_note(run, name, one) for name, one in tracks.items()))
 
 
 def _pose_needed(run: Run, asked: list[str]) -> list[str]:
@@ -474,11 +439,10 @@ def _pose_needed(run: Run, asked: list[str]) -> list[str]:
 
 def _tracked(run: Run, name: str) -> Track:
     count = int(np.isfinite(run.channels[name]).sum())
-    if count < _FEWEST:
+    if count < SETTINGS.fewest:
         raise UndertowError(
-            f"run {run.name!r}: channel {name!r} has {count} samples, at least {_FEWEST} are needed to take "
-            "a velocity "
-            "from it: give a longer log"
+            f"run {run.name!r}: channel {name!r} has {count} samples, at least {SETTINGS.fewest} are needed "
+            "to take a velocity from it: give a longer log"
         )
     try:
         return track(run.t, run.channels[name])
@@ -489,7 +453,7 @@ def _tracked(run: Run, name: str) -> Track:
 def _moves(channel: Array) -> bool:
     """Whether a channel changes; one that does not is smoothed without end, and hides no motion."""
     size = float(np.nanmax(np.abs(channel)))
-    return bool(np.nanmax(channel) - np.nanmin(channel) > _STILL * max(size, 1.0))
+    return bool(np.nanmax(channel) - np.nanmin(channel) > SETTINGS.still * max(size, 1.0))
 
 
 def _body_rates(run: Run, tracks: dict[str, Track]) -> tuple[Array, Array]:
@@ -527,7 +491,7 @@ def _summary(tracks: dict[str, Track], sigma: dict[str, float]) -> str:
     return f"velocities from pose {', '.join(tracks)} by a Kalman smoother: {accuracy} (median)"
 
 
-def _told(run: Run, name: str, one: Track) -> str:
+def _note(run: Run, name: str, one: Track) -> str:
     parts = [f"{name}: noise {one.noise:.2g} {UNITS[name]}"]
     if one.outlier.any():
         parts.append(f"{one.outlier.sum()} outliers dropped ({_times(run.t[one.outlier])})")
@@ -537,7 +501,7 @@ def _told(run: Run, name: str, one: Track) -> str:
         parts.append(f"{len(at)} shifts of up to {largest:.2g} {UNITS[name]} bridged ({_times(run.t[at])})")
     if one.lost:
         spells = ", ".join(f"{start:g}-{stop:g}" for start, stop in one.lost)
-        parts.append(f"not tracked for more than {LOST:g} s at t = {spells} s, no velocity there")
+        parts.append(f"not tracked for more than {SETTINGS.lost:g} s at t = {spells} s, no velocity there")
     return "; ".join(parts)
 
 

@@ -37,7 +37,7 @@ from undertow.typing import Array
 
 from . import checks
 from .mapping import Column, CommandPolicy, LogMapping
-from .run import FORCES, UNITS, Run
+from .run import FORCES, UNITS, Run, unwrapped
 
 if TYPE_CHECKING:
     import polars as pl
@@ -105,19 +105,10 @@ def run_of_table(
     origin: Origin | None = None,
     before: Commands | None = None,
 ) -> Run:
-    """A run from the rows of a log, or of a part of it.
+    """A run from the rows of a log, or of a part of it; the other arguments are those of `read_log`.
 
-    Parameters
-    ----------
-    table : DataFrame
-        The rows.
-    path, mapping, channels, window, missing_commands, also
-        As for `read_log`.
-    origin : Decimal or float, optional
-        Time in the file that counts as zero, for parts of one log; by default that of the first row, where it
-        is a date.
-    before : mapping, optional
-        Last values of commands before the rows, for parts of one log, which may lack all values of a channel.
+    For parts of one log, `origin` is the time in the file that counts as zero, and `before` has the last
+    values of commands before the rows, which may then lack all values of a channel.
     """
     where = f"log {path}"
     table = table.gather_every(mapping.time.every)
@@ -268,16 +259,9 @@ def _unwrapped(run: Run, columns: Iterable[Column]) -> Run:
     angles = [
         name for name in run.channels if asked.get(name) or (name == "psi" and asked.get(name) is not False)
     ]
-    whole = {name: _unwrap(run.channels[name]) for name in angles}
+    whole = {name: unwrapped(run.channels[name]) for name in angles}
     jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
     return replace(run, channels={**run.channels, **whole}, wrapped=jumping)
-
-
-def _unwrap(angle: Array) -> Array:
-    """Unwrap over the samples there are; missing ones stay missing."""
-    result, there = angle.copy(), np.isfinite(angle)
-    result[there] = np.unwrap(angle[there])
-    return result
 
 
 def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) -> list[str]:
@@ -298,8 +282,8 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
     if spec.velocity != "body":
         notes.append(f"u, v, w turned to body axes from {spec.velocity}")
     if mapping.water is not None:
-        told = ", ".join(f"{speed:g}" for speed in mapping.water.velocity)
-        notes.append(f"velocity of the water, {told} m/s north, east, down, added to u, v, w")
+        text = ", ".join(f"{speed:g}" for speed in mapping.water.velocity)
+        notes.append(f"velocity of the water, {text} m/s north, east, down, added to u, v, w")
     return notes
 
 
@@ -333,9 +317,9 @@ def _checked(
             notes += [note] if note else []
     constant = checks.constant_channels(run)
     if constant:
-        told = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
-        notes.append(f"constant channels (not used, or a dead sensor): {told}")
-    return replace(run, channels=filled).noted(*notes)
+        text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
+        notes.append(f"constant channels (not used, or a dead sensor): {text}")
+    return replace(run, channels=filled).with_notes(*notes)
 
 
 # --- sensors slower than their log ----------------------------------------------------------------
@@ -364,18 +348,6 @@ def on_the_clock(run: Run, names: Iterable[str]) -> Run:
     Rows between two reports lie on a straight line; where no report came for three usual times they stay
     missing. The standard deviation in `sigma` is that of white noise in every row which blurs means over
     seconds as much as the noise of the few reports does: the values in between are no news.
-
-    Parameters
-    ----------
-    run : Run
-        With NaN where a channel has no report.
-    names : iterable of str
-        Channels to deal with.
-
-    Raises
-    ------
-    UndertowError
-        If a channel has too few reports.
     """
     channels, sigma, notes = dict(run.channels), dict(run.sigma), []
     for name in names:
@@ -387,7 +359,7 @@ def on_the_clock(run: Run, names: Iterable[str]) -> Run:
             f"{name}: {len(t)} reports in {len(run.t)} rows, straight lines in between; noise of a report "
             f"{noise:.2g} {UNITS.get(name, '')}".rstrip()
         )
-    return replace(run, channels=channels, sigma=sigma).noted(*notes)
+    return replace(run, channels=channels, sigma=sigma).with_notes(*notes)
 
 
 def _reports(run: Run, name: str) -> tuple[Array, Array]:

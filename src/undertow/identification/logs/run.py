@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.symbols import POSE, VELOCITY
+from undertow.notebook import html
 
 if TYPE_CHECKING:
     from .mapping import LogMapping
@@ -36,14 +37,14 @@ UNITS = dict(
 _GAP = 5.0  # a step this many times the median step ends a segment
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """One log on one clock.
 
     Attributes
     ----------
     name : str
-        What reports call the run.
+        Name of the run in reports.
     t : (n,) array
         Time in s, strictly increasing, in general not evenly spaced.
     channels : dict of (n,) arrays
@@ -61,9 +62,9 @@ class Run:
     resolution : float
         Time constant in s of the smoother that those came through; changes faster than it are smoothed away.
     mapping : Mapping, optional
-        How the columns of the file were read; None where the run is from no file.
+        How the columns of the file were read; None where the run was not read from a file.
     wrapped : dict of (n,) arrays
-        Angles that jump by turns in the log, as they are there; in `channels` they are unwrapped.
+        Angles that jump by full turns in the log, as logged; in `channels` they are unwrapped.
     dropped : int
         Rows of the file that were left out because their time was not later than that of a row before.
     """
@@ -92,6 +93,16 @@ class Run:
                     f"run {self.name!r}: channel {name!r} has shape {data.shape}, t has {self.t.shape}: "
                     "give one sample per time"
                 )
+
+    def __repr__(self) -> str:
+        span = f"{self.t[0]:g} to {self.t[-1]:g} s" if len(self.t) else "no time"
+        return (
+            f"Run {self.name}: {len(self.t)} samples, {span}; channels {', '.join(self.channels) or 'none'}"
+        )
+
+    def _repr_html_(self) -> str:
+        head = ("channel", "unit", "samples", "least", "mean", "greatest")
+        return html(repr(self), head, (_shown(name, data) for name, data in self.channels.items()))
 
     def has(self, name: str) -> bool:
         """Tell whether the run has a channel of this name."""
@@ -172,9 +183,23 @@ class Run:
         starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
         return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
 
-    def noted(self, *notes: str) -> Run:
+    def with_notes(self, *notes: str) -> Run:
         """Return the run with lines added to its notes."""
         return replace(self, notes=(*self.notes, *notes))
+
+
+def _shown(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
+    """Row of a channel for a notebook."""
+    there = data[np.isfinite(data)]
+    span = tuple(float(x) for x in (there.min(), there.mean(), there.max())) if len(there) else (None,) * 3
+    return name, UNITS.get(name, ""), len(there), *span
+
+
+def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle without jumps by turns; missing samples stay missing."""
+    result, there = angle.copy(), np.isfinite(angle)
+    result[there] = np.unwrap(angle[there])
+    return result
 
 
 def _frozen(data: object) -> NDArray[np.float64]:

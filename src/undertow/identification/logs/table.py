@@ -40,31 +40,16 @@ for line in sys.stdin:
         table = pl.scan_parquet(json.loads(line), glob=False, hive_partitioning=False)
         flat = [name for name, kind in table.collect_schema().items() if not kind.is_nested()]
         table.select(pl.col(flat).hash().max()).collect(engine="streaming")
-        told = ""
+        text = ""
     except BaseException as error:
-        told = (str(error).split("\\n")[0] or type(error).__name__).strip()
-    print(json.dumps(told), flush=True)
+        text = (str(error).split("\\n")[0] or type(error).__name__).strip()
+    print(json.dumps(text), flush=True)
 """
 _UNREADABLE = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 
 
 def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.LazyFrame:
-    """A Parquet file that can be decoded, not yet read; columns of lists or structures have no value in it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    where : str
-        What it is called in messages.
-    most_cells : int, optional
-        Rows times columns that it may have.
-
-    Raises
-    ------
-    UndertowError
-        If it cannot be decoded, or has more cells.
-    """
+    """A Parquet file that can be decoded, not yet read; nested columns have no value in it."""
     try:
         table = pl.scan_parquet(path, glob=False, hive_partitioning=False)
         kinds = table.collect_schema()
@@ -73,9 +58,9 @@ def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.Lazy
         raise UndertowError(_unreadable(where, str(error))) from error
     if most_cells is not None and rows * len(kinds) > most_cells:
         raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
-    told = _HELPER.trouble_with(path)
-    if told is not None:
-        raise UndertowError(_unreadable(where, told))
+    text = _HELPER.trouble_with(path)
+    if text is not None:
+        raise UndertowError(_unreadable(where, text))
     return table.with_columns(
         pl.lit(None).cast(kind).alias(n) for n, kind in kinds.items() if kind.is_nested()
     )
@@ -96,14 +81,9 @@ def _unreadable(where: str, reason: str) -> str:
 
 @dataclass
 class _Helper:
-    """A process that decodes one file after the other; a new one where it has ended with a file.
+    """A process that decodes one file after the other; a new one where it has ended with a file."""
 
-    Attributes
-    ----------
-    memory : int
-        Bytes of address space that it may have: what a table of the most cells needs, three times over.
-    """
-
+    # Bytes of address space that it may have: what a table of the most cells needs, three times over.
     memory: int = 6_000_000_000
     _process: subprocess.Popen[str] | None = None
     _owner: int = 0
@@ -178,36 +158,19 @@ Origin = Decimal | float
 
 @dataclass(frozen=True)
 class LogLimits:
-    """What a log may be.
+    """What a log may be."""
 
-    Attributes
-    ----------
-    text : int
-        Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
-    cells : int
-        Rows times columns that are held at once: a cell of text takes 16 bytes, its number 8 more.
-    columns : int
-        Columns.
-    line : int
-        Bytes of one line.
-    rows : int, optional
-        Rows that what is to be done with the log can take at all, blank ones and comments included.
-    """
-
+    # Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
     text: int = 500_000_000
+    # Rows times columns that are held at once: a cell of text takes 16 bytes, its number 8 more.
     cells: int = 50_000_000
-    columns: int = 5_000
-    line: int = 1_000_000
+    columns: int = 5_000  # columns
+    line: int = 1_000_000  # bytes of one line
+    # Rows that what is to be done with the log can take at all, blank ones and comments included.
     rows: int | None = None
 
     def check(self, size: int, rows: int, columns: int, where: str) -> None:
-        """Refuse a text of so many bytes, rows and columns.
-
-        Raises
-        ------
-        UndertowError
-            Naming what is too much.
-        """
+        """Refuse a text of so many bytes, rows and columns."""
         if columns > self.columns:
             raise UndertowError(
                 f"{where} has {columns} columns, at most {self.columns} are read: leave some out, or check "
@@ -231,13 +194,7 @@ WHOLE = LogLimits()
 
 
 def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
-    """Return the bytes of a log file.
-
-    Raises
-    ------
-    UndertowError
-        If there is no such file, it cannot be read, or is too large.
-    """
+    """Return the bytes of a log file."""
     if not path.is_file():
         found = "is a folder, not a log file" if path.is_dir() else "does not exist or is not a file"
         raise UndertowError(f"log {path} {found}: give the path of a CSV, CSV.gz or Parquet file")
@@ -253,26 +210,7 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
 def read_table(
     data: bytes, mapping: LogMapping, where: str, path: Path | None = None, limits: LogLimits = WHOLE
 ) -> pl.DataFrame:
-    """Turn the bytes of a CSV, CSV.gz or Parquet file into a table with clean column names.
-
-    Parameters
-    ----------
-    data : bytes
-        Of the file, or some lines of one.
-    mapping : Mapping
-        Says how text is written.
-    where : str
-        The file, for messages.
-    path : Path, optional
-        Where the bytes stand on the disk; a Parquet file is read from there.
-    limits : LogLimits
-        What is refused before it is held in memory.
-
-    Raises
-    ------
-    UndertowError
-        If the file is empty, damaged, too large, not UTF-8, or names a column twice.
-    """
+    """Turn the bytes of a CSV, CSV.gz or Parquet file into a table with clean column names."""
     if not data:
         raise UndertowError(f"{where} is empty (0 bytes): check that the log was written to its end")
     if path is not None and is_parquet(data):
@@ -388,24 +326,7 @@ def _refuse_doubled(columns: Iterable[str], where: str) -> None:
 
 
 def numbers(table: pl.DataFrame, name: str, mapping: LogMapping, where: str) -> NDArray[np.float64]:
-    """Return one column as numbers, NaN where a cell is missing.
-
-    Parameters
-    ----------
-    table : DataFrame
-        The table.
-    name : str
-        Name of a column in it.
-    mapping : Mapping
-        Says the decimal sign and which values stand for missing.
-    where : str
-        The file, for the message.
-
-    Raises
-    ------
-    UndertowError
-        If a cell is not a number; the first one is named with its row.
-    """
+    """Return one column as numbers, NaN where a cell is missing."""
     column = _plain(table[name])
     cells = _text_to_number(column, mapping.decimal, where) if column.dtype == pl.String else column
     if not (cells.dtype.is_numeric() or cells.dtype in (pl.Boolean, pl.Null)):
@@ -450,24 +371,6 @@ def elapsed(
 
     Whole numbers and texts are subtracted before they become floats, in which nanoseconds since 1970 are
     good to 256 only.
-
-    Parameters
-    ----------
-    table : DataFrame
-        The table.
-    mapping : Mapping
-        Names the column and its missing values.
-    scale : float
-        Seconds in its unit.
-    where : str
-        The file, for the message.
-    origin : Decimal or float, optional
-        What counts as zero; by default the first entry where it is a date, else zero.
-
-    Raises
-    ------
-    UndertowError
-        If a cell is not a number.
     """
     name = mapping.time.column
     raw = numbers(table, name, mapping, where)
@@ -503,17 +406,9 @@ def _plain(column: pl.Series) -> pl.Series:
 
 
 def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.float64], str]:
-    """Return a column of dates or times (or ISO 8601 texts) as seconds from its first entry.
+    """Return a column of dates or times (or ISO 8601 texts) as seconds from its first entry, and that entry.
 
-    Returns
-    -------
-    (n,) array, str
-        Seconds, and the first entry in words; durations are seconds already, and count from nothing.
-
-    Raises
-    ------
-    UndertowError
-        If a text is not an ISO 8601 time stamp, or the column holds neither texts nor times.
+    Durations are seconds already: they count from nothing, and the entry is empty.
     """
     stamps = _plain(table[name])
     if stamps.dtype == pl.String:

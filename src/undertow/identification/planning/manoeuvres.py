@@ -1,4 +1,4 @@
-"""What may be flown: axes, limits, noise of the log to come, shapes of commands and their families."""
+"""What may be commanded: axes, limits, noise of the log to come, shapes of commands and their families."""
 
 from __future__ import annotations
 
@@ -11,46 +11,50 @@ from scipy.optimize import lsq_linear
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import channel_noise
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-_LEVELS = 8
-_BITS = 24
+
+@dataclass(frozen=True)
+class ManoeuvreSettings:
+    """What manoeuvres are made of."""
+
+    levels: int = 8  # of steps
+    bits: int = 24  # of random binary steps
+    pulses: int = 3  # before coast-downs
+    # Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
+    fastest: float = 1.0
+    ends: float = 2.0  # length of the smooth beginning and end, s
+    share_of_ends: float = 0.1  # the most that each may take of the manoeuvre
+    pure: float = 1e-6  # share of a wrench that a pure motion may leave
+    trim_rounds: int = 8
+    trim_share: float = 0.95  # of the limit of an actuator that balancing the weight may take
+
+
+SETTINGS = ManoeuvreSettings()
 _HARMONICS = np.array([1, 2, 3, 5, 8, 13])
-_PULSES = 3
-# Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
-_FASTEST = 1.0
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A kind of signal.
-
-    Attributes
-    ----------
-    name : str
-        As reports call it.
-    size : int
-        How many numbers it takes.
-    signal : callable
-        The signal from (share of time, length in s, numbers).
-    """
+    """A kind of signal."""
 
     name: str
-    size: int
-    signal: Callable[[Array, float, Array], Array]
+    size: int  # how many numbers it takes
+    signal: Callable[[Array, float, Array], Array]  # the signal from (share of time, length in s, numbers)
 
 
 def _steps(share: Array, length: float, q: Array) -> Array:
     """Steps between levels, each held for as long: a coast-down or a reversal where the levels say so."""
-    return np.asarray((2 * q - 1)[(share * _LEVELS).astype(int)])
+    return np.asarray((2 * q - 1)[(share * SETTINGS.levels).astype(int)])
 
 
 def _two_levels(share: Array, length: float, q: Array) -> Array:
     """Full one way or the other, changing at random instants (pseudo-random binary sequence)."""
-    return np.where(q[(share * _BITS).astype(int)] > 0.5, 1.0, -1.0)
+    return np.where(q[(share * SETTINGS.bits).astype(int)] > 0.5, 1.0, -1.0)
 
 
 def _doublet(share: Array, length: float, q: Array) -> Array:
@@ -74,7 +78,7 @@ def _multisine(share: Array, length: float, q: Array) -> Array:
 def _chirp(share: Array, length: float, q: Array) -> Array:
     """A sine that becomes quicker, from 1 to 3 periods per length up to at most 1 Hz."""
     slow = (1 + 2 * q[0]) / length
-    quick = max(slow * (_FASTEST / slow) ** q[1], slow)
+    quick = max(slow * (SETTINGS.fastest / slow) ** q[1], slow)
     growth = np.log(quick / slow) + 1e-9
     return np.asarray(np.sin(2 * np.pi * slow * length * np.expm1(growth * share) / growth))
 
@@ -88,8 +92,8 @@ def _reversal(share: Array, length: float, q: Array) -> Array:
 
 def _coast(share: Array, length: float, q: Array) -> Array:
     """Pulses of thrust, each followed by a stretch without, in which the vehicle coasts down."""
-    pulse = (share * _PULSES).astype(int)
-    on = (share * _PULSES) % 1.0 < 0.2 + 0.5 * q[-1]
+    pulse = (share * SETTINGS.pulses).astype(int)
+    on = (share * SETTINGS.pulses) % 1.0 < 0.2 + 0.5 * q[-1]
     return np.where(on, (2 * q - 1)[pulse], 0.0)
 
 
@@ -105,49 +109,24 @@ def _steady(share: Array, length: float, q: Array) -> Array:
     return np.where(share < 0.5, 1.0, 2 * q[0] - 1)
 
 
-STEPS = Shape("steps", _LEVELS, _steps)
-TWO_LEVELS = Shape("random binary steps", _BITS, _two_levels)
+STEPS = Shape("steps", SETTINGS.levels, _steps)
+TWO_LEVELS = Shape("random binary steps", SETTINGS.bits, _two_levels)
 DOUBLET = Shape("doublets (3-2-1-1)", 3, _doublet)
 MULTISINE = Shape("multisine", 2 * len(_HARMONICS), _multisine)
 CHIRP = Shape("chirp", 2, _chirp)
 REVERSAL = Shape("reversals", 3, _reversal)
-COAST = Shape("pulses and coast-downs", _PULSES + 1, _coast)
+COAST = Shape("pulses and coast-downs", SETTINGS.pulses + 1, _coast)
 SWEEP = Shape("slow sweeps", 2, _sweep)
 STEADY = Shape("steady", 1, _steady)
 SHAPES = (STEPS, TWO_LEVELS, DOUBLET, MULTISINE, CHIRP, REVERSAL, COAST, SWEEP)
 
 
-# A pure motion counts as possible when what is left of the wrench is this share of it.
-_PURE = 1e-6
-_TRIM_ROUNDS = 8
-# Share of the limit of an actuator that balancing the weight may take.
-_TRIM_SHARE = 0.95
-_VERTICAL = ("heave", "roll", "pitch")
-
-
 @dataclass(frozen=True)
 class Axis:
-    """One direction in the space of commands.
+    """One direction in the space of commands."""
 
-    Attributes
-    ----------
-    name : str
-        A degree of freedom, or a command.
-    pattern : (k,) array
-        Commands at full deflection.
-    """
-
-    name: str
-    pattern: Array
-
-
-def allocation(vehicle: Vehicle) -> Array:
-    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
-    rows = list(vehicle.dof_indices)
-    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
-    for channel in vehicle.force_channels:
-        columns.append(np.eye(6)["XYZKMN".index(channel[-1])][rows])
-    return np.array(columns).T.reshape(len(rows), -1)
+    name: str  # a degree of freedom, or a command
+    pattern: Array  # (k,) commands at full deflection
 
 
 def motion_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
@@ -169,7 +148,7 @@ def _alone(table: Array, scale: Array, i: int) -> Array | None:
     scaled = table[rows] / scale[rows, None]
     target = (rows == i).astype(float)
     pattern = np.linalg.lstsq(scaled, target, rcond=1e-9)[0]
-    if np.linalg.norm(scaled @ pattern - target) > _PURE:
+    if np.linalg.norm(scaled @ pattern - target) > SETTINGS.pure:
         return None
     pattern[np.abs(pattern) < 1e-9 * np.max(np.abs(pattern))] = 0.0
     return np.asarray(pattern / np.max(np.abs(pattern)))
@@ -184,44 +163,27 @@ def actuator_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
 
 @dataclass(frozen=True)
 class Trim:
-    """Commands that hold a vehicle at rest against weight and buoyancy.
-
-    Attributes
-    ----------
-    commands : (k,) array
-        In the unit of the commands.
-    left : dict of float
-        Force or moment that the actuators cannot balance, by degree of freedom, N or N m.
-    """
+    """Commands that hold a vehicle at rest against weight and buoyancy."""
 
     commands: Array
+    # Force or moment that the actuators cannot balance, by degree of freedom, N or N m.
     left: dict[str, float]
 
 
 def trim(functions: Functions, limits: Array, depth: float = 0.0) -> Trim:
-    """Balance heave, roll and pitch at rest and level, without pushing any other way.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model, with the vehicle's values.
-    limits : (k,) array
-        Largest commands.
-    depth : float
-        Depth at which the vehicle rests, m.
-    """
+    """Balance heave, roll and pitch at rest and level, without pushing any other way."""
     vehicle = functions.vehicle
-    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in _VERTICAL]
+    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in ("heave", "roll", "pitch")]
     commands = np.zeros(len(limits))
     if not rows or not len(limits):
         return Trim(commands, {})
     at_rest, table = _at_rest(functions, depth), allocation(vehicle)
     size = np.maximum(np.abs(table) @ limits, 1e-12)
     scaled = table * limits / size[:, None]
-    for _ in range(_TRIM_ROUNDS):
+    for _ in range(SETTINGS.trim_rounds):
         wanted = np.zeros(len(table))
         wanted[rows] = (table @ commands - at_rest(commands))[rows] / size[rows]
-        commands = lsq_linear(scaled, wanted, (-_TRIM_SHARE, _TRIM_SHARE)).x * limits
+        commands = lsq_linear(scaled, wanted, (-SETTINGS.trim_share, SETTINGS.trim_share)).x * limits
     commands[np.abs(commands) < 1e-6 * limits] = 0.0
     rest = at_rest(commands)
     free = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > 1e-3 * size[i]}
@@ -241,35 +203,15 @@ def _at_rest(functions: Functions, depth: float) -> Callable[[Array], Array]:
     return lambda commands: np.array(force(commands)).ravel()
 
 
-_ENDS = 2.0
-_SHARE_OF_ENDS = 0.1
-_AHEAD = ("surge",)
-_TURN = ("yaw",)
-
-
 @dataclass(frozen=True)
 class Family:
-    """Manoeuvres of one kind.
-
-    Attributes
-    ----------
-    name : str
-        As reports call it.
-    axes : tuple of Axis
-        What is driven.
-    shapes : tuple of Shape
-        The shape on every axis.
-    reach : (n_axes,) array
-        Largest useful deflection of every axis, 0 to 1.
-    in_turn : bool
-        Whether the axes are driven one after the other.
-    """
+    """Manoeuvres of one kind."""
 
     name: str
-    axes: tuple[Axis, ...]
-    shapes: tuple[Shape, ...]
-    reach: Array
-    in_turn: bool = False
+    axes: tuple[Axis, ...]  # what is driven
+    shapes: tuple[Shape, ...]  # the shape on every axis
+    reach: Array  # (n_axes,) largest useful deflection of every axis, 0 to 1
+    in_turn: bool = False  # whether the axes are driven one after the other
 
     @property
     def size(self) -> int:
@@ -277,16 +219,9 @@ class Family:
         return sum(1 + s.size for s in self.shapes)
 
     def excitation(self, t: Array, numbers: Array, sizes: Array | float = 1.0) -> Array:
-        """Commands beside the trim, shape (n, k); ends smoothly, may still exceed what actuators can do.
+        """Commands beside the trim, (n, k), at times from 0; smooth ends, may exceed what actuators can do.
 
-        Parameters
-        ----------
-        t : (n,) array
-            Time from 0, s, evenly spaced.
-        numbers : (size,) array
-            Between 0 and 1.
-        sizes : (n_axes,) array
-            Share of every axis that is kept.
+        `numbers` (size,) are between 0 and 1, `sizes` (n_axes,) the share of every axis that is kept.
         """
         duration = float(t[-1] + (t[1] - t[0]))
         waves = [self._wave(t / duration, duration, i, own) for i, own in enumerate(self._split(numbers))]
@@ -306,7 +241,7 @@ class Family:
 
 def _ends(t: Array, duration: float) -> Array:
     """From 0 to 1 and back to 0 without a jump."""
-    length = min(_ENDS, _SHARE_OF_ENDS * duration)
+    length = min(SETTINGS.ends, SETTINGS.share_of_ends * duration)
     nearest = np.clip(np.minimum(t, t[-1] - t) / length, 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * nearest))
 
@@ -320,15 +255,7 @@ class Design:
 
 
 def every_axis(vehicle: Vehicle, room: Array) -> tuple[list[Axis], list[Axis]]:
-    """Axes of motions, and axes of single actuators where these are something else.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What is driven.
-    room : (k,) array
-        How far every command may go from its value at rest.
-    """
+    """Axes of motions, and of single actuators where these differ; commands may go `room` (k,) from rest."""
     motions, actuators = motion_axes(vehicle, room), actuator_axes(vehicle, room)
     if len(motions) == len(actuators) and all(np.count_nonzero(a.pattern) == 1 for a in motions):
         return motions, []
@@ -354,8 +281,8 @@ def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
 
 def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:
     """Circles and zigzags, for what can go ahead and turn."""
-    ahead = next((i for i, a in enumerate(axes) if a.name in _AHEAD), None)
-    turn = next((i for i, a in enumerate(axes) if a.name in _TURN), None)
+    ahead = next((i for i, a in enumerate(axes) if a.name == "surge"), None)
+    turn = next((i for i, a in enumerate(axes) if a.name == "yaw"), None)
     if ahead is None or turn is None:
         return
     pair = (axes[ahead], axes[turn])
@@ -369,32 +296,15 @@ def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-_EVERY = ""
-
-
 @dataclass(frozen=True)
 class MotionLimits:
-    """Bounds on the predicted motion, seen from where the manoeuvre starts; inf where there is none.
+    """Bounds on the predicted motion, seen from where the manoeuvre starts; inf where there is none."""
 
-    Attributes
-    ----------
-    speed : float
-        Magnitude of the linear velocity, m/s.
-    rate : float
-        Magnitude of every angular velocity, rad/s.
-    depth : float
-        Change of depth, m.
-    tilt : float
-        Magnitude of roll and of pitch, rad.
-    distance : float
-        Horizontal distance from the start, m.
-    """
-
-    speed: float = np.inf
-    rate: float = np.radians(60.0)
-    depth: float = 5.0
-    tilt: float = np.radians(45.0)
-    distance: float = np.inf
+    speed: float = np.inf  # magnitude of the linear velocity, m/s
+    rate: float = np.radians(60.0)  # magnitude of every angular velocity, rad/s
+    depth: float = 5.0  # change of depth, m
+    tilt: float = np.radians(45.0)  # magnitude of roll and of pitch, rad
+    distance: float = np.inf  # horizontal distance from the start, m
 
     def __post_init__(self) -> None:
         for name, value in self.as_dict().items():
@@ -408,40 +318,19 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """Largest magnitude of every command.
+    """Largest magnitude of every command."""
 
-    Attributes
-    ----------
-    value : (k,) array
-        In the unit of the command.
-    source : tuple of str
-        Where each comes from.
-    """
-
-    value: Array
-    source: tuple[str, ...]
+    value: Array  # (k,) in the unit of the command
+    source: tuple[str, ...]  # where each comes from
 
 
 def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> CommandLimits:
     """Largest commands: what was asked for, else the vehicle file, else the largest in the logs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose commands these are.
-    asked : mapping
-        Limits by name of the command; the key "" stands for all that are not named. They may lower what the
-        vehicle file says, never raise it.
-    runs : sequence of Run
-        Logs.
-
-    Raises
-    ------
-    UndertowError
-        If a command has no limit, or one was asked for that is unknown, not positive or above the file's.
+    The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
     for name, value in asked.items():
-        if name not in (_EVERY, *vehicle.command_names):
+        if name not in ("", *vehicle.command_names):
             have = ", ".join(vehicle.command_names)
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
         if not (value > 0 and np.isfinite(value)):
@@ -454,13 +343,13 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
 def _limit(
     name: str, asked: Mapping[str, float], stated: float | None, runs: Sequence[Run]
 ) -> tuple[float, str]:
-    wish = asked.get(name, asked.get(_EVERY))
-    if wish is not None and stated is not None and wish > stated:
+    given = asked.get(name, asked.get(""))
+    if given is not None and stated is not None and given > stated:
         raise UndertowError(
-            f"--limit {wish:g} for '{name}' is above its limit in the vehicle file, {stated:g}"
+            f"--limit {given:g} for '{name}' is above its limit in the vehicle file, {stated:g}"
         )
-    if wish is not None:
-        return wish, "asked for"
+    if given is not None:
+        return given, "asked for"
     if stated is not None:
         return stated, "vehicle file"
     largest = [float(np.nanmax(np.abs(r.channels[name]))) for r in runs if r.has(name)]
@@ -473,15 +362,7 @@ def _limit(
 
 
 def exceeded(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
-    """The limit that a motion strains most, and how many times over (at most 1 is allowed).
-
-    Parameters
-    ----------
-    y : (n, 2n) array
-        Pose and velocity.
-    names : sequence of str
-        Names of the columns.
-    """
+    """The limit that a motion strains most, and how many times over (at most 1 is allowed); y is (n, 2n)."""
     if not np.isfinite(y).all():
         return "speed", float("inf")
     bounds = limits.as_dict()
@@ -515,24 +396,13 @@ ASSUMED = {"m": 0.02, "rad": 0.01, "m/s": 0.01, "rad/s": 0.005}
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Noise of the 2n channels of a vehicle.
+    """Noise of the 2n channels of a vehicle."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Pose, then velocity.
-    sigma : (2n,) array
-        Standard deviation of the white noise of a sample, SI; inf for a channel that is not measured.
-    source : tuple of str
-        Where each comes from.
-    derived : frozenset of str
-        Velocities that will be taken from the pose.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # pose, then velocity
+    # (2n,) standard deviation of the white noise of a sample, SI; inf for a channel that is not measured.
     sigma: Array
-    source: tuple[str, ...]
-    derived: frozenset[str] = frozenset()
+    source: tuple[str, ...]  # where each comes from
+    derived: frozenset[str] = frozenset()  # velocities that will be taken from the pose
 
     @property
     def finite(self) -> Array:
@@ -542,22 +412,9 @@ class ChannelNoise:
 
 
 def planned_noise(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> ChannelNoise:
-    """Noise of every channel of a log to come.
+    """Noise of every channel of a log to come: as asked (inf: not measured), else as in the logs.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose channels these are.
-    asked : mapping
-        Standard deviations by name of the channel, SI; inf for one that is not measured.
-    runs : sequence of Run
-        Logs; a pose that they lack counts as not measured, and velocities are taken from the pose if they
-        were in the logs.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is unknown, its noise is not positive, or a velocity is not measured.
+    A pose that the logs lack counts as not measured; derived velocities stay derived.
     """
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for name, value in asked.items():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,120 +16,144 @@ from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Progress
+from undertow.typing import Array
 from undertow.version import __version__
 
-from .flight import (
-    Flight,
-    Ground,
+from .manoeuvres import Design
+from .problem import (
     Knowledge,
+    Manoeuvre,
+    PlanningProblem,
+    PlanRequest,
     Plant,
-    Request,
     depth_spread,
     gram_along,
     knowledge,
     log_determinant,
     remarks_on,
 )
-from .manoeuvres import Design, Family
-from .result import Plan, channels_of, commands_of, extremes_of, finite, safety_remarks, table_of
-
-Judge = Callable[[Design], float]
-# Share of the tries spent on looking around.
-_EXPLORING = 0.45
-_SHORT_LIST = 3
-# Size of a change at the beginning and at the end of the refinement, numbers being between 0 and 1.
-_CHANGES = (0.35, 0.04)
-# Some changes give a number any value at all, so that a sign or an order of levels can turn.
-_ANEW = 0.25
+from .result import Plan, commands_of, extremes_of, finite, noise_of, parameters_of, safety_remarks
 
 
-@dataclass
-class Search:
-    """The outcome of a search.
+@dataclass(frozen=True)
+class Planned:
+    """A plan with its manoeuvre."""
 
-    Attributes
-    ----------
-    best : Design
-        The manoeuvre with the highest value, or None if no manoeuvre has one.
-    value : float
-        Its value.
-    by_family : dict
-        Highest value by name of the family; -inf where no manoeuvre of it was safe.
-    tries : int
-        Manoeuvres looked at.
+    plan: Plan  # what is written to JSON
+    manoeuvre: Manoeuvre  # commands and predicted motions
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How manoeuvres are searched."""
+
+    exploring: float = 0.45  # share of the tries that are random
+    short_list: int = 3  # families whose best manoeuvre is refined
+    # Size of a change at the beginning and at the end of a refinement, numbers being between 0 and 1.
+    first_change: float = 0.35
+    last_change: float = 0.04
+    # Some changes give a number any value at all, so that a sign or an order of levels can turn.
+    anew: float = 0.25
+
+
+SETTINGS = SearchSettings()
+
+
+class PlanSearch(ABC):
+    """Random search for the best manoeuvre, and refinement; the same seed finds the same manoeuvre.
+
+    `plant` and `known` are the model by which the spread of the depth is predicted.
     """
 
-    best: Design | None = None
-    value: float = -np.inf
-    by_family: dict[str, float] = field(default_factory=dict)
-    tries: int = 0
-
-
-def search(
-    families: Sequence[Family],
-    judge: Judge,
-    tries: int,
-    seed: int,
-    report: Progress = lambda done, words: None,
-) -> Search:
-    """Find a manoeuvre of high value.
-
-    Parameters
-    ----------
-    families : sequence of Family
-        Where to look.
-    judge : callable
-        Value of a manoeuvre; -inf for one that is not allowed.
-    tries : int
-        How many manoeuvres are judged.
-    seed : int
-        Of the random numbers: the same seed finds the same manoeuvre.
-    report : callable
-        Told what share is done, and what is being done.
-    """
-    return _Searching(judge, tries, np.random.default_rng(seed), report).over(families)
-
-
-class _Searching:
-    def __init__(self, judge: Judge, tries: int, rng: np.random.Generator, report: Progress) -> None:
-        self._judge, self._tries, self._rng, self._report = judge, tries, rng, report
-        self.found = Search()
+    def __init__(self, problem: PlanningProblem, plant: Plant, known: Knowledge, tries: int) -> None:
+        self.problem, self.plant, self.known, self._tries = problem, plant, known, tries
+        self.value = -np.inf
+        # Highest value by name of the family; -inf where no manoeuvre of it was safe.
+        self.by_family: dict[str, float] = {}
+        self._best: tuple[Design, Manoeuvre] | None = None
+        self._gentlest: Manoeuvre | None = None
         self._leaders: dict[str, tuple[float, Design]] = {}
+        self._count = 0
+        self._rng = np.random.default_rng(problem.request.seed)
 
-    def over(self, families: Sequence[Family]) -> Search:
+    @abstractmethod
+    def worth(self, manoeuvre: Manoeuvre) -> float:
+        """What a safe manoeuvre is worth; -inf where that cannot be computed."""
+
+    @abstractmethod
+    def outcome(self, manoeuvre: Manoeuvre) -> dict[str, Any]:
+        """Fields of the plan that depend on its goal, for the best manoeuvre."""
+
+    def planned(self) -> Planned:
+        """Search, and describe what was found."""
+        self._search()
+        if self._best is None:
+            self.problem.refuse_unsafe(self._gentlest)
+        assert self._best is not None
+        (design, manoeuvre), problem, request = self._best, self.problem, self.problem.request
+        spread = depth_spread(problem, self.plant, self.known, manoeuvre)
+        outcome = self.outcome(manoeuvre)
+        outcome["remarks"] += safety_remarks(problem, manoeuvre, spread)
+        plan = Plan(
+            undertow=__version__,
+            vehicle=problem.vehicle.name,
+            signs=problem.vehicle.signs,
+            seed=request.seed,
+            tries=self._count,
+            duration=request.duration,
+            rate=request.rate,
+            manoeuvre=design.family.name,
+            commands=commands_of(problem, manoeuvre),
+            noise=noise_of(problem),
+            extremes=extremes_of(problem, manoeuvre),
+            limits=finite(request.motion.as_dict()),
+            depth_spread=spread,
+            logs=[r.name for r in problem.runs],
+            **outcome,
+        )
+        return Planned(plan, manoeuvre)
+
+    def _search(self) -> None:
+        families = self.problem.families
         if not families:
-            return self.found
-        exploring = max(round(_EXPLORING * self._tries), len(families))
+            return
+        exploring = max(round(SETTINGS.exploring * self._tries), len(families))
         for i in range(exploring):
             family = families[i % len(families)]
             self._try(Design(family, self._rng.random(family.size)), "looking for a manoeuvre")
-        leaders = sorted(self._leaders.values(), key=lambda pair: -pair[0])[:_SHORT_LIST]
+        leaders = sorted(self._leaders.values(), key=lambda pair: -pair[0])[: SETTINGS.short_list]
         # A quarter of what is left for the leader, an eighth for the next; then all the rest for the best.
         for rank, (value, design) in enumerate(leaders):
-            self._refine(design, value, (self._tries - exploring) // 2 ** (rank + 2))
-        if self.found.best is not None:
-            self._refine(self.found.best, self.found.value, self._tries - self.found.tries, late=True)
-        return self.found
+            self._refine(design, value, (self._tries - exploring) // 2 ** (rank + 2), SETTINGS.first_change)
+        if self._best is not None:
+            rest = self._tries - self._count
+            self._refine(self._best[0], self.value, rest, SETTINGS.first_change / 3)
 
     def _try(self, design: Design, words: str) -> float:
-        value = self._judge(design)
-        found = self.found
-        found.tries += 1
-        self._report(min(found.tries / max(self._tries, 1), 1.0), words)
+        value = self._judged(design)
+        self._count += 1
+        self.problem.request.report(min(self._count / max(self._tries, 1), 1.0), words)
         name = design.family.name
-        found.by_family[name] = max(value, found.by_family.get(name, -np.inf))
-        if value > found.value:
-            found.best, found.value = design, value
+        self.by_family[name] = max(value, self.by_family.get(name, -np.inf))
         if np.isfinite(value) and value > self._leaders.get(name, (-np.inf,))[0]:
             self._leaders[name] = (value, design)
         return value
 
-    def _refine(self, design: Design, value: float, tries: int, late: bool = False) -> None:
+    def _judged(self, design: Design) -> float:
+        manoeuvre = self.problem.simulated(design)
+        if not manoeuvre.safe:
+            if self._gentlest is None or manoeuvre.strain < self._gentlest.strain:
+                self._gentlest = manoeuvre
+            return -np.inf
+        value = self.worth(manoeuvre)
+        if value > self.value:
+            self.value, self._best = value, (design, manoeuvre)
+        return value
+
+    def _refine(self, design: Design, value: float, tries: int, first: float) -> None:
         """Change a few numbers at a time, less and less, and keep what is better."""
-        first, last = _CHANGES if not late else (_CHANGES[0] / 3, _CHANGES[1])
         for i in range(tries):
-            size = first * (last / first) ** (i / max(tries - 1, 1))
+            size = first * (SETTINGS.last_change / first) ** (i / max(tries - 1, 1))
             changed = Design(design.family, self._changed(design.numbers, size))
             got = self._try(changed, f"refining {design.family.name}")
             if got > value:
@@ -139,31 +165,15 @@ class _Searching:
         chosen[rng.integers(len(numbers))] = True
         moved = numbers + size * rng.standard_normal(len(numbers))
         moved = np.abs(1.0 - np.abs(1.0 - moved))
-        anew = rng.random(len(numbers)) < _ANEW * size / _CHANGES[0]
+        anew = rng.random(len(numbers)) < SETTINGS.anew * size / SETTINGS.first_change
         moved = np.where(anew, rng.random(len(numbers)), moved)
         return np.clip(np.where(chosen, moved, numbers), 0.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A plan with its flight.
-
-    Attributes
-    ----------
-    plan : Plan
-        What is written to JSON.
-    flight : Flight
-        Commands and predicted motions.
-    """
-
-    plan: Plan
-    flight: Flight
 
 
 def plan_parameters(
     vehicle: Vehicle,
     runs: Sequence[Run] = (),
-    request: Request | None = None,
+    request: PlanRequest | None = None,
     only: Sequence[str] = (),
     *,
     trust_log: bool = False,
@@ -180,27 +190,22 @@ def plan_parameters(
         The model; parameters marked `estimate` count.
     runs : sequence of Run
         Logs that exist already.
-    request : Request, optional
+    request : PlanRequest, optional
         Duration, limits and the like.
     only : sequence of str
         The parameters that matter; the others are still to be estimated. All by default.
     trust_log : bool
         Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is to be estimated, a limit is missing, or no manoeuvre is within the limits.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
-    request = request or Request()
+    request = request or PlanRequest()
     free = free_parameters(vehicle)
     _refuse(vehicle, free, only)
     known = knowledge(vehicle, free, runs)
     plant = Plant.of(known.vehicle, compiled=request.compiled)
-    ground = Ground(request, vehicle, [plant], runs)
+    problem = PlanningProblem(request, vehicle, [plant], runs)
     wanted = [free.index(n) for n in only] if only else list(range(len(free)))
-    return _Parameters(ground, plant, known, wanted).planned()
+    return _ParameterSearch(problem, plant, known, wanted).planned()
 
 
 def _refuse(vehicle: Vehicle, free: Sequence[str], only: Sequence[str]) -> None:
@@ -216,73 +221,40 @@ def _refuse(vehicle: Vehicle, free: Sequence[str], only: Sequence[str]) -> None:
             )
 
 
-class _Parameters:
-    """The search, and the sums that it keeps."""
+class _ParameterSearch(PlanSearch):
+    """Worth is the mean factor by which standard errors of the wanted parameters fall, as a logarithm."""
 
-    def __init__(self, ground: Ground, plant: Plant, known: Knowledge, wanted: list[int]) -> None:
-        self.ground, self.plant, self.known, self.wanted = ground, plant, known, wanted
-        self.model = WeakModel(plant.functions, known.free)
-        self.base = log_determinant(known.now, wanted)
-        self.pooled = np.zeros_like(known.now)
-        self.strained: Flight | None = None
-        self.best = -np.inf
-        self.flight: Flight | None = None
-        self.gram = self.pooled
+    def __init__(self, problem: PlanningProblem, plant: Plant, known: Knowledge, wanted: list[int]) -> None:
+        columns = len(known.free) + 2 * len(problem.vehicle.dof_indices)
+        super().__init__(problem, plant, known, problem.tries(columns))
+        self._wanted, self._model = wanted, WeakModel(plant.functions, known.free)
+        self._now = log_determinant(known.now, wanted)
+        self._pooled = np.zeros_like(known.now)
 
-    def judge(self, design: Design) -> float:
-        """Mean factor by which the standard errors of the wanted parameters fall, as a logarithm."""
-        flight = self.ground.space.fly(design)
-        if not flight.safe:
-            if self.strained is None or flight.strain < self.strained.strain:
-                self.strained = flight
-            return -np.inf
-        gram = gram_along(self.model, self.ground.space.data(flight, 0), self.plant.p)
+    def _gram(self, manoeuvre: Manoeuvre) -> Array | None:
+        return gram_along(self._model, self.problem.data(manoeuvre, 0), self.plant.p)
+
+    def worth(self, manoeuvre: Manoeuvre) -> float:
+        gram = self._gram(manoeuvre)
         if gram is None:
             return -np.inf
-        self.pooled = self.pooled + gram
-        value = (log_determinant(self.known.after(gram), self.wanted) - self.base) / (2 * len(self.wanted))
-        if value > self.best:
-            self.best, self.flight, self.gram = value, flight, gram
-        return value
+        self._pooled = self._pooled + gram
+        after = log_determinant(self.known.after(gram), self._wanted)
+        return (after - self._now) / (2 * len(self._wanted))
 
-    def planned(self) -> Planned:
-        """Search and tell."""
-        ground, columns = self.ground, len(self.known.free) + 2 * len(self.ground.vehicle.dof_indices)
-        request = ground.request
-        found = search(ground.families, self.judge, ground.tries(columns), request.seed, request.report)
-        if self.flight is None:
-            ground.refuse_unsafe(self.strained)
-        assert self.flight is not None
-        return Planned(self._told(found, self.flight), self.flight)
-
-    def _told(self, found: Search, flight: Flight) -> Plan:
-        assert found.best is not None
-        ground, request, known = self.ground, self.ground.request, self.known
-        hopeless = undetermined(self.pooled, known.free)
-        spread = depth_spread(ground.space, self.plant, known, flight)
-        return Plan(
-            undertow=__version__,
-            vehicle=ground.vehicle.name,
-            signs=ground.vehicle.signs,
-            goal="parameters",
-            seed=request.seed,
-            tries=found.tries,
-            duration=request.duration,
-            rate=request.rate,
-            manoeuvre=found.best.family.name,
-            criterion=float(np.exp(found.value)),
-            families=finite(
-                {n: float(np.exp(v)) if np.isfinite(v) else v for n, v in found.by_family.items()}
+    def outcome(self, manoeuvre: Manoeuvre) -> dict[str, Any]:
+        gram, known, problem = self._gram(manoeuvre), self.known, self.problem
+        assert gram is not None
+        lost = undetermined(self._pooled, known.free)
+        return {
+            "goal": "parameters",
+            "criterion": float(np.exp(self.value)),
+            "families": finite(
+                {n: float(np.exp(v)) if np.isfinite(v) else v for n, v in self.by_family.items()}
             ),
-            commands=commands_of(ground, flight),
-            noise=channels_of(ground),
-            extremes=extremes_of(ground, flight),
-            limits=finite(request.motion.as_dict()),
-            depth_spread=spread,
-            parameters=table_of(known, ground.vehicle, known.after(self.gram), hopeless),
-            undetermined=hopeless,
-            rivals=[],
-            separations=[],
-            logs=[r.name for r in ground.runs],
-            remarks=[*remarks_on(known, ground.runs), *safety_remarks(ground, flight, spread)],
-        )
+            "parameters": parameters_of(known, problem.vehicle.signs, known.after(gram), lost),
+            "undetermined": lost,
+            "rivals": [],
+            "separations": [],
+            "remarks": remarks_on(known, problem.runs),
+        }

@@ -13,8 +13,8 @@ from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, INK, fi
 from undertow.typing import Array
 
 from .parameters import Planned
-from .result import Known, Plan
-from .separation import SEPARATED
+from .result import Plan, PlannedParameter
+from .separation import SETTINGS
 
 # Lines that stand side by side, told apart by colour and by dashes.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", INK, FAINT)
@@ -45,8 +45,8 @@ def plan_picture(planned: Planned) -> Figure:
         for axis, unit in zip(over_time, units, strict=False):
             _draw_commands(axis, planned, unit)
         for axis, (label, found, factor) in zip(over_time[len(units) :], groups, strict=True):
-            columns = planned.flight.y[0][:, [names.index(n) for n in found]] * factor
-            _draw_lines(axis, planned.flight.t, columns, found, label)
+            columns = planned.manoeuvre.y[0][:, [names.index(n) for n in found]] * factor
+            _draw_lines(axis, planned.manoeuvre.t, columns, found, label)
         for axis in over_time[:-1]:
             axis.tick_params(labelbottom=False)
         over_time[-1].set_xlabel("time [s]")
@@ -63,8 +63,8 @@ def _draw_commands(axis: Any, planned: Planned, unit: str) -> None:
     for bound in (-largest, largest):
         axis.axhline(bound, color=FAINT, linewidth=0.8, linestyle=":")
     label = "command" if unit == "command" else f"command [{unit}]"
-    columns, names = planned.flight.u[:, chosen], [plan.commands[i].name for i in chosen]
-    _draw_lines(axis, planned.flight.t, columns, names, label)
+    columns, names = planned.manoeuvre.u[:, chosen], [plan.commands[i].name for i in chosen]
+    _draw_lines(axis, planned.manoeuvre.t, columns, names, label)
 
 
 def _draw_lines(axis: Any, t: Array, columns: Array, names: Sequence[str], label: str) -> None:
@@ -114,7 +114,7 @@ def _draw_errors(axis: Any, plan: Plan) -> None:
     _finish(axis)
 
 
-def _share(known: Known, error: float | None) -> float:
+def _share(known: PlannedParameter, error: float | None) -> float:
     size = abs(known.value) or 1.0
     return _MOST if error is None else min(error / size, _MOST)
 
@@ -139,11 +139,13 @@ def _draw_distances(axis: Any, plan: Plan) -> None:
                 textcoords="offset points",
                 va="center",
             )
-    axis.axvline(SEPARATED, color=FLOOR, linestyle="--", label=f"told apart ({SEPARATED:g})")
+    axis.axvline(
+        SETTINGS.separated, color=FLOOR, linestyle="--", label=f"told apart ({SETTINGS.separated:g})"
+    )
     axis.set_yticks(rows, ["\n".join(map(plain, p.pair)) for p in plan.separations])
-    axis.set_xscale("symlog", linthresh=SEPARATED, linscale=0.5)
+    axis.set_xscale("symlog", linthresh=SETTINGS.separated, linscale=0.5)
     axis.xaxis.set_major_formatter("{x:g}")
-    axis.set_xlim(0.0, 1.5 * max(SEPARATED, *(p.deviations for p in plan.separations)))
+    axis.set_xlim(0.0, 1.5 * max(SETTINGS.separated, *(p.deviations for p in plan.separations)))
     axis.set_xlabel("expected distance of the models' predictions after refitting [standard deviations]")
     _finish(axis)
 
@@ -162,11 +164,11 @@ def command_csv(planned: Planned) -> str:
 
     Numbers are cut off towards zero, so that none passes its limit.
     """
-    commands, flight = planned.plan.commands, planned.flight
-    columns = [[f"{t:.9g}" for t in flight.t]]
+    commands, manoeuvre = planned.plan.commands, planned.manoeuvre
+    columns = [[f"{t:.9g}" for t in manoeuvre.t]]
     for i, command in enumerate(commands):
         places = max(_DIGITS - 1 - math.floor(math.log10(command.limit)), 0)
-        cut = np.trunc(flight.u[:, i] * 10.0**places) / 10.0**places
+        cut = np.trunc(manoeuvre.u[:, i] * 10.0**places) / 10.0**places
         columns.append([f"{value:.{places}f}" for value in (cut + 0.0).tolist()])
     head = ",".join(["t", *(c.name for c in commands)])
     return "\n".join([head, *(",".join(row) for row in zip(*columns, strict=True))]) + "\n"

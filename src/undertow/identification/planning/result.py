@@ -6,26 +6,20 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
-from undertow.model.parameter import Parameter, printed
+from undertow.identification.doctor.findings import ResultTable
+from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .flight import Flight, Ground, Knowledge
 from .manoeuvres import extremes
+from .problem import Knowledge, Manoeuvre, PlanningProblem
 
 SCHEMA = "undertow/plan/1"
 Goal = Literal["parameters", "separate"]
 
 
-class Table(BaseModel):
-    """A table of the result."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class Command(Table):
+class PlannedCommand(ResultTable):
     """A command: its limit and where that comes from, its value at rest, and what the plan uses."""
 
     name: str
@@ -37,7 +31,7 @@ class Command(Table):
     highest: float
 
 
-class Channel(Table):
+class PlannedNoise(ResultTable):
     """Noise of a channel that the plan counts with, SI; None for one that is not measured."""
 
     name: str
@@ -45,7 +39,7 @@ class Channel(Table):
     source: str
 
 
-class Known(Table):
+class PlannedParameter(ResultTable):
     """A parameter, in the sign convention of the vehicle file, and how well it is known.
 
     Standard errors are None where nothing determines the parameter.
@@ -60,7 +54,7 @@ class Known(Table):
     verdict: Literal["", "badly known", "not determined"]
 
 
-class Separation(Table):
+class Separation(ResultTable):
     """How far the predictions of two models are apart once each has been refitted to the other.
 
     `chi_square` is the smaller of the two ways round, in units of the noise; `deviations` its root. Those
@@ -74,7 +68,7 @@ class Separation(Table):
     deviations_now: float | None
 
 
-class Rival(Table):
+class Rival(ResultTable):
     """One of the models to be told apart, and the values that its effects were planned with."""
 
     name: str
@@ -83,7 +77,7 @@ class Rival(Table):
     source: str
 
 
-class Plan(Table):
+class Plan(ResultTable):
     """Outcome of `undertow plan`.
 
     `families` has the value of the criterion for the best manoeuvre of every kind, None where no manoeuvre of
@@ -104,12 +98,12 @@ class Plan(Table):
     manoeuvre: str
     criterion: float
     families: dict[str, float | None]
-    commands: list[Command]
-    noise: list[Channel]
+    commands: list[PlannedCommand]
+    noise: list[PlannedNoise]
     extremes: dict[str, float]
     limits: dict[str, float | None]
     depth_spread: float | None
-    parameters: list[Known]
+    parameters: list[PlannedParameter]
     undetermined: list[list[str]]
     rivals: list[Rival]
     separations: list[Separation]
@@ -119,7 +113,8 @@ class Plan(Table):
 
 # A standard error above this share of the value is nothing to build on.
 _BADLY = 0.3
-_SMALL = 0.3
+# A manoeuvre that brings an error below this share of what it was does determine the parameter.
+_DETERMINED = 0.3
 
 
 def command_unit(vehicle: Vehicle, name: str) -> str:
@@ -130,35 +125,34 @@ def command_unit(vehicle: Vehicle, name: str) -> str:
     return "N" if thruster.thrust_per_command.value == 1.0 else "command"
 
 
-def commands_of(ground: Ground, flight: Flight) -> list[Command]:
+def commands_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> list[PlannedCommand]:
     """Every command with its limit and what the manoeuvre makes of it."""
-    limits = ground.commands
     return [
-        Command(
+        PlannedCommand(
             name=name,
-            unit=command_unit(ground.vehicle, name),
-            limit=float(limits.value[i]),
-            limit_from=limits.source[i],
-            trim=float(ground.trim.commands[i]),
-            lowest=float(flight.u[:, i].min()),
-            highest=float(flight.u[:, i].max()),
+            unit=command_unit(problem.vehicle, name),
+            limit=float(problem.limits.value[i]),
+            limit_from=problem.limits.source[i],
+            trim=float(problem.trim.commands[i]),
+            lowest=float(manoeuvre.u[:, i].min()),
+            highest=float(manoeuvre.u[:, i].max()),
         )
-        for i, name in enumerate(ground.vehicle.command_names)
+        for i, name in enumerate(problem.vehicle.command_names)
     ]
 
 
-def channels_of(ground: Ground) -> list[Channel]:
-    """Noise that was counted with."""
-    n = ground.noise
+def noise_of(problem: PlanningProblem) -> list[PlannedNoise]:
+    """Noise of every channel that the plan counts with."""
+    n = problem.noise
     return [
-        Channel(name=name, sigma=float(s) if np.isfinite(s) else None, source=source)
+        PlannedNoise(name=name, sigma=float(s) if np.isfinite(s) else None, source=source)
         for name, s, source in zip(n.names, n.sigma, n.source, strict=True)
     ]
 
 
-def extremes_of(ground: Ground, flight: Flight) -> dict[str, float]:
+def extremes_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> dict[str, float]:
     """Largest motions by any of the models, SI."""
-    found = [extremes(y, ground.space.names) for y in flight.y]
+    found = [extremes(y, problem.names) for y in manoeuvre.y]
     return {what: max(one[what] for one in found) for what in found[0]}
 
 
@@ -167,49 +161,48 @@ def finite(limits: Mapping[str, float]) -> dict[str, float | None]:
     return {name: value if np.isfinite(value) else None for name, value in limits.items()}
 
 
-def table_of(known: Knowledge, stated: Vehicle, after: Array, hopeless: list[list[str]]) -> list[Known]:
+def parameters_of(
+    known: Knowledge, signs: str, after: Array, undetermined: list[list[str]]
+) -> list[PlannedParameter]:
     """Every free parameter with its standard errors before and after."""
     now, then = known.errors(known.now), known.errors(after)
-    lost = {name for group in hopeless for name in group}
+    lost = {name for group in undetermined for name in group}
     return [
-        _known(known.vehicle, stated.signs, name, now[i], then[i], name in lost)
+        _planned(known.vehicle, signs, name, float(now[i]), float(then[i]), name in lost)
         for i, name in enumerate(known.free)
     ]
 
 
-def parameter_of(vehicle: Vehicle, name: str) -> Parameter:
-    """The declaration of a parameter, which may have a value for each direction."""
-    return vehicle.declaration(name)
-
-
-def _known(vehicle: Vehicle, signs: str, name: str, now: float, then: float, lost: bool) -> Known:
-    parameter, value = parameter_of(vehicle, name), vehicle.value_of(name).value
+def _planned(
+    vehicle: Vehicle, signs: str, name: str, now: float, then: float, lost: bool
+) -> PlannedParameter:
+    parameter, value = vehicle.declaration(name), vehicle.value_of(name).value
     # A prior that is all there is does not become knowledge of the manoeuvre.
-    silent = lost and not then < _SMALL * now
+    silent = lost and not then < _DETERMINED * now
     verdict = "not determined" if silent else "badly known" if not then < _BADLY * abs(value) else ""
-    return Known(
+    return PlannedParameter(
         name=name,
         unit="" if parameter.unit == "1" else parameter.unit,
         about=parameter.about,
         value=printed(parameter, value, signs),
-        error_now=float(now) if np.isfinite(now) else None,
-        error_after=float(then) if np.isfinite(then) else None,
+        error_now=now if np.isfinite(now) else None,
+        error_after=then if np.isfinite(then) else None,
         verdict=verdict,  # type: ignore[arg-type]
     )
 
 
-def safety_remarks(ground: Ground, flight: Flight, spread: float | None) -> list[str]:
-    """What to mind before the manoeuvre is flown."""
+def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float | None) -> list[str]:
+    """What to mind before the manoeuvre is carried out."""
     lines = [
         f"the actuators cannot balance {value:.3g} {'N' if dof == 'heave' else 'N m'} in {dof} at rest: "
         "the vehicle does not keep its depth and attitude"
-        for dof, value in ground.trim.left.items()
+        for dof, value in problem.trim.left.items()
     ]
-    rise = _rise(ground, flight)
-    if rise > ground.depth:
+    rise = _rise(problem, manoeuvre)
+    if rise > problem.depth:
         lines.append(f"the vehicle rises up to {rise:.2g} m above where it starts: begin deeper than that")
-    depth = extremes_of(ground, flight).get("depth", 0.0)
-    if spread is not None and depth + spread > ground.request.motion.depth:
+    depth = extremes_of(problem, manoeuvre).get("depth", 0.0)
+    if spread is not None and depth + spread > problem.motion.depth:
         lines.append(
             f"flown open loop, the depth may be {spread:.2g} m off the prediction by the end, going by what "
             "is known now: hold it by hand or with a controller, and log the commands"
@@ -217,8 +210,8 @@ def safety_remarks(ground: Ground, flight: Flight, spread: float | None) -> list
     return lines
 
 
-def _rise(ground: Ground, flight: Flight) -> float:
-    if "z" not in ground.space.names:
+def _rise(problem: PlanningProblem, manoeuvre: Manoeuvre) -> float:
+    if "z" not in problem.names:
         return 0.0
-    column = ground.space.names.index("z")
-    return max(float(np.max(y[0, column] - y[:, column])) for y in flight.y)
+    column = problem.names.index("z")
+    return max(float(np.max(y[0, column] - y[:, column])) for y in manoeuvre.y)

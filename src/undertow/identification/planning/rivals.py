@@ -8,72 +8,60 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.weak_form import WeakFit, free_parameters, settled
-from undertow.identification.logs.run import Run
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.catalogue import Catalogue, lookup
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .flight import Airspace, Flight, Knowledge, Plant, knowledge_of, stated
-from .manoeuvres import MULTISINE, Design, Family, allocation
-
-# An effect of typical size makes this share of the force of the actuators, or of the velocities.
-TYPICAL = 0.1
-_UNFELT = 0.1
-_STATES = 300
-_TILT = 0.1
-_ROUNDS = 5
-_FIRST = 1e-3
-_DIVERGED = 1e3
-_NOTHING = 1e-9
+from .manoeuvres import MULTISINE, Design
+from .problem import Knowledge, Manoeuvre, PlanningProblem, Plant, knowledge_of, stated
 
 
-def typical_values(
-    candidate: Candidate, space: Airspace, families: Sequence[Family], command_scale: float
-) -> dict[str, float]:
+@dataclass(frozen=True)
+class RivalSettings:
+    """How sizes of effects are chosen where nothing is known of them."""
+
+    typical: float = 0.1  # share of the force of the actuators, or of the velocities
+    without_response: float = 0.1  # value, in its unit, of a parameter that changes nothing
+    states: int = 300  # random states at which forces are compared
+    tilt: float = 0.1  # standard deviation of roll and pitch among them, rad
+    rounds: int = 5  # of the search for a value
+    first: float = 1e-3  # value that it begins with
+    diverged: float = 1e3  # change of the velocities that stands for a diverged simulation
+    nothing: float = 1e-9  # change of the velocities, or share of the force, that is none
+    most: int = 3  # rivals that are taken from a diagnosis
+
+
+SETTINGS = RivalSettings()
+
+
+def typical_values(candidate: Candidate, problem: PlanningProblem) -> dict[str, float]:
     """Values with which each parameter of an effect would be felt, SNAME signs.
 
     A force is 10 % of what the actuators give in a multisine, at speeds that are alike in all directions.
     What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10 %; what
     does not change them is 0.1 in its unit. A parameter that cannot be zero (a time constant, a saturation)
     takes its default, or the middle one of the starting points of its declaration.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        The effect and the model that it is added to.
-    space : Airspace
-        Where it is flown; its first model is the one without the effect.
-    families : sequence of Family
-        Manoeuvres that can be flown.
-    command_scale : float
-        Size of the commands, for parameters in their unit.
     """
-    own = candidate.parameters
+    own, command_scale = candidate.parameters, float(np.median(problem.limits.value)) / 2
     fixed = {p.name: _middle(p, command_scale) for p in own if p.neutral != 0.0}
     plant = Plant.of(candidate.vehicle)
     for name, value in fixed.items():
         plant.p[plant.functions.parameter_names.index(name)] = value
-    wide = space.without_drift()
-    flight = _multisine(wide, families)
-    forces, responses = _Forces(plant.functions, wide, flight), _Responses(plant, wide, flight)
-    share = TYPICAL / np.sqrt(max(len(own) - len(fixed), 1))
-    sized = {
-        p.name: forces.size(p, plant.p, share) or responses.size(p, share) or _UNFELT * _sign(p)
-        for p in own
-        if p.neutral == 0.0
-    }
+    wide = problem.without_drift()
+    sizes = _TypicalSizes(plant, wide, _multisine(wide))
+    share = SETTINGS.typical / np.sqrt(max(len(own) - len(fixed), 1))
+    sized = {p.name: sizes.of(p, share) for p in own if p.neutral == 0.0}
     return {name: float(value) for name, value in (fixed | sized).items()}
 
 
@@ -90,15 +78,10 @@ def _sign(parameter: Parameter) -> float:
     return -1.0 if high <= 0 or (low < 0 and parameter.on_left_side) else 1.0
 
 
-def _multisine(space: Airspace, families: Sequence[Family]) -> Flight:
+def _multisine(problem: PlanningProblem) -> Manoeuvre:
     """A middling manoeuvre of everything at once, not the same on all axes."""
-    family = next(f for f in families if MULTISINE in f.shapes and not f.in_turn)
-    return space.fly(Design(family, 0.5 + 0.3 * np.sin(7.0 * np.arange(family.size))))
-
-
-def _linear(space: Airspace) -> NDArray[np.bool_]:
-    """Which degrees of freedom are translations."""
-    return np.array([n in "uvw" for n in space.vehicle.velocity_names])
+    family = next(f for f in problem.families if MULTISINE in f.shapes and not f.in_turn)
+    return problem.simulated(Design(family, 0.5 + 0.3 * np.sin(7.0 * np.arange(family.size))))
 
 
 def _rms(columns: Array) -> float:
@@ -106,18 +89,29 @@ def _rms(columns: Array) -> float:
         return float(np.sqrt(np.mean(np.sum(columns**2, axis=1)))) + 1e-12
 
 
-class _Forces:
-    """Forces that parameters make at random motions as large as those of a flight, whatever the direction."""
+class _TypicalSizes:
+    """Values of parameters by the force that they make, or by what they change of a manoeuvre.
 
-    def __init__(self, functions: Functions, space: Airspace, flight: Flight) -> None:
-        self._functions, self._space, self._flight = functions, space, flight
+    Forces are taken at random motions as large as those of the manoeuvre, whatever the direction.
+    """
+
+    def __init__(self, plant: Plant, problem: PlanningProblem, manoeuvre: Manoeuvre) -> None:
+        self._plant, self._problem, self._manoeuvre = plant, problem, manoeuvre
+        self._linear = np.array([n in "uvw" for n in problem.vehicle.velocity_names])
+        self._without = self._velocities(plant.p)
+
+    def of(self, parameter: Parameter, share: float) -> float:
+        """Value that makes a share of the force or, where it makes none, of the velocities."""
+        found = self._by_force(parameter, share) or self._by_response(parameter, share)
+        return found or SETTINGS.without_response * _sign(parameter)
 
     @cached_property
     def _drive(self) -> Array:
         """Force and moment of the actuators, rms; where there are none, the largest of the same kind."""
-        push = (self._flight.u - self._flight.u.mean(axis=0)) @ allocation(self._space.vehicle).T
-        drive, linear = np.sqrt(np.mean(push**2, axis=0)), _linear(self._space)
-        for kind in (linear, ~linear):
+        u = self._manoeuvre.u
+        push = (u - u.mean(axis=0)) @ allocation(self._problem.vehicle).T
+        drive = np.sqrt(np.mean(push**2, axis=0))
+        for kind in (self._linear, ~self._linear):
             largest = np.max(drive[kind], initial=0.0) or np.max(drive)
             drive[kind & (drive <= 0)] = largest
         return np.asarray(drive)
@@ -125,63 +119,53 @@ class _Forces:
     @cached_property
     def _inputs(self) -> tuple[Array, Array, Array]:
         """States, accelerations and commands, with the random states in columns."""
-        f, linear = self._functions, _linear(self._space)
-        rng, count, size = np.random.default_rng(0), _STATES, len(linear)
-        y = self._flight.y[0][:, size:]
-        dt = float(self._flight.t[1])
+        f, linear, names = self._plant.functions, self._linear, self._problem.vehicle.pose_names
+        rng, count, size = np.random.default_rng(0), SETTINGS.states, len(linear)
+        y = self._manoeuvre.y[0][:, size:]
+        dt = float(self._manoeuvre.t[1])
         scale, jerk = np.ones(size), np.ones(size)
         for kind in (linear, ~linear):
             if kind.any():
                 scale[kind], jerk[kind] = _rms(y[:, kind]), _rms(np.diff(y[:, kind], axis=0)) / dt
         pose = np.zeros((size, count))
-        for name in {"phi", "theta"} & set(self._space.vehicle.pose_names):
-            pose[self._space.vehicle.pose_names.index(name)] = _TILT * rng.standard_normal(count)
-        u = self._flight.u[rng.integers(len(self._flight.u), size=count)].T
+        for name in {"phi", "theta"} & set(names):
+            pose[names.index(name)] = SETTINGS.tilt * rng.standard_normal(count)
+        u = self._manoeuvre.u[rng.integers(len(self._manoeuvre.u), size=count)].T
         own = np.zeros((len(f.state_names) - 2 * size, count))
         own[: f.memory.numel()] = float(np.max(scale)) * rng.standard_normal((f.memory.numel(), count))
         x = np.vstack([pose, scale[:, None] * rng.standard_normal((size, count)), own])
         return x, jerk[:, None] * rng.standard_normal((size, count)), u
 
-    def size(self, parameter: Parameter, p: Array, share: float) -> float:
+    def _by_force(self, parameter: Parameter, share: float) -> float:
         """Value whose force is a share of the actuators', in the degree of freedom that feels it most."""
-        f = self._functions
         if not parameter.linear:
             return 0.0
-        column = f.parameter_names.index(parameter.name)
+        f, count = self._plant.functions, SETTINGS.states
         x, nu_dot, u = self._inputs
-        table = np.array(f.regressor.map(_STATES)(x, nu_dot, u, np.tile(p[:, None], _STATES), 0.0))
-        slopes = table.reshape(len(self._drive), _STATES, -1)[:, :, column]
-        felt = np.sqrt(np.mean(slopes**2, axis=1)) / self._drive
-        largest = float(np.max(felt))
-        return _sign(parameter) * share / largest if largest > _NOTHING else 0.0
-
-
-class _Responses:
-    """Changes of a flight that parameters make."""
-
-    def __init__(self, plant: Plant, space: Airspace, flight: Flight) -> None:
-        self._plant, self._space, self._flight = plant, space, flight
-        self._without = self._velocities(plant.p)
+        table = np.array(f.regressor.map(count)(x, nu_dot, u, np.tile(self._plant.p[:, None], count), 0.0))
+        slopes = table.reshape(len(self._drive), count, -1)[:, :, f.parameter_names.index(parameter.name)]
+        largest = float(np.max(np.sqrt(np.mean(slopes**2, axis=1)) / self._drive))
+        return _sign(parameter) * share / largest if largest > SETTINGS.nothing else 0.0
 
     def _velocities(self, p: Array) -> Array:
-        y = self._space.predicted(self._plant, self._space.t, [self._flight.u], p)[0]
-        return np.asarray(y[:, len(self._space.names) // 2 :])
+        y = self._problem.predicted(self._plant, self._problem.t, [self._manoeuvre.u], p)[0]
+        return np.asarray(y[:, len(self._linear) :])
 
     def _change(self, place: int, value: float) -> float:
         """Change of the velocities as a share of the speed, and of the rates; the larger of the two."""
         p = self._plant.p.copy()
         p[place] = value
-        moved, linear = self._velocities(p) - self._without, _linear(self._space)
-        shares = [_rms(moved[:, g]) / _rms(self._without[:, g]) for g in (linear, ~linear) if g.any()]
-        return max(shares) if np.isfinite(shares).all() else _DIVERGED
+        moved, kinds = self._velocities(p) - self._without, (self._linear, ~self._linear)
+        shares = [_rms(moved[:, kind]) / _rms(self._without[:, kind]) for kind in kinds if kind.any()]
+        return max(shares) if np.isfinite(shares).all() else SETTINGS.diverged
 
-    def size(self, parameter: Parameter, share: float) -> float:
+    def _by_response(self, parameter: Parameter, share: float) -> float:
         """Value that changes the velocities by a share; zero if none does."""
         place = self._plant.functions.parameter_names.index(parameter.name)
-        value = _sign(parameter) * _FIRST
-        for _ in range(_ROUNDS):
+        value = _sign(parameter) * SETTINGS.first
+        for _ in range(SETTINGS.rounds):
             change = self._change(place, value)
-            if change <= _NOTHING:
+            if change <= SETTINGS.nothing:
                 return 0.0
             value = float(np.clip(value * np.clip(share / change, 1e-3, 1e3), *parameter.bounds))
         return value
@@ -195,30 +179,14 @@ AND = "+"
 
 @dataclass(frozen=True)
 class RivalModel:
-    """A model that could be the true one.
+    """A model that could be the true one."""
 
-    Attributes
-    ----------
-    name : str
-        Ids of its effects joined by +, or "none".
-    plant : Plant
-        The model at its values.
-    known : Knowledge
-        What priors and logs say of its free parameters.
-    model : WeakModel
-        Its weak residual, with the free parameters.
-    own : tuple of str
-        Parameters of the effects that it has beyond the others.
-    source : str
-        Where their values come from.
-    """
-
-    name: str
-    plant: Plant
-    known: Knowledge
-    model: WeakModel
-    own: tuple[str, ...]
-    source: str
+    name: str  # ids of its effects joined by +, or "none"
+    plant: Plant  # the model at its values
+    known: Knowledge  # what priors and logs say of its free parameters
+    model: WeakModel  # its weak residual, with the free parameters
+    own: tuple[str, ...]  # parameters of the effects that it has beyond the others
+    source: str  # where their values come from
 
     @property
     def parts(self) -> frozenset[str]:
@@ -233,37 +201,23 @@ def parts_of(name: str) -> list[str]:
 
 @dataclass(frozen=True)
 class RivalSpec:
-    """A model to be told apart as it is asked for.
+    """A model to be told apart as it is asked for."""
 
-    Attributes
-    ----------
-    name : str
-        Ids of effects joined by +, or "none".
-    values : mapping
-        Values of parameters as far as known, SNAME signs.
-    """
-
-    name: str
-    values: Mapping[str, float]
+    name: str  # ids of effects joined by +, or "none"
+    values: Mapping[str, float]  # values of parameters as far as known, SNAME signs
 
     def candidate(self, vehicle: Vehicle, known: Catalogue) -> Candidate | None:
-        """The last of its effects, added to the vehicle with the others; None for the model as it is.
-
-        Raises
-        ------
-        UndertowError
-            If an effect is unknown, or adds nothing to the vehicle.
-        """
+        """The last of its effects, added to the vehicle with the others; None for the model as it is."""
         if self.name == NONE:
             return None
         *others, last = parts_of(self.name)
         for effect in others:
             first = _checked(effect, vehicle, known)
-            vehicle = first.adopted({**beginning(first), **self.values})
+            vehicle = first.adopted({**neutral_values(first), **self.values})
         return _checked(last, vehicle, known)
 
 
-def beginning(candidate: Candidate) -> dict[str, float]:
+def neutral_values(candidate: Candidate) -> dict[str, float]:
     """Values with which an effect does nothing yet, as far as its parameters can be such."""
     return {
         p.name: p.neutral if p.neutral is not None else (p.starts[0] if p.starts else 1.0)
@@ -285,39 +239,12 @@ def _checked(effect: str, vehicle: Vehicle, known: Catalogue) -> Candidate:
 
 
 def rival_models(
-    vehicle: Vehicle,
-    specs: Sequence[RivalSpec],
-    known: Catalogue,
-    runs: Sequence[Run],
-    ground: tuple[Airspace, Sequence[Family]],
-    *,
-    compiled: bool | None = None,
+    vehicle: Vehicle, specs: Sequence[RivalSpec], known: Catalogue, problem: PlanningProblem
 ) -> list[RivalModel]:
-    """The rivals with values: fitted to the logs, else as stated, else of typical size.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model without any of the effects.
-    specs : sequence of RivalSpec
-        The rivals.
-    known : Catalogue
-        Effects by id.
-    runs : sequence of Run
-        Logs, may be none.
-    ground : (Airspace, sequence of Family)
-        For typical sizes.
-    compiled : bool, optional
-        As for `Simulator`.
-
-    Raises
-    ------
-    UndertowError
-        If an effect is unknown or adds nothing, or the logs do not fit the vehicle.
-    """
-    bench = _bench(vehicle, runs) if runs else None
-    scale = float(np.median(ground[0].limits)) / 2
-    before = free_parameters(vehicle)
+    """The rivals with values: fitted to the logs of a problem, else as stated, else of typical size."""
+    runs, before = problem.runs, free_parameters(vehicle)
+    data = prepare(runs, vehicle) if runs else None
+    bench = None if data is None else open_bench(vehicle, data, data)
     made = []
     for spec in specs:
         if bench is not None:
@@ -325,39 +252,29 @@ def rival_models(
             fit = bench.base if candidate is None else _fitted(candidate, bench, spec.values)
             known_of, source = knowledge_of(fit, runs), "fitted to the logs"
         else:
-            valued, source = _valued(vehicle, spec, known, ground, scale)
+            valued, source = _valued(vehicle, spec, known, problem)
             known_of = stated(valued, free_parameters(valued))
-        plant = Plant.of(known_of.vehicle, compiled=compiled)
+        plant = Plant.of(known_of.vehicle, compiled=problem.request.compiled)
         own = tuple(n for n in known_of.free if n not in before)
-        made.append(
-            RivalModel(spec.name, plant, known_of, WeakModel(plant.functions, known_of.free), own, source)
-        )
+        model = WeakModel(plant.functions, known_of.free)
+        made.append(RivalModel(spec.name, plant, known_of, model, own, source))
     return made
-
-
-def _bench(vehicle: Vehicle, runs: Sequence[Run]) -> Bench:
-    data = prepare(runs, vehicle)
-    return open_bench(vehicle, data, data)
 
 
 def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> WeakFit:
     """The best of the fits from the effect's most promising start, or from values found before."""
     own = {p.name for p in candidate.parameters}
     found = {n: v for n, v in values.items() if n in own}
-    scouted = scout(candidate, bench).values
+    screened = scout(candidate, bench).values
     # Values that make up for what is missing may lead astray, and so may those of the file.
-    starts = [scouted, {n: v for n, v in scouted.items() if n in own}]
+    starts = [screened, {n: v for n, v in screened.items() if n in own}]
     starts += [found, bench.base.values | found] if found else []
     fits = [bench.fit(candidate.vehicle, candidate.free(), start) for start in starts]
-    return settled(min(fits, key=lambda fit: fit.cost))
+    return with_reestimated_noise(min(fits, key=lambda fit: fit.cost))
 
 
 def _valued(
-    vehicle: Vehicle,
-    spec: RivalSpec,
-    known: Catalogue,
-    ground: tuple[Airspace, Sequence[Family]],
-    scale: float,
+    vehicle: Vehicle, spec: RivalSpec, known: Catalogue, problem: PlanningProblem
 ) -> tuple[Vehicle, str]:
     """A rival without logs, and where its values come from."""
     source = "vehicle file"
@@ -366,16 +283,12 @@ def _valued(
         own = {p.name for p in candidate.parameters}
         found = {n: v for n, v in spec.values.items() if n in own}
         source = "diagnosis" if found else "typical size"
-        values = {**beginning(candidate), **found} if found else typical_values(candidate, *ground, scale)
+        values = {**neutral_values(candidate), **found} if found else typical_values(candidate, problem)
         vehicle = candidate.adopted(values)
-    return _with(vehicle, {n: v for n, v in spec.values.items() if n in vehicle.values}), source
-
-
-def _with(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    return vehicle.with_values({n: replace(vehicle.value_of(n), value=v) for n, v in values.items()})
-
-
-_MOST = 3
+    stated_values = {n: v for n, v in spec.values.items() if n in vehicle.values}
+    return vehicle.with_values(
+        {n: replace(vehicle.value_of(n), value=v) for n, v in stated_values.items()}
+    ), source
 
 
 class _Estimate(BaseModel):
@@ -411,7 +324,7 @@ class Diagnosed(BaseModel):
     def rivals(self) -> list[str]:
         """Effects to be told apart, at most three; "none" stands for the model without any."""
         found = self.indistinguishable[0].effects if self.indistinguishable else self._leading()
-        named = list(dict.fromkeys(found))[:_MOST]
+        named = list(dict.fromkeys(found))[: SETTINGS.most]
         return named if len(named) > 1 else [*named, NONE]
 
     def _leading(self) -> list[str]:
@@ -420,8 +333,8 @@ class Diagnosed(BaseModel):
         return list(dict.fromkeys([*self.effects[:1], *(sure if len(sure) > 1 else tried[:2])]))
 
     @property
-    def settled(self) -> list[str]:
-        """Effects that were named beside those in question, and so are in every rival."""
+    def in_every_rival(self) -> list[str]:
+        """Effects that were named beside those in question, and so are in all of the rivals."""
         if not self.indistinguishable:
             return []
         return [e for e in self.effects if all(e not in s.effects for s in self.indistinguishable)]
@@ -433,13 +346,7 @@ class Diagnosed(BaseModel):
 
 
 def read_diagnosis(path: Path) -> Diagnosed:
-    """Read what `undertow diagnose --json` wrote.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or is no diagnosis.
-    """
+    """Read what `undertow diagnose --json` wrote."""
     try:
         found = Diagnosed.model_validate_json(read_json(path, "diagnosis"))
     except ValidationError as failure:
@@ -457,13 +364,7 @@ def read_diagnosis(path: Path) -> Diagnosed:
 
 
 def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[RivalSpec]:
-    """The rivals that a diagnosis leaves, with the values that it found.
-
-    Raises
-    ------
-    UndertowError
-        If an effect is unknown or the diagnosis is of another vehicle.
-    """
+    """The rivals that a diagnosis leaves, with the values that it found."""
     if diagnosed.vehicle != vehicle.name:
         raise UndertowError(
             f"the diagnosis is of '{diagnosed.vehicle}', the vehicle file of '{vehicle.name}': give those "
@@ -478,7 +379,7 @@ def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[R
 
 
 def _spec(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue, effect: str) -> RivalSpec:
-    parts = [*diagnosed.settled, *parts_of(effect)]
+    parts = [*diagnosed.in_every_rival, *parts_of(effect)]
     for part in parts:
         vehicle = vehicle.with_effect(lookup(part, known), {})
     values = {

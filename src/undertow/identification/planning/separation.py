@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -18,42 +19,31 @@ from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
-from undertow.version import __version__
 
-from .flight import Airspace, Flight, Ground, Plant, Request, depth_spread
-from .manoeuvres import Design
-from .parameters import Planned, Search, search
-from .result import (
-    Plan,
-    Rival,
-    Separation,
-    channels_of,
-    commands_of,
-    extremes_of,
-    finite,
-    parameter_of,
-    safety_remarks,
-)
+from .parameters import Planned, PlanSearch
+from .problem import Manoeuvre, PlanningProblem, PlanRequest, Plant
+from .result import Rival, Separation, finite
 from .rivals import RivalModel, RivalSpec, rival_models
 
-_ROUNDS = 6
-_SHARES = (1.0, 0.5, 0.2)
-# A fall of the sum of squares that changes no judgement.
-_ENOUGH = 0.01
+
+@dataclass(frozen=True)
+class SeparationSettings:
+    """How models are refitted to each other."""
+
+    rounds: int = 6  # Gauss-Newton steps of a thorough refit
+    shares: tuple[float, ...] = (1.0, 0.5, 0.2)  # of a step, tried in turn
+    enough: float = 0.01  # fall of the sum of squares that changes no judgement
+    separated: float = 3.0  # models nearer than this, in standard deviations, are the same in practice
+    thorough: int = 2  # thorough refits add about as many calls as searching makes
+    suggested: int = 60  # tries of a suggestion: a look at every family and some refinement of the best
+    wide: float = 1.5  # factor of the noise from which a remark says so
+
+
+SETTINGS = SeparationSettings()
 
 
 class Refit:
-    """Refits one rival to what another one predicts.
-
-    Parameters
-    ----------
-    rival : RivalModel
-        The model that gives way.
-    truth : RivalModel
-        The model that is taken for true.
-    with_logs : bool
-        Whether the rival has to keep fitting the logs that it was fitted to.
-    """
+    """Refits one rival to what another one predicts."""
 
     def __init__(self, rival: RivalModel, truth: RivalModel, *, with_logs: bool) -> None:
         self._model, self._p = rival.model, rival.plant.p
@@ -74,15 +64,6 @@ class Refit:
         """Sum of squares that no refit of the rival takes away, in units of the noise, and the refit.
 
         The residual that the true model leaves itself (quadrature, and noise in a real log) does not count.
-
-        Parameters
-        ----------
-        data : WeakData
-            A log that the true model predicts, or a real one.
-        start : (n_parameters,) array, optional
-            Values that the refit begins with.
-        rounds : int
-            Steps of Gauss and Newton; one alone is the linearised problem, as searches use it.
         """
         p = (self._p if start is None else start).copy()
         own = self._truth.linearise(data, self._true_p)
@@ -92,9 +73,9 @@ class Refit:
             if not (np.isfinite(at.r).all() and np.isfinite(at.J).all()):
                 return 0.0, p
             step = bounded_step(at, p[self._places], self._bounds, self._prior)
-            promised = _squares(at.r + at.J @ step)
-            if left == 1 or _squares(at.r) - promised < _ENOUGH:
-                return min(promised, _squares(at.r)), p
+            predicted = _squares(at.r + at.J @ step)
+            if left == 1 or _squares(at.r) - predicted < SETTINGS.enough:
+                return min(predicted, _squares(at.r)), p
             p, at = self._moved(data, p, step, at, own, noise)
         return 0.0, p
 
@@ -107,7 +88,7 @@ class Refit:
         own: list[Linearised],
         noise: list[Whitening],
     ) -> tuple[Array, Linearised]:
-        for share in _SHARES:
+        for share in SETTINGS.shares:
             tried = p.copy()
             tried[self._places] = np.clip(p[self._places] + share * step, *self._bounds)
             there = self._at(data, tried, own, noise)
@@ -140,17 +121,7 @@ def _squares(r: Array) -> float:
 
 
 class Separations:
-    """Distances between all pairs of rivals.
-
-    Parameters
-    ----------
-    rivals : sequence of RivalModel
-        The models.
-    spread : float
-        How many times wider than by noise alone errors are.
-    with_logs : bool
-        As for `Refit`.
-    """
+    """Distances between all pairs of rivals."""
 
     def __init__(self, rivals: Sequence[RivalModel], spread: float, *, with_logs: bool) -> None:
         self._spread, self._count = spread, len(rivals)
@@ -164,21 +135,17 @@ class Separations:
         self._refits = {(i, j): Refit(rivals[j], rivals[i], with_logs=with_logs) for i, j in ways}
         self._last: dict[tuple[int, int], Array] = {}
 
-    def quick(self, space: Airspace, flight: Flight) -> Array:
-        """Chi-square of every pair along a flight, refits being linearised about the last careful ones."""
-        return self._apart(self._along(space, flight), rounds=1)
+    def along(self, problem: PlanningProblem, manoeuvre: Manoeuvre, rounds: int = SETTINGS.rounds) -> Array:
+        """Chi-square of every pair along a manoeuvre, by thorough refits.
 
-    def careful(self, space: Airspace, flight: Flight) -> Array:
-        """Chi-square of every pair along a flight with thorough refits."""
-        return self._apart(self._along(space, flight), _ROUNDS)
+        With one round, refits are linearised about the last thorough ones.
+        """
+        return self._apart([problem.data(manoeuvre, i) for i in range(self._count)], rounds)
 
     def on_logs(self, runs: Sequence[Run], sigma: Array) -> Array:
         """Chi-square of every pair along the motions of logs; sigma is the noise of their 2n channels."""
         data = prepare(runs, self._refits[self._ways[0][0]].vehicle, sigma=sigma)
-        return self._apart([data] * self._count, _ROUNDS)
-
-    def _along(self, space: Airspace, flight: Flight) -> list[WeakData]:
-        return [space.data(flight, i) for i in range(self._count)]
+        return self._apart([data] * self._count, SETTINGS.rounds)
 
     def _apart(self, predicted: Sequence[WeakData], rounds: int) -> Array:
         """The smaller of both ways round, for every pair."""
@@ -193,17 +160,11 @@ class Separations:
         return near
 
 
-# Models nearer than this are the same for whoever flies the manoeuvre.
-SEPARATED = 3.0
-# Thorough refits add about as many calls as searching makes.
-_THOROUGH = 2
-
-
 def plan_separation(
     vehicle: Vehicle,
     specs: Sequence[RivalSpec],
     runs: Sequence[Run] = (),
-    request: Request | None = None,
+    request: PlanRequest | None = None,
     *,
     known: Catalogue | None = None,
     trust_log: bool = False,
@@ -222,21 +183,15 @@ def plan_separation(
         At least two models.
     runs : sequence of Run
         Logs that exist already; the rivals are fitted to them, and have to keep fitting them.
-    request : Request, optional
+    request : PlanRequest, optional
         Duration, limits and the like.
     known : mapping, optional
         Effects by id.
     trust_log : bool
         Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If there are fewer than two models, an effect is unknown or adds nothing, a limit is missing, or no
-        manoeuvre is within the limits.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
-    request, known = request or Request(), known or catalogue()
+    request, known = request or PlanRequest(), known or catalogue()
     names = [s.name for s in specs]
     if len(set(names)) < 2:
         raise UndertowError(
@@ -245,95 +200,52 @@ def plan_separation(
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
         raise UndertowError(f"'{twice}' is named twice: name each model once")
-    first = Ground(request, vehicle, [Plant.of(vehicle, compiled=request.compiled)], runs)
-    rivals = rival_models(
-        vehicle, specs, known, runs, (first.space, first.families), compiled=request.compiled
-    )
-    ground = Ground(request, vehicle, [r.plant for r in rivals], runs)
-    return _Separating(ground, rivals).planned()
+    first = PlanningProblem(request, vehicle, [Plant.of(vehicle, compiled=request.compiled)], runs)
+    rivals = rival_models(vehicle, specs, known, first)
+    problem = PlanningProblem(request, vehicle, [r.plant for r in rivals], runs)
+    return _SeparationSearch(problem, rivals).planned()
 
 
-@dataclass
-class _Best:
-    value: float = -np.inf
-    flight: Flight | None = None
-    strained: Flight | None = None
+class _SeparationSearch(PlanSearch):
+    """Worth are standard deviations between the models, a mean over pairs in which close ones weigh most."""
 
-
-class _Separating:
-    """The search."""
-
-    def __init__(self, ground: Ground, rivals: Sequence[RivalModel]) -> None:
-        self.ground, self.rivals = ground, rivals
+    def __init__(self, problem: PlanningProblem, rivals: Sequence[RivalModel]) -> None:
+        others, states = len(rivals) - 1, 2 * len(problem.vehicle.dof_indices)
+        columns = others * sum(len(r.known.free) + states for r in rivals)
+        tries = problem.tries(columns, calls=SETTINGS.thorough * others * len(rivals))
+        super().__init__(problem, rivals[0].plant, rivals[0].known, tries)
+        self.rivals = rivals
         # The model that explains the logs best says how far beyond noise they are.
         self.spread = min(r.known.misfit for r in rivals)
-        self.separations = Separations(rivals, self.spread, with_logs=bool(ground.runs))
-        self.best = _Best()
+        self.separations = Separations(rivals, self.spread, with_logs=bool(problem.runs))
 
-    def judge(self, design: Design) -> float:
-        """Standard deviations between the models, a mean over the pairs in which close ones weigh most."""
-        flight, best = self.ground.space.fly(design), self.best
-        if not flight.safe:
-            if best.strained is None or flight.strain < best.strained.strain:
-                best.strained = flight
-            return -np.inf
-        value = _mean(self.separations.quick(self.ground.space, flight))
-        if value > best.value:
+    def worth(self, manoeuvre: Manoeuvre) -> float:
+        value = _mean(self.separations.along(self.problem, manoeuvre, rounds=1))
+        if value > self.value:
             # What looks best by linearised refits has to be so by thorough ones.
-            value = _mean(self.separations.careful(self.ground.space, flight))
-        if value > best.value:
-            best.value, best.flight = value, flight
+            value = _mean(self.separations.along(self.problem, manoeuvre))
         return value
 
-    def planned(self) -> Planned:
-        """Search and tell."""
-        ground = self.ground
-        others, states = len(self.rivals) - 1, 2 * len(ground.vehicle.dof_indices)
-        columns = others * sum(len(r.known.free) + states for r in self.rivals)
-        tries = ground.tries(columns, calls=_THOROUGH * others * len(self.rivals))
-        found = search(ground.families, self.judge, tries, ground.request.seed, ground.request.report)
-        if self.best.flight is None:
-            ground.refuse_unsafe(self.best.strained)
-        assert self.best.flight is not None
-        return Planned(self._told(found, self.best.flight), self.best.flight)
+    def outcome(self, manoeuvre: Manoeuvre) -> dict[str, Any]:
+        pairs = self._pairs(manoeuvre)
+        return {
+            "goal": "separate",
+            "criterion": min(p.deviations for p in pairs),
+            "families": finite(self.by_family),
+            "parameters": [],
+            "undetermined": [],
+            "rivals": [_planned_rival(r, self.problem.vehicle.signs) for r in self.rivals],
+            "separations": pairs,
+            "remarks": self._remarks(pairs),
+        }
 
-    def _told(self, found: Search, flight: Flight) -> Plan:
-        assert found.best is not None
-        ground, request, first = self.ground, self.ground.request, self.rivals[0]
-        spread = depth_spread(ground.space, first.plant, first.known, flight)
-        pairs = self._pairs(flight)
-        return Plan(
-            undertow=__version__,
-            vehicle=ground.vehicle.name,
-            signs=ground.vehicle.signs,
-            goal="separate",
-            seed=request.seed,
-            tries=found.tries,
-            duration=request.duration,
-            rate=request.rate,
-            manoeuvre=found.best.family.name,
-            criterion=min(p.deviations for p in pairs),
-            families=finite(found.by_family),
-            commands=commands_of(ground, flight),
-            noise=channels_of(ground),
-            extremes=extremes_of(ground, flight),
-            limits=finite(request.motion.as_dict()),
-            depth_spread=spread,
-            parameters=[],
-            undetermined=[],
-            rivals=[_told_rival(r, ground.vehicle.signs) for r in self.rivals],
-            separations=pairs,
-            logs=[r.name for r in ground.runs],
-            remarks=[*self._remarks(pairs), *safety_remarks(ground, flight, spread)],
-        )
-
-    def _pairs(self, flight: Flight) -> list[Separation]:
-        runs, space = self.ground.runs, self.ground.space
-        plan = self.separations.careful(space, flight)
+    def _pairs(self, manoeuvre: Manoeuvre) -> list[Separation]:
+        runs = self.problem.runs
+        plan = self.separations.along(self.problem, manoeuvre)
         now: list[float] | None = None
         if runs:
             apart = Separations(self.rivals, self.spread, with_logs=False)
-            now = apart.on_logs(runs, self.ground.noise.finite).tolist()
+            now = apart.on_logs(runs, self.problem.noise.finite).tolist()
         found = []
         for k, (i, j) in enumerate(self.separations.pairs):
             before = None if now is None else now[k]
@@ -354,10 +266,10 @@ class _Separating:
             f"no manoeuvre that was tried tells {' and '.join(p.pair)} apart: the best leaves them "
             f"{p.deviations:.2g} standard deviations from each other"
             for p in pairs
-            if p.deviations < SEPARATED
+            if p.deviations < SETTINGS.separated
         ]
         now = [p.deviations_now for p in pairs]
-        if all(d is not None and d > SEPARATED for d in now):
+        if all(d is not None and d > SETTINGS.separated for d in now):
             lines.append(
                 "the logs tell all of these models apart as it is: undertow diagnose says which is right"
             )
@@ -367,7 +279,7 @@ class _Separating:
                 f"nothing is known of the size of {' and '.join(assumed)}: planned with a tenth of the "
                 "actuators' force, or of the velocities; a diagnosis or logs would say more"
             )
-        if self.spread > 1.5:
+        if self.spread > SETTINGS.wide:
             lines.append(
                 "even the best of the models leaves more than noise on the logs: distances are counted as if "
                 f"the noise were {self.spread:.2g} times larger"
@@ -380,19 +292,15 @@ def _mean(chi_square: Array) -> float:
     return float(np.sqrt(np.expm1(np.mean(np.log1p(chi_square)))))
 
 
-def _told_rival(rival: RivalModel, signs: str) -> Rival:
+def _planned_rival(rival: RivalModel, signs: str) -> Rival:
     vehicle = rival.plant.functions.vehicle
-    declared = {n: parameter_of(vehicle, n) for n in rival.own}
+    declared = {n: vehicle.declaration(n) for n in rival.own}
     return Rival(
         name=rival.name,
         values={n: printed(p, vehicle.value_of(n).value, signs) for n, p in declared.items()},
         units={n: "" if p.unit == "1" else p.unit for n, p in declared.items()},
         source=rival.source,
     )
-
-
-# Little: a look at every family and some refinement of the best.
-_TRIES = 60
 
 
 def suggest(
@@ -402,7 +310,7 @@ def suggest(
     values: Mapping[str, Mapping[str, float]] | None = None,
     *,
     known: Catalogue | None = None,
-    tries: int = _TRIES,
+    tries: int = SETTINGS.suggested,
 ) -> str:
     """Say which kind of manoeuvre would tell effects apart, within the commands and motions of the logs.
 
@@ -420,17 +328,12 @@ def suggest(
         Effects by id.
     tries : int
         Manoeuvres that are looked at.
-
-    Raises
-    ------
-    UndertowError
-        If there are fewer than two models, or no manoeuvre is within the limits.
     """
     specs = [RivalSpec(name, (values or {}).get(name, {})) for name in ids]
-    plan = plan_separation(vehicle, specs, runs, Request(tries=tries), known=known).plan
+    plan = plan_separation(vehicle, specs, runs, PlanRequest(tries=tries), known=known).plan
     apart = min(plan.separations, key=lambda s: s.deviations)
     between = " and ".join(apart.pair)
-    if apart.deviations < SEPARATED:
+    if apart.deviations < SETTINGS.separated:
         return (
             f"No manoeuvre of {plan.duration:g} s that was tried would tell {between} apart: the best leaves "
             f"them {apart.deviations:.2g} standard deviations from each other."

@@ -1,0 +1,100 @@
+"""How a wanted force is shared among the thrusters, in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.model.loading import Quantity
+from undertow.model.units import to_si
+
+from .gains import GainSet
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """The inverse of B f = tau for the degrees of freedom that the thrusters push in.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (n, m)
+        Body-frame force of a unit of each command, N and N m.
+    rows : tuple of int
+        Degrees of freedom that are allocated; the others are left out.
+    weights : ndarray, shape (m,)
+        Price of the squared command of each.
+    limits : ndarray, shape (m,)
+        Largest magnitude of each command; infinite where there is none.
+    """
+
+    matrix: np.ndarray
+    rows: tuple[int, ...]
+    weights: np.ndarray
+    limits: np.ndarray
+
+    @property
+    def limited(self) -> bool:
+        """Whether any command has a limit."""
+        return bool(np.isfinite(self.limits).any())
+
+    @property
+    def acting(self) -> np.ndarray:
+        """Rows of the matrix that are allocated, shape (k, m)."""
+        return self.matrix[list(self.rows)]
+
+    @property
+    def pseudo_inverse(self) -> np.ndarray:
+        """Commands of a unit of each allocated force without limits, shape (m, k)."""
+        b, cheap = self.acting, 1 / self.weights[:, None]
+        inverse = cheap * b.T @ np.linalg.inv(b @ (cheap * b.T))
+        return np.where(np.abs(inverse) < 1e-14 * np.abs(inverse).max(), 0.0, inverse)
+
+    @property
+    def share(self) -> np.ndarray:
+        """The same for the forces in all degrees of freedom, shape (m, n)."""
+        share = np.zeros(self.matrix.T.shape)
+        share[:, list(self.rows)] = self.pseudo_inverse
+        return share
+
+
+def allocation_of(gains: GainSet) -> Allocation:
+    """The allocation that a gain set asks for on the vehicle that it knows.
+
+    Raises
+    ------
+    UndertowError
+        If a limit is none, or the thrusters push in nothing that the law uses, or not independently.
+    """
+    vehicle = gains.plant.vehicle
+    matrix = gains.plant.thrust_matrix
+    dofs = vehicle.degrees_of_freedom
+    rows = tuple(i for i, d in enumerate(dofs) if d not in gains.unactuated)
+    if not rows:
+        raise UndertowError(
+            f"a controller has nothing to command: no thruster of '{vehicle.name}' pushes in "
+            f"{', '.join(dofs)}; add [[thrusters]] to the vehicle file"
+        )
+    if np.linalg.matrix_rank(matrix[list(rows)]) < len(rows):
+        raise UndertowError(
+            f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "
+            "name in unactuated, in the gain file, what is to be left out"
+        )
+    own = {t.name: t.limit for t in vehicle.thrusters}
+    stated = {name: _limit(name, limit) for name, limit in gains.allocation.limits.items()}
+    names = vehicle.command_names
+    limits = [stated.get(n, own.get(n)) for n in names]
+    weights = np.array([gains.allocation.weights.get(n, 1.0) for n in names])
+    return Allocation(matrix, rows, weights, np.array([np.inf if v is None else v for v in limits]))
+
+
+def _limit(name: str, stated: Quantity) -> float:
+    """A limit as vehicle files state it: in N where the command is the thrust itself."""
+    try:
+        value = to_si(stated, "N" if isinstance(stated, str) and "N" in stated else "command")
+    except UndertowError as error:
+        raise UndertowError(f"[allocation] limit of thruster '{name}': {error}") from error
+    if value <= 0:
+        raise UndertowError(f"[allocation] limit of thruster '{name}' is {stated}: give one above zero")
+    return value

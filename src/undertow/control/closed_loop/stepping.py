@@ -1,0 +1,383 @@
+"""What runs of a closed loop need and fill; compiled code or CasADi's virtual machine runs them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from undertow.codegen.compiler import Compiler, Evaluator, pointer
+from undertow.codegen.plain import LANES, plain_c
+from undertow.codegen.simulate import runge_kutta
+from undertow.codegen.source import c_file, with_entry
+from undertow.codegen.trajectories import LANES_HEADER, Entries, defines, lanes_for, packed, unpacked
+from undertow.errors import UndertowError
+
+from .parts import Parts
+
+_OF_RUNS = ("p", "r", "k", "x", "s", "command", "commands", "reports")
+
+
+@dataclass
+class LoopProblem:
+    """Runs at the sample that they have come to.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling interval, s.
+    substeps : int
+        Runge-Kutta steps in it.
+    continuous : bool
+        Whether the law acts at every stage of a step instead of being sampled.
+    input_delay : int
+        Samples from a command to its thrust.
+    output_delay : ndarray of int64, shape (ny,)
+        Samples from a motion to its report.
+    p, r, k : ndarray, shape (b, n)
+        Parameters, desired pose of the controller, gains.
+    x, s : ndarray, shape (b, n)
+        States of vehicle and controller; the first ones are given.
+    command : ndarray, shape (b, nu)
+        The last command.
+    commands, reports : ndarray, shape (b, ring, n)
+        Those of the last samples, one row for each, in a ring.
+    """
+
+    dt: float
+    substeps: int
+    continuous: bool
+    input_delay: int
+    output_delay: np.ndarray
+    p: np.ndarray
+    r: np.ndarray
+    k: np.ndarray
+    x: np.ndarray
+    s: np.ndarray
+    command: np.ndarray
+    commands: np.ndarray
+    reports: np.ndarray
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return len(self.x)
+
+    def part(self, runs: slice) -> LoopProblem:
+        """Some of the runs, in the same memory."""
+        return replace(self, **{name: getattr(self, name)[runs] for name in _OF_RUNS})
+
+
+@dataclass
+class Rows:
+    """What is recorded of samples, a row for each; what is not wanted has none.
+
+    Attributes
+    ----------
+    x, y, u, s, tau : ndarray, shape (b, rows, n)
+        True state, what the controller was told, its commands, its states after the sample, and the force
+        that the law asked for.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    u: np.ndarray
+    s: np.ndarray
+    tau: np.ndarray
+
+    def of(self, run: int) -> Rows:
+        """The rows of one run, arrays of shape (rows, n)."""
+        return Rows(*(array[run] for array in vars(self).values()))
+
+    def first(self, count: int) -> Rows:
+        """The first rows of one run."""
+        return Rows(*(array[:count] for array in vars(self).values()))
+
+
+ALL = ("x", "y", "u", "s", "tau")
+
+
+@dataclass(frozen=True)
+class Block:
+    """Samples of one call, and what is recorded of them.
+
+    Attributes
+    ----------
+    first, samples : int
+        The first sample and how many.
+    stride : int
+        Recorded is every sample that this divides.
+    noise : ndarray, shape (b, samples, ny), optional
+        What the sensors add.
+    extra : ndarray, shape (samples, nu), optional
+        Forces from outside.
+    wanted : tuple of str
+        What is recorded.
+    """
+
+    first: int
+    samples: int
+    stride: int = 1
+    noise: np.ndarray | None = None
+    extra: np.ndarray | None = None
+    wanted: tuple[str, ...] = ALL
+
+    @property
+    def recorded(self) -> range:
+        """The samples that are recorded."""
+        begin = -(-self.first // self.stride) * self.stride
+        return range(begin, self.first + self.samples, self.stride)
+
+    def rows(self, parts: Parts, groups: int, *lanes: int) -> Rows:
+        """Rows to be filled, of so many runs or groups of runs in lanes."""
+        f, control = parts.functions, parts.control
+        sizes = (f.x.numel(), len(parts.reported_names), f.u.numel(), *map(control.size1_out, (1, 2)))
+        count = len(self.recorded)
+        counts = (count if name in self.wanted else 0 for name in ALL)
+        return Rows(*(np.empty((groups, c, n, *lanes)) for c, n in zip(counts, sizes, strict=True)))
+
+
+def problem_of(
+    parts: Parts,
+    start: np.ndarray,
+    desired: np.ndarray,
+    dt: float,
+    substeps: int,
+    continuous: bool,
+    p: np.ndarray | None = None,
+    k: np.ndarray | None = None,
+) -> LoopProblem:
+    """Runs from their first sample on."""
+    runs = len(start)
+    p = np.tile(parts.parameters, (runs, 1)) if p is None else p
+    k = np.tile(parts.gains, (runs, 1)) if k is None else k
+    delay, delays = _delays(parts, p, dt)
+    return LoopProblem(
+        dt,
+        substeps,
+        continuous,
+        delay,
+        delays,
+        p,
+        np.tile(np.asarray(desired, dtype=float), (runs, 1)),
+        k,
+        _at_rest(parts, start, p),
+        np.tile(np.array(parts.controller.initial_states()), (runs, 1)),
+        np.zeros((runs, parts.functions.u.numel())),
+        np.zeros((runs, delay + 1, parts.functions.u.numel())),
+        np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),
+    )
+
+
+def _at_rest(parts: Parts, start: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """First states: commands of zero have been held for long."""
+    runs, f = len(start), parts.functions
+    owned = np.zeros((runs, f.x.numel() - start.shape[1]))
+    if f.actuator_states.numel():
+        at_zero = (np.zeros(f.u.numel()), p.T, 0.0)
+        owned[:, f.memory.numel() :] = np.asarray(f.rest.map(runs)(*_columns(at_zero, runs))).T
+    return np.hstack([start, owned])
+
+
+def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
+    """Samples that commands and each report are late, the same in all runs."""
+    late, ages = parts.lateness(p)
+    samples = np.rint(np.column_stack([late, ages]) / dt).astype(np.int64)
+    other = np.flatnonzero((samples != samples[0]).any(axis=1))
+    if other.size:
+        raise UndertowError(
+            f"run {other[0]} has other dead times than run 0, in samples of {dt:g} s: simulate runs with "
+            "equal dead times together"
+        )
+    return int(samples[0, 0]), np.ascontiguousarray(samples[0, 1:])
+
+
+def _columns(values: tuple[np.ndarray | float, ...], runs: int) -> list[np.ndarray]:
+    """Each value as a matrix with a column for every run."""
+    found = [np.atleast_1d(np.asarray(v, dtype=float)) for v in values]
+    return [v if v.ndim == 2 else np.tile(v[:, None], (1, runs)) for v in found]
+
+
+_POINTER = ctypes.c_void_p
+_PER_RUN = ("p", "r", "k")
+_CHANGED = ("x", "s", "command", "commands", "reports")
+
+
+class _Loop(ctypes.Structure):
+    _fields_ = (
+        ("dt", ctypes.c_double),
+        *((name, ctypes.c_int64) for name in ("substeps", "continuous", "input_delay", "report_ring")),
+        ("output_delay", _POINTER),
+        *((name, ctypes.c_int64) for name in ("stride", "rows", *(f"{n}_step" for n in _PER_RUN))),
+        *((name, _POINTER) for name in (*_PER_RUN, *_CHANGED, "noise", "extra")),
+        ("record", _POINTER * len(ALL)),
+    )
+
+
+class CompiledLoop:
+    """Model, sensors, controller, allocation, schedule and integrator in a library for each lane count."""
+
+    parallel = True
+
+    def __init__(self, parts: Parts, compiler: Compiler) -> None:
+        self._parts, self.lanes = parts, compiler.lanes
+        self._entries = Entries(lambda lanes: loop_source(parts, lanes), compiler)
+        self._entries(1)
+
+    def run(self, problem: LoopProblem, block: Block) -> Rows:
+        lanes = lanes_for(problem.runs, self.lanes)
+        arrays = {name: packed(getattr(problem, name), lanes) for name in (*_PER_RUN, *_CHANGED)}
+        noise = None if block.noise is None else packed(block.noise, lanes)
+        groups = len(arrays["x"])
+        record = vars(block.rows(self._parts, groups, lanes)).values()
+        loop = _Loop(
+            *(problem.dt, problem.substeps, problem.continuous, problem.input_delay),
+            *(problem.reports.shape[1], _address(problem.output_delay), block.stride, len(block.recorded)),
+            *(arrays[name][0].size for name in _PER_RUN),
+            *map(_address, [*arrays.values(), noise, block.extra]),
+            (_POINTER * len(ALL))(*(_address(array if array.size else None) for array in record)),
+        )
+        span = map(ctypes.c_int64, (0, groups, block.first, block.samples))
+        self._entries(lanes)(ctypes.byref(loop), *span)
+        for name in _CHANGED:
+            getattr(problem, name)[:] = unpacked(arrays[name], problem.runs)
+        return Rows(*(unpacked(array, problem.runs) for array in record))
+
+
+def _address(array: np.ndarray | None) -> ctypes.c_void_p:
+    return ctypes.c_void_p(None) if array is None else pointer(array)
+
+
+def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
+    """C source of closed loops and the name of the entry point, which carries the hash of the source."""
+    form = parts.functions.prepared
+    functions = [form.prepare, form.hold, form.held_dynamics, parts.outputs, parts.control, parts.law]
+    sizes = {
+        "LANES": lanes,
+        "NX": parts.dynamics.size1_in("x"),
+        "NU": parts.dynamics.size1_in("u"),
+        "NP": parts.dynamics.size1_in("p"),
+        "NQ": form.prepare.size1_out("q"),
+        "NW": form.hold.size1_out("w"),
+        "NS": parts.control.size1_in("s"),
+        "NR": parts.control.size1_in("r"),
+        "NK": parts.control.size1_in("k"),
+        "NY": parts.control.size1_in("y"),
+        "NT": parts.control.size1_out("tau"),
+    }
+    short = {form.hold.name(), parts.outputs.name()}
+    model = [
+        plain_c(
+            f,
+            f.name(),
+            prefix="INLINE " if f.name() in short else "static SEPARATE ",
+            words=LANES,
+            shared=("t", "dt"),
+        )
+        for f in functions
+    ]
+    loop = c_file("loop.c", "undertow.control.closed_loop")
+    text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
+    return with_entry(text, "RUN", "run")
+
+
+class VirtualLoop:
+    """The steps of loop.c in NumPy; CasADi evaluates a function for all runs at once."""
+
+    lanes, parallel = 1, False
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+        self._functions = {
+            "outputs": parts.outputs,
+            "control": parts.control,
+            "held": _held_step(parts),
+            "joint": _joint_step(parts),
+        }
+        self._evaluators: dict[tuple[str, int], Evaluator] = {}
+
+    def run(self, problem: LoopProblem, block: Block) -> Rows:
+        rows, row = block.rows(self._parts, problem.runs), 0
+        with np.errstate(all="ignore"):
+            for i in range(block.samples):
+                values = self._sample(problem, block, i)
+                if block.first + i in block.recorded:
+                    for name in block.wanted:
+                        getattr(rows, name)[:, row] = values[name]
+                    row += 1
+        return rows
+
+    def _evaluate(self, name: str, *inputs: np.ndarray | float) -> list[np.ndarray]:
+        """Outputs of shape (b, n) for inputs of shape (b, n)."""
+        runs = len(inputs[0]) if isinstance(inputs[0], np.ndarray) else 1
+        key = name, runs
+        if key not in self._evaluators:
+            self._evaluators[key] = Evaluator(self._functions[name], runs)
+        return [column[:, :, 0] for column in self._evaluators[key](*inputs)]
+
+    def _sample(self, problem: LoopProblem, block: Block, i: int) -> dict[str, np.ndarray]:
+        sample, ring = block.first + i, problem.input_delay + 1
+        t, x = sample * problem.dt, problem.x.copy()
+        told = self._told(problem, sample, t)
+        if block.noise is not None:
+            told = told + block.noise[:, i]
+        hold = 0.0 if problem.continuous else problem.dt
+        u, s, tau = self._evaluate("control", told, problem.r, problem.s, problem.k, hold)
+        problem.s[:] = s
+        problem.command[:] = problem.commands[:, sample % ring] = u
+        sent = problem.commands[:, (sample + 1) % ring] if sample >= problem.input_delay else np.zeros_like(u)
+        extra = np.zeros(u.shape[1]) if block.extra is None else block.extra[i]
+        self._advance(problem, sent + extra, extra, t)
+        return {"x": x, "y": told, "u": u, "s": s, "tau": tau}
+
+    def _told(self, problem: LoopProblem, sample: int, t: float) -> np.ndarray:
+        (y,) = self._evaluate("outputs", problem.x, problem.command, problem.p, t)
+        size = problem.reports.shape[1]
+        problem.reports[:, sample % size] = y
+        since = np.maximum(sample - problem.output_delay, 0)
+        return problem.reports[:, since % size, np.arange(len(since))]
+
+    def _advance(self, problem: LoopProblem, u: np.ndarray, extra: np.ndarray, t: float) -> None:
+        h = problem.dt / problem.substeps
+        for k in range(problem.substeps):
+            at = t + k * h
+            if problem.continuous:
+                others = (problem.r, problem.k, extra, problem.p, at, h)
+                x, problem.s[:] = self._evaluate("joint", problem.x, problem.s, *others)
+            else:
+                (x,) = self._evaluate("held", problem.x, u, problem.p, at, h)
+            problem.x[:] = x
+
+
+def _held_step(parts: Parts) -> ca.Function:
+    """`x_next = step(x, u, p, t, h)` with the commands held."""
+    f = parts.functions
+    sizes = {"x": f.x.numel(), "u": f.u.numel(), "p": f.p.numel(), "t": 1, "h": 1}
+    x, u, p, t, h = (ca.SX.sym(name, size) for name, size in sizes.items())
+    (following,) = runge_kutta(lambda z, reach: [parts.dynamics(*z, u, p, t + reach * h)], [x], [h])
+    return ca.Function("held", [x, u, p, t, h], [ca.densify(following)])
+
+
+def _joint_step(parts: Parts) -> ca.Function:
+    """`(x_next, s_next) = step(x, s, r, k, extra, p, t, h)` with the law at every stage."""
+    f, law = parts.functions, parts.law
+    x, extra, p = ca.SX.sym("x", f.x.numel()), ca.SX.sym("e", f.u.numel()), ca.SX.sym("p", f.p.numel())
+    s, r, k = (ca.SX.sym(n, law.size1_in(n)) for n in "srk")
+    t, h = ca.SX.sym("t"), ca.SX.sym("h")
+    u = ca.SX.zeros(extra.shape)
+
+    def rates(z: Sequence[ca.SX], reach: float) -> list[ca.SX]:
+        nonlocal u
+        now = t + reach * h
+        commands, s_dot, _ = law(parts.outputs(z[0], u, p, now), r, z[1], k)
+        u = commands + extra
+        return [parts.dynamics(z[0], u, p, now), s_dot]
+
+    following = runge_kutta(rates, [x, s], [h, h])
+    return ca.Function("joint", [x, s, r, k, extra, p, t, h], [*map(ca.densify, following)])
+
+
+LoopStepper = CompiledLoop | VirtualLoop

@@ -1,0 +1,464 @@
+"""What is to be planned: what is known before, the models, actuators and limits, and predicted manoeuvres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.predictor import Predictor
+from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.step import inverse_of, prior_of
+from undertow.identification.estimation.weak_form import WeakFit, fit_weak
+from undertow.identification.estimation.windows import late_by
+from undertow.identification.logs.run import Run
+from undertow.model.symbols import DOFS
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
+
+from .manoeuvres import (
+    Axis,
+    Design,
+    Family,
+    MotionLimits,
+    command_limits,
+    every_axis,
+    exceeded,
+    families,
+    planned_noise,
+    trim,
+)
+
+
+@dataclass(frozen=True)
+class PlanningSettings:
+    """Numbers that planning decides by."""
+
+    vague: float = 100.0  # a parameter of which nothing is known may be off by this many times its size
+    unknown: float = 0.3  # it counts as unknown as long as its standard error is this share of that
+    wide: float = 1.5  # errors so many times wider than by noise alone are worth a remark
+    # From this factor on fitted values make up for what is missing: those of the vehicle file are better.
+    misfit: float = 5.0
+    # Shares of the excitation, and deflections of an axis, that are tried, the largest first.
+    shares: tuple[float, ...] = (0.85, 0.7, 0.55, 0.4, 0.28, 0.18, 0.1)
+    reaches: tuple[float, ...] = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03, 0.02, 0.01)
+    # How often axes that make a motion too large are reduced, to which share of the limit, how far at once.
+    corrections: int = 4
+    inside: float = 0.95
+    least: float = 0.2
+    held: float = 12.0  # an axis is deflected for so long to see where it leads, s
+    fewest_samples: int = 50
+    most_samples: int = 50_000
+    loose: float = 0.3  # error of a value without a stated one, as a share of it, for the depth
+    step: float = 1e-2  # of the differences of the depth, as a share of a parameter's size
+    # Work of a search by default, in seconds of a usual machine: the number of manoeuvres follows from the
+    # sizes alone, so that it is the same everywhere.
+    seconds: float = 9.0
+    per_call: float = 6e-3
+    per_number: float = 8e-8
+    fewest_tries: int = 60
+    most_tries: int = 600
+
+
+SETTINGS = PlanningSettings()
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of the free parameters before a manoeuvre."""
+
+    vehicle: Vehicle  # the model at the values that are planned with
+    free: tuple[str, ...]  # parameters to be determined
+    prior: Array  # (k, k) information of the stated standard deviations
+    logs: Array  # (k, k) information in the logs, as far as what the model leaves in them allows
+    # (k,) how many times wider errors were on the logs than noise alone would make them, at least 1.
+    spread: Array
+
+    @property
+    def misfit(self) -> float:
+        """Median of the spread."""
+        return float(np.median(self.spread)) if len(self.spread) else 1.0
+
+    @cached_property
+    def scale(self) -> Array:
+        """Size of every parameter: its value, else what is stated of its error, else one."""
+        values = [self.vehicle.value_of(n) for n in self.free]
+        return np.array([abs(v.value) or v.sigma or 1.0 for v in values])
+
+    @cached_property
+    def now(self) -> Array:
+        """Information before the manoeuvre, (k, k), finite also where nothing is known."""
+        return self.prior + self.logs + np.diag((SETTINGS.vague * self.scale) ** -2.0)
+
+    def after(self, gram: Array) -> Array:
+        """Information after a manoeuvre with the information `gram` by noise alone, shape (k, k)."""
+        return np.asarray(self.now + gram / np.outer(self.spread, self.spread))
+
+    def errors(self, information: Array) -> Array:
+        """Standard errors, shape (k,); inf for a parameter that is not known."""
+        found = np.sqrt(np.diag(inverse_of(information)))
+        return np.where(found < SETTINGS.unknown * SETTINGS.vague * self.scale, found, np.inf)
+
+
+def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Knowledge:
+    """What the vehicle file and logs say.
+
+    With logs, the model is fitted to them and planned with at the fitted values, unless these make up for
+    something that the model lacks.
+    """
+    if not runs:
+        return stated(vehicle, free)
+    known = knowledge_of(fit_weak(vehicle, prepare(runs, vehicle), free), runs)
+    return replace(known, vehicle=vehicle) if known.misfit >= SETTINGS.misfit else known
+
+
+def stated(vehicle: Vehicle, free: Sequence[str]) -> Knowledge:
+    """What the vehicle file says."""
+    nothing = np.zeros((len(free), len(free)))
+    return Knowledge(vehicle, tuple(free), _prior(vehicle, free), nothing, np.ones(len(free)))
+
+
+def knowledge_of(fit: WeakFit, runs: Sequence[Run]) -> Knowledge:
+    """What a fit to logs says, with the priors of the vehicle file as far as these are no such fit."""
+    logs, spread = _information_of_logs(fit)
+    before = fit.model.functions.vehicle
+    new = [n if not _fitted_to(before, n, runs) else None for n in fit.model.free]
+    return Knowledge(fit.vehicle, fit.model.free, _prior(before, new), logs, spread)
+
+
+def _prior(vehicle: Vehicle, names: Sequence[str | None]) -> Array:
+    sigma = [None if n is None else vehicle.value_of(n).sigma for n in names]
+    return np.diag([0.0 if not s else s**-2.0 for s in sigma])
+
+
+def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
+    """What to know about the numbers before a manoeuvre."""
+    if not runs:
+        return ["no logs are given: what is known now is what the vehicle file states"]
+    remarks = []
+    twice = [n for n in known.free if _fitted_to(known.vehicle, n, runs)]
+    if twice:
+        names = ", ".join(twice)
+        remarks.append(f"stated errors of {names} come from a fit to these logs and do not count again")
+    widest = float(np.max(known.spread, initial=1.0))
+    if known.misfit >= SETTINGS.misfit:
+        remarks.append(
+            "the model misses too much of these logs to fit it: planned with the values of its file"
+        )
+    if widest > SETTINGS.wide:
+        remarks.append(
+            f"the model leaves more than noise on these logs: errors are up to {widest:.2g} times as wide as "
+            "by noise alone, now and after the manoeuvre; undertow diagnose looks for what is missing"
+        )
+    return remarks
+
+
+def _fitted_to(vehicle: Vehicle, name: str, runs: Sequence[Run]) -> bool:
+    """Whether the file says that a value comes from a fit to one of these logs."""
+    source, _, _ = vehicle.value_of(name).source.partition("; before: ")
+    return source.startswith("fit to ") and any(run.name in source for run in runs)
+
+
+def _information_of_logs(fit: WeakFit) -> tuple[Array, Array]:
+    """Information of logs, and how much wider than by noise alone the errors are."""
+    weak_prior = np.diag(prior_of(fit.model)[1] ** 2)
+    robust = np.sqrt(np.diag(fit.covariance) / np.maximum(np.diag(inverse_of(fit.information)), 1e-300))
+    logs = fit.gram / np.outer(robust, robust)
+    parts = fit.model.linearise(fit.data, fit.p)
+    slopes = whitened(parts, fit.model.whitening(fit.data, fit.p)).J
+    by_noise = np.diag(inverse_of(slopes.T @ slopes + weak_prior))
+    spread = np.sqrt(np.diag(inverse_of(logs + weak_prior)) / np.maximum(by_noise, 1e-300))
+    return logs, np.maximum(spread, 1.0)
+
+
+def gram_along(model: WeakModel, data: WeakData, p: Array) -> Array | None:
+    """Information that a log will hold on the free parameters by noise alone, (k, k).
+
+    `data` is the log as predicted, with the noise levels to come; None where the residual is not finite.
+    """
+    at = whitened(model.linearise(data, p), model.whitening(data, p))
+    return np.asarray(at.J.T @ at.J) if np.isfinite(at.J).all() else None
+
+
+def log_determinant(information: Array, wanted: Sequence[int]) -> float:
+    """Logarithm of the determinant of the information on some parameters, the others being free, too."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale)
+    others = [i for i in range(len(scale)) if i not in wanted]
+    whole = np.linalg.slogdet(scaled)[1] - 2 * np.sum(np.log(scale))
+    if not others:
+        return float(whole)
+    rest = np.linalg.slogdet(scaled[np.ix_(others, others)])[1] - 2 * np.sum(np.log(scale[others]))
+    return float(whole - rest)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A model that can be simulated."""
+
+    functions: Functions
+    p: Array  # (n_parameters,) values of its parameters
+    predictor: Predictor
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, *, compiled: bool | None = None) -> Plant:
+        """The vehicle with its own values."""
+        functions = Functions(vehicle)
+        values = np.array(functions.values(), dtype=float)
+        return cls(functions, values, Predictor(functions, compiled=compiled))
+
+    def reports(self, t: Array, u: Array, motion: Array, p: Array | None = None) -> Array:
+        """What the sensors report without noise, (b, n, 2n_dof), for commands u of shape (b, n, k).
+
+        The first commands have been held for long; `motion` (2n_dof,) is the pose and velocity at the start.
+        NaN where the simulation diverges.
+        """
+        p = self.p if p is None else p
+        delay = float(self.functions.dead_time(p))
+        rest = [np.array(self.functions.rest(one[0], p, 0.0)).ravel() for one in u]
+        memory = np.zeros((len(u), self.functions.memory.numel()))
+        start = np.column_stack([np.tile(motion, (len(u), 1)), memory, np.array(rest)])
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.predictor.simulated(start, np.tile(t, (len(u), 1)), late_by(delay, t, u), p)
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Commands and the motions that the models predict for them."""
+
+    t: Array  # (n,) time, s
+    u: Array  # (n, k) commands
+    y: tuple[Array, ...]  # reported pose and velocity, (n, 2n_dof) for each model
+    strain: float  # largest motion over its limit; at most 1 where the manoeuvre is safe
+    limit: str  # which limit that is
+
+    @property
+    def safe(self) -> bool:
+        """Whether every predicted motion stays within the limits."""
+        return self.strain <= 1.0
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What is asked of a plan."""
+
+    duration: float = 60.0  # length, s
+    rate: float = 20.0  # samples per second, of the commands and of the log to come
+    # Largest commands by name; "" for all that are not named.
+    limits: Mapping[str, float] = field(default_factory=dict)
+    # Standard deviation of the noise by channel, SI; inf for one that is not measured.
+    noise: Mapping[str, float] = field(default_factory=dict)
+    motion: MotionLimits = field(default_factory=MotionLimits)  # largest motions
+    depth: float | None = None  # depth at the start, m; by default that of the logs, or 0
+    seed: int = 0
+    tries: int | None = None  # manoeuvres to be judged; by default as many as take some ten seconds
+    compiled: bool | None = None  # as for `Simulator`
+    report: Progress = lambda done, words: None  # receives the share that is done, and what is being done
+
+    def refuse_samples(self) -> None:
+        """Refuse lengths and rates that make no manoeuvre."""
+        duration, rate = self.duration, self.rate
+        if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
+            raise UndertowError(
+                f"a manoeuvre of {duration:g} s at {rate:g} samples/s is none: give positive numbers"
+            )
+        samples = round(duration * rate)
+        if not SETTINGS.fewest_samples <= samples <= SETTINGS.most_samples:
+            raise UndertowError(
+                f"{duration:g} s at {rate:g} samples/s are {samples} samples: give a --duration and a "
+                f"--rate that make {SETTINGS.fewest_samples} to {SETTINGS.most_samples}"
+            )
+
+
+# Axes that a motion depends on.
+_CAUSES = {
+    "speed": {"surge", "sway", "heave"},
+    "rate": {"roll", "pitch", "yaw"},
+    "depth": {"heave", "roll", "pitch"},
+    "tilt": {"roll", "pitch"},
+    "distance": {"surge", "sway"},
+}
+
+
+class PlanningProblem:
+    """A request made concrete for a vehicle and its logs: time, actuators, limits, noise and models.
+
+    `plants` are models of the same vehicle: a manoeuvre must be safe by all of them, and the first one is
+    held in trim.
+    """
+
+    def __init__(
+        self, request: PlanRequest, vehicle: Vehicle, plants: Sequence[Plant], runs: Sequence[Run]
+    ) -> None:
+        request.refuse_samples()
+        self.request, self.vehicle, self.runs = request, vehicle, tuple(runs)
+        self.plants, self.motion = tuple(plants), request.motion
+        self.limits = command_limits(vehicle, request.limits, runs)
+        if not len(self.limits.value):
+            raise UndertowError(
+                f"'{vehicle.name}' has no thruster and no known force: nothing can be planned"
+            )
+        self.noise = planned_noise(vehicle, request.noise, runs)
+        self.trim = trim(plants[0].functions, self.limits.value, self.depth)
+        self.t = np.arange(round(request.duration * request.rate)) / request.rate
+        self.names = (*vehicle.pose_names, *vehicle.velocity_names)
+        self._start = np.array([self.depth if n == "z" else 0.0 for n in self.names])
+
+    @property
+    def depth(self) -> float:
+        """Depth at the start, m."""
+        if self.request.depth is not None:
+            return self.request.depth
+        seen = [float(np.nanmedian(r.channels["z"])) for r in self.runs if r.has("z")]
+        return float(np.median(seen)) if seen else 0.0
+
+    def without_drift(self) -> PlanningProblem:
+        """The same without limits on depth and distance."""
+        wide = copy(self)
+        wide.motion = replace(self.motion, depth=np.inf, distance=np.inf)
+        return wide
+
+    @cached_property
+    def families(self) -> list[Family]:
+        """All manoeuvres that can be carried out."""
+        motions, actuators = every_axis(self.vehicle, self.limits.value - np.abs(self.trim.commands))
+        return families([(axes, self.reach(axes)) for axes in (motions, actuators) if axes])
+
+    def tries(self, columns: int, calls: int = 1) -> int:
+        """How many manoeuvres to judge, when each takes so many sensitivities in so many calls."""
+        if self.request.tries is not None:
+            return self.request.tries
+        states, s = 2 * len(self.vehicle.degrees_of_freedom), SETTINGS
+        seconds = s.per_call * calls + s.per_number * len(self.t) * states * columns
+        return int(np.clip(s.seconds / seconds, s.fewest_tries, s.most_tries))
+
+    def refuse_unsafe(self, gentlest: Manoeuvre | None) -> None:
+        """Say that no manoeuvre stays within the limits, and which one the gentlest exceeds."""
+        name = "speed" if gentlest is None else gentlest.limit
+        option = {"depth": "--max-depth-change"}.get(name, f"--max-{name}")
+        why = "".join(
+            f"; the actuators cannot balance {value:.3g} N (or N m) in {dof} at rest"
+            for dof, value in self.trim.left.items()
+        )
+        raise UndertowError(
+            f"no manoeuvre of {self.request.duration:g} s stays within the limits, {option} is exceeded "
+            f"most{why}: raise it, or plan a shorter manoeuvre"
+        )
+
+    # --- manoeuvres ---------------------------------------------------------------------------
+    def commands(self, excitation: Array) -> Array:
+        """Trim and excitation, the latter shrunk as a whole until no command exceeds its limit."""
+        at_rest, limits = self.trim.commands, self.limits.value
+        room = np.where(excitation > 0, limits - at_rest, limits + at_rest)
+        strain = np.max(np.abs(excitation) / room, initial=1.0)
+        return np.clip(at_rest + excitation / strain, -limits, limits)
+
+    def simulated(self, design: Design) -> Manoeuvre:
+        """The manoeuvre, as large as the limits of the motion allow: first the axes to blame give way."""
+        family, s = design.family, SETTINGS
+        sizes = np.ones(len(family.axes))
+        for _ in range(s.corrections):
+            u = self.commands(family.excitation(self.t, design.numbers, sizes))
+            manoeuvre = self.manoeuvres([u])[0]
+            if manoeuvre.safe:
+                return manoeuvre
+            # Most motions grow about as their cause; one that runs away says little about its cause.
+            strain = manoeuvre.strain
+            share = max(s.inside / strain, s.least) if np.isfinite(strain) else s.least
+            to_blame = np.array([_drives(axis.name, manoeuvre.limit) for axis in family.axes])
+            sizes = np.where(to_blame, share * sizes, sizes)
+        excitation = family.excitation(self.t, design.numbers, sizes)
+        smaller = self.manoeuvres([self.commands(share * excitation) for share in s.shares])
+        return next((manoeuvre for manoeuvre in smaller if manoeuvre.safe), smaller[-1])
+
+    def manoeuvres(self, commands: Sequence[Array]) -> list[Manoeuvre]:
+        """What follows from commands of shape (n, k), whatever they are."""
+        motions = [self.predicted(plant, self.t, commands) for plant in self.plants]
+        return [self._judged(u, tuple(y[i] for y in motions)) for i, u in enumerate(commands)]
+
+    def _judged(self, u: Array, y: tuple[Array, ...]) -> Manoeuvre:
+        worst = max((exceeded(one, self.names, self.motion) for one in y), key=lambda pair: pair[1])
+        return Manoeuvre(self.t, u, y, worst[1], worst[0])
+
+    def predicted(self, plant: Plant, t: Array, commands: Sequence[Array], p: Array | None = None) -> Array:
+        """What the sensors report without noise, from rest, shape (b, n, 2n_dof); NaN where it diverges."""
+        return plant.reports(t, np.stack(commands), self._start, p)
+
+    # --- the log to come ----------------------------------------------------------------------
+    def data(self, manoeuvre: Manoeuvre, model: int) -> WeakData:
+        """A manoeuvre as the estimators see its log; noise is what the channels will have."""
+        (segment,) = self._still.segments
+        u, measured = manoeuvre.u, np.where(np.isfinite(self.noise.sigma), manoeuvre.y[model], 0.0)
+        segments = (replace(segment, measured=measured, u=u),)
+        return replace(self._still, runs=(self._run(u, measured),), segments=segments)
+
+    @cached_property
+    def _still(self) -> WeakData:
+        """A log of the same length in which nothing happens: its preparation is always the same."""
+        nothing = np.zeros((len(self.t), len(self.limits.value))), np.zeros((len(self.t), len(self.names)))
+        return prepare([self._run(*nothing)], self.plants[0].functions.vehicle, sigma=self.noise.finite)
+
+    def _run(self, u: Array, measured: Array) -> Run:
+        columns = {self.names[i]: measured[:, i] for i in np.flatnonzero(np.isfinite(self.noise.sigma))}
+        commands = dict(zip(self.vehicle.command_names, u.T, strict=True))
+        return Run("plan", self.t, columns | commands, derived=self.noise.derived)
+
+    # --- reach --------------------------------------------------------------------------------
+    def reach(self, axes: Sequence[Axis]) -> Array:
+        """Largest deflection of every axis, held for a while, that keeps speed, rate and tilt in bounds."""
+        t = self.t[: max(int(np.searchsorted(self.t, SETTINGS.held)), 3)]
+        bounds = self.without_drift().motion
+        return np.array([self._reach(axis, t, bounds) for axis in axes])
+
+    def _reach(self, axis: Axis, t: Array, bounds: MotionLimits) -> float:
+        tried = SETTINGS.reaches
+        shares = [(share, sign) for share in tried for sign in (1.0, -1.0)]
+        u = [np.tile(self.commands(sign * share * axis.pattern[None]), (len(t), 1)) for share, sign in shares]
+        strain = np.zeros(len(u))
+        for plant in self.plants:
+            y = self.predicted(plant, t, u)
+            strain = np.maximum(strain, [exceeded(one, self.names, bounds)[1] for one in y])
+        fits = strain.reshape(-1, 2).max(axis=1) <= 1.0
+        return float(tried[np.argmax(fits)] if fits.any() else tried[-1])
+
+
+def _drives(axis: str, limit: str) -> bool:
+    """Whether an axis is to blame for a motion; a single actuator drives everything."""
+    return axis not in DOFS or axis in _CAUSES[limit]
+
+
+# --- how far off the predicted depth may be -------------------------------------------------------
+def depth_spread(
+    problem: PlanningProblem, plant: Plant, known: Knowledge, manoeuvre: Manoeuvre
+) -> float | None:
+    """Two standard deviations of the largest error of the predicted depth, m; None without a depth.
+
+    A parameter without a stated error counts as known to 30 %.
+    """
+    if "z" not in problem.names or not known.free:
+        return None
+    information = known.prior + known.logs
+    silent = np.diag(information) <= 0
+    covariance = inverse_of(information + np.diag(silent * (SETTINGS.loose * known.scale) ** -2.0))
+    table = np.array(
+        [_slope(problem, plant, manoeuvre, n, s) for n, s in zip(known.free, known.scale, strict=True)]
+    )
+    variance = np.einsum("it,ij,jt->t", table, covariance, table)
+    return float(2 * np.sqrt(np.max(np.nan_to_num(variance, nan=0.0))))
+
+
+def _slope(problem: PlanningProblem, plant: Plant, manoeuvre: Manoeuvre, name: str, scale: float) -> Array:
+    """Derivative of the depth along a manoeuvre, shape (n,)."""
+    place, column = plant.functions.parameter_names.index(name), problem.names.index("z")
+    ends = []
+    for sign in (1.0, -1.0):
+        p = plant.p.copy()
+        p[place] += sign * SETTINGS.step * scale
+        ends.append(problem.predicted(plant, manoeuvre.t, [manoeuvre.u], p)[0][:, column])
+    return np.asarray((ends[0] - ends[1]) / (2 * SETTINGS.step * scale))
