@@ -121,7 +121,7 @@ def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:
     dots = [key.count(".") for key in _DOTTED.findall(bare)]
     if max(dots, default=0) >= limits.depth:
         raise UndertowError(
-            f"{where}: a key with so many dots ({max(dots)}, limit {limits.depth - 1}) is no part of a "
+            f"{where}: a key with so many dots ({max(dots)}, limit {limits.depth - 1}) does not belong in a "
             f"{kind}: shorten it"
         )
     if len(dots) > limits.dotted_keys:
@@ -322,7 +322,9 @@ def check_folder(path: str | os.PathLike[str]) -> None:
     folder = Path(path)
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     if not existing.is_dir():
-        raise UndertowError(f"cannot write into '{folder}': '{existing}' is no folder; choose another place")
+        raise UndertowError(
+            f"cannot write into '{folder}': '{existing}' is not a folder; choose another place"
+        )
     if not os.access(existing, os.W_OK):
         raise UndertowError(f"cannot write into '{folder}': permission denied: {_REMEDIES[errno.EACCES]}")
 

@@ -119,7 +119,7 @@ def test_a_mesh_by_panels(hulls: Path, capsys: Capture) -> None:
         (["cylinder", "--length", "1", "--diameter", "1"], "strips need 5"),
         (["box", "--length", "9", "--beam", "1", "--height", "1"], "the table ends at 5.66"),
         (["mesh", "none.stl"], "none.stl: cannot be read"),
-        (["mesh", "box.stl"], "600 x 420 x 240 m is no likely hull"),
+        (["mesh", "box.stl"], "600 x 420 x 240 m is an unlikely hull size"),
     ],
 )
 def test_one_line_for_each_mistake(words: list[str], message: str, hulls: Path, capsys: Capture) -> None:

@@ -147,7 +147,7 @@ def test_with_the_extra_the_hull_itself_is_computed(hulls: Path) -> None:
         (["--cg", "1"], "--cg '1' is not three numbers"),
         (["--cd", "a,b,c"], "--cd 'a,b,c' is not three numbers"),
         (["--cd", "1,-1,1"], "drag coefficient -1 cannot be"),
-        (["--frame", "FLD"], "is no right-handed set of axes"),
+        (["--frame", "FLD"], "is not a right-handed set of axes"),
         (["--out", "box.stl"], "output 'box.stl' is the input"),
         (["--out", "spheroid.stl"], "'spheroid.stl' exists already"),
         (["--name", "a\nb"], "a name must be printable"),

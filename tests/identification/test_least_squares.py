@@ -87,7 +87,7 @@ def test_the_eleven_cases_are_those_of_the_tables() -> None:
         "velocity (4, 11), acceleration from it, acceleration (1, 7)",
     ]
     assert [c.name for c in chosen_cases("11, 2,11")] == ["11", "2"]
-    with pytest.raises(UndertowError, match=r"'12' is no case; give all, or some of 1, 2"):
+    with pytest.raises(UndertowError, match=r"'12' is not a case; give all, or some of 1, 2"):
         chosen_cases("2,12")
 
 

@@ -234,7 +234,7 @@ def _read(data: bytes) -> Reduced | None:
 PLACE = "{vehicle}"
 # What may stand for a vehicle in the path of its file: it leads to no other folder.
 _NAME = re.compile(r"(?!\.\.?$)[^/\\\0]+")
-_NO_NAME = "'{}' is no name that a file may have: rename the vehicle, or give one file for all vehicles"
+_NO_NAME = "'{}' is not a valid file name: rename the vehicle, or give one file for all vehicles"
 
 
 @dataclass

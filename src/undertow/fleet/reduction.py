@@ -153,7 +153,7 @@ def _has_a_score(effect: type[Effect]) -> bool:
 def _refuse_unknown(daily: Sequence[str], known: Catalogue, scored: Sequence[Candidate]) -> None:
     for name in daily:
         if name not in known:
-            raise UndertowError(f"'{name}' is no effect of the catalogue: undertow effects lists them")
+            raise UndertowError(f"'{name}' is not an effect of the catalogue: undertow effects lists them")
         if name not in {c.id for c in scored} and name not in DAILY:
             raise UndertowError(
                 f"'{name}' cannot have a value for each day: the model has it already, its degrees of "

@@ -230,7 +230,9 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     moved = [kind for kind in s.kinds if kind in ("flow", "measurement")]
     if moved:
         for p in linear:
-            yield f"parameter '{p.name}' of a {moved[0]} effect is no regressor column: declare linear=False"
+            yield (
+                f"parameter '{p.name}' of a {moved[0]} effect is not a regressor column: declare linear=False"
+            )
         return
     main = s.parts[0].matrix
     hidden = {x for part in s.parts[1:] for x in part.matrix.free_symbols}
@@ -508,7 +510,7 @@ def _id_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     if not isinstance(getattr(cls, "id", None), str):
         yield "id is missing: give the class an attribute id = 'my_effect'"
     elif not _NAME.fullmatch(cls.id):
-        yield f"id '{cls.id}' is no identifier: use letters, digits and underscores"
+        yield f"id '{cls.id}' is not an identifier: use letters, digits and underscores"
     elif known.get(cls.id, cls) is not cls:
         yield f"id '{cls.id}' belongs to {known[cls.id].__name__} already: choose another"
 
@@ -533,7 +535,7 @@ def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             return
         for beside in ids:
             if beside not in known:
-                yield f"{what} '{beside}', which is no known effect: correct the id"
+                yield f"{what} '{beside}', which is not a known effect: correct the id"
 
 
 def _keys(effect: Effect) -> dict[str, str]:
@@ -546,13 +548,13 @@ def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     for taken in cls.taken:
         key = taken.key
         if taken.owner not in known:
-            yield f"'{key}' is taken from '{taken.owner}', which is no known effect: correct the id"
+            yield f"'{key}' is taken from '{taken.owner}', which is not a known effect: correct the id"
             continue
         units = {"rho": "kg/m^3", "g": "m/s^2", **_keys(known[taken.owner].specimen())}
         for unknown in sorted({key, *taken.unless} - own.keys()):
-            yield f"taken names '{unknown}', which is no key of the effect's table: correct it"
+            yield f"taken names '{unknown}', which is not a key of the effect's table: correct it"
         for unknown in sorted({str(x) for f in taken.formulas for x in f.free_symbols} - units.keys()):
-            yield f"'{key}' is taken from '{unknown}', no key of '{taken.owner}': correct the formula"
+            yield f"'{key}' is taken from '{unknown}', not a key of '{taken.owner}': correct the formula"
 
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
@@ -561,7 +563,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     taken = _taken_names(cls, known)
     for name in names:
         if not _NAME.fullmatch(name):
-            yield f"'{name}' is no identifier: use letters, digits and underscores"
+            yield f"'{name}' is not an identifier: use letters, digits and underscores"
         elif name in taken:
             yield f"'{name}' is taken by {taken[name]}: choose another name"
         elif names.count(name) > 1:
@@ -595,7 +597,7 @@ def _bounds_complaints(cls: type[Effect]) -> Iterator[str]:
     points = [point for seen in (_SOMEWHERE, {}) for point in cls.starts_near(seen)]
     for name, value in {entry for point in points for entry in point.items()}:
         if name not in parameters or parameters[name].linear:
-            yield f"starts_near() gives '{name}', which is no shape parameter of the effect: leave it out"
+            yield f"starts_near() gives '{name}', which is not a shape parameter of the effect: leave it out"
         elif not parameters[name].bounds[0] <= value <= parameters[name].bounds[1]:
             yield f"starts_near() gives {value:g} for '{name}', outside its bounds: correct it"
 

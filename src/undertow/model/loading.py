@@ -147,7 +147,7 @@ def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
     if kind == "missing":
         return f"'{place}' is missing: add it"
     if kind in _NO_QUANTITY and any(str(part) in _UNION_MEMBERS for part in first["loc"]):
-        return f"'{place}' = {found} is no quantity: write a number in SI or a text such as '1.5 kg'"
+        return f"'{place}' = {found} is not a quantity: write a number in SI or a text such as '1.5 kg'"
     expected = str(first.get("ctx", {}).get("expected", ""))
     hint = nearest(str(first["input"]), re.findall(r"'([^']*)'", expected))
     return f"'{place}': {first['msg'].removeprefix('Value error, ')}, found {found}{hint}"

@@ -156,7 +156,8 @@ def _check_forces(vehicle: Vehicle) -> None:
         dof = DOFS[FORCE.index(channel.removeprefix("tau_"))]
         if dof not in vehicle.degrees_of_freedom:
             raise UndertowError(
-                f"generalised_forces has {channel}, but {dof} is no degree of freedom: add {dof} or remove it"
+                f"generalised_forces has {channel}, but {dof} is not a degree of freedom: add {dof} or "
+                "remove it"
             )
 
 

@@ -232,7 +232,9 @@ class _Analysis:
 
     def _symbol(self, e: sm.Basic) -> Dimension | None:
         if e not in self._units:
-            raise UndertowError(f"the symbol {e} has no unit: it is no signal and no parameter of the effect")
+            raise UndertowError(
+                f"the symbol {e} has no unit: it is neither a signal nor a parameter of the effect"
+            )
         return dimension(self._units[e])
 
     def _common(self, args: Iterable[sm.Basic], whole: sm.Basic) -> Dimension | None:
@@ -264,7 +266,9 @@ class _Analysis:
         if found in (ANY, dimension("1")):
             return found
         if not exponent.is_Rational:
-            raise UndertowError(f"{_short(e)} raises a term {unit_text(found)} to a power that is no number")
+            raise UndertowError(
+                f"{_short(e)} raises a term {unit_text(found)} to a power that is not a number"
+            )
         return found ** (int(exponent) if exponent.is_Integer else float(exponent))
 
     def _plain(self, e: sm.Basic) -> Dimension | None:

@@ -232,7 +232,7 @@ def chosen_cases(words: str) -> list[Case]:
     unknown = [name for name in names if name not in CASES]
     if unknown:
         raise UndertowError(
-            f"--cases {words}: {unknown[0]!r} is no case; give all, or some of {', '.join(CASES)}, "
+            f"--cases {words}: {unknown[0]!r} is not a case; give all, or some of {', '.join(CASES)}, "
             "as in 2,8,11"
         )
     return [CASES[name] for name in dict.fromkeys(names)]

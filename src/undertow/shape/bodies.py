@@ -36,7 +36,7 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
     """
     R, place = np.asarray(rotation, dtype=float), np.asarray(offset, dtype=float)
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
-        raise UndertowError("rotation is no right-handed rotation matrix: its rows must be orthonormal")
+        raise UndertowError("rotation is not a right-handed rotation matrix: its rows must be orthonormal")
     if place.shape != (3,):
         raise UndertowError(f"offset has shape {place.shape}: give x, y and z in m")
     x, y, z = place

@@ -299,7 +299,7 @@ def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") 
             "coarsely"
         )
     if not np.isfinite(vertices).all():
-        raise UndertowError(f"{path}: a coordinate is no finite number: export the hull anew")
+        raise UndertowError(f"{path}: a coordinate is not a finite number: export the hull anew")
     scaled = vertices * (1.0 if unit is None else _metres(unit))
     _check_size(path, scaled, unit)
     return Hull(*mended(Mesh(scaled @ _rotation(frame).T, faces), str(path)))
@@ -309,7 +309,7 @@ def _metres(unit: str) -> float:
     try:
         return to_si(f"1 {unit}", "m")
     except UndertowError as error:
-        raise UndertowError(f"unit '{unit}' is no length: give m, mm, cm, in or ft") from error
+        raise UndertowError(f"unit '{unit}' is not a length: give m, mm, cm, in or ft") from error
 
 
 def _rotation(frame: str) -> Array:
@@ -320,7 +320,7 @@ def _rotation(frame: str) -> Array:
         rotation[axis, column] = sign
     if len(letters) != 3 or not np.isclose(np.linalg.det(rotation), 1.0):
         raise UndertowError(
-            f"frame '{frame}' is no right-handed set of axes: say where x, y and z point, such as FRD "
+            f"frame '{frame}' is not a right-handed set of axes: say where x, y and z point, such as FRD "
             "(forward, right, down) or FLU (forward, left, up)"
         )
     return rotation
@@ -333,8 +333,8 @@ def _check_size(path: Path, vertices: Array, unit: str | None) -> None:
         size = " x ".join(f"{e:.4g}" for e in extents)
         likely = "mm" if longest > _LIMITS.longest else "in, ft or km"
         raise UndertowError(
-            f"{path}: {size} m is no likely hull ({_LIMITS.shortest:g} to {_LIMITS.longest:g} m): give the "
-            f"unit of its numbers, such as {likely} (or m if it is so)"
+            f"{path}: {size} m is an unlikely hull size ({_LIMITS.shortest:g} to {_LIMITS.longest:g} m): "
+            f"give the unit of its numbers, such as {likely} (or m if it is so)"
         )
 
 
