@@ -333,7 +333,7 @@ BROKEN = [
     ("keel", "(0, 5))", "(0, 5), linear=False, starts=(1.0,))", "linearity", "'C_keel' enters linearly"),
     ("keel", "linear=False, default", "default", "linearity", "'C_keel', 'keel_area' multiply each other"),
     ("shear", "linear=False, ", "", "linearity", "'shear' of a flow effect is not a regressor column"),
-    ("scale", "linear=False, ", "", "linearity", "'log_gain' of a measurement effect is not a regressor column"),
+    ("scale", "linear=False, ", "", "linearity", "of a measurement effect is not a regressor column"),
     ("sluggish", "(0.01, 10), linear=False", "(0.01, 10)", "linearity", "'T_slow' acts through a state"),
     # inertia
     (
