@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -11,6 +12,7 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
 from undertow.model.catalogue import Catalogue, catalogue, lookup
+from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
@@ -18,8 +20,9 @@ from undertow.typing import Progress
 from .compare.comparison import compare
 from .diagnose import Outcome
 from .diagnose import diagnose as diagnosed
+from .diagnosis.addition import Addition, Ground, lay_ground
 from .diagnosis.addition import add_effect as added
-from .diagnosis.addition import lay_ground
+from .diagnosis.result import RunInfo
 from .diagnosis.trial import FALSE_ALARM_RATE
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
@@ -29,14 +32,19 @@ from .estimation.output_error import LossName, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict
 from .estimation.residual import without_spikes
-from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations
+from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
 from .estimation.windows import Prediction, cut, prediction_error
+from .logs.checks import check_fit
 from .logs.mapping import LogMapping, read_mapping
 from .logs.pose_velocity import velocities_from_pose
 from .logs.reading import read_log as read
 from .logs.run import Run
+from .planning.parameters import Planned, plan_parameters
+from .planning.problem import PlanRequest
+from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
+from .planning.separation import plan_separation
 from .report.data import ReportData
 
 if TYPE_CHECKING:
@@ -218,6 +226,20 @@ class Refit:
 
         return before_and_after(self.before.relative, self.after.relative)
 
+    def save(self, template: str | Path, out: Path) -> None:
+        """Write the vehicle file with the fitted values, in the form of the one that it came from."""
+        history = _history(self._command, _roles(self.train, self.test), self.errors, self.fit)
+        save_vehicle(self.vehicle, template, out, history=history)
+
+    @property
+    def _command(self) -> str:
+        """The command that does the same."""
+        e = self.estimator
+        parts = [f"undertow fit --method {e.method}", *([] if e.loss == "gaussian" else [f"--loss {e.loss}"])]
+        parts += [] if e.horizon in (None, Estimator.horizon) else [f"--horizon {e.horizon:.9g}"]
+        parts += [f'--equal "{text}"' for text in written(e.constraints.equal, self.stated)]
+        return " ".join([*parts, *(["--dissipative"] if e.constraints.dissipative else [])])
+
     def __repr__(self) -> str:
         return self.summary()
 
@@ -228,6 +250,29 @@ class Refit:
 
 def _spread(row: Mapping[str, Any]) -> str:
     return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
+
+
+def _history(
+    command: str,
+    logs: Sequence[tuple[str, Run | RunInfo]],
+    errors: tuple[float, float],
+    fit: Fitted,
+    **more: object,
+) -> dict[str, object]:
+    """How the values of a vehicle file came about."""
+    return {
+        "command": command,
+        "date": date.today().isoformat(),
+        **more,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
+        "error_before": errors[0],
+        "error_after": errors[1],
+        "covariance": {"parameters": list(fit.model.free), "matrix": fit.covariance.tolist()},
+    }
+
+
+def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
+    return [*(("train", run) for run in train), *(("holdout", run) for run in test)]
 
 
 def refit(
@@ -287,6 +332,13 @@ class Diagnosed(Outcome):
             If the file cannot be written.
         """
         write_whole(Path(out), _page(self))
+
+    def save(self, template: str | Path, out: Path, command: str = "undertow diagnose") -> None:
+        """Write the vehicle file with what was found, in the form of the one that it came from."""
+        d = self.diagnosis
+        errors = d.steps[0].error, d.last_step.error
+        history = _history(command, [(r.role, r) for r in d.runs], errors, self.fit, added=d.effects)
+        save_vehicle(self.after, template, out, history=history)
 
     def __repr__(self) -> str:
         return f"{self.verdict}: {self.diagnosis.headline}"
@@ -400,7 +452,7 @@ def fit(
     """
     constraints = Constraints(read_equalities(equal, vehicle), dissipative)
     estimator = Estimator(_method(method), horizon, constraints, loss)
-    logs, kept = _moving(vehicle, runs), _moving(vehicle, validation)
+    logs, kept = _ready(vehicle, runs, validation)
     return refit(vehicle, logs, kept, estimator, horizon, report, trust_log=trust_log)
 
 
@@ -411,9 +463,13 @@ def _method(name: str) -> Method:
     return methods[name.replace("-", "_")]
 
 
-def _moving(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
-    """Logs with the velocities that they have a pose for only."""
-    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
+def _ready(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """Logs to fit to, and those for validation, with velocities from the pose if they have none."""
+    train, test = (
+        [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in some] for some in (runs, validation)
+    )
+    check_fit(train, test, vehicle.velocity_names)
+    return train, test
 
 
 def diagnose(
@@ -466,8 +522,7 @@ def diagnose(
     """
     done = diagnosed(
         vehicle,
-        _moving(vehicle, runs),
-        _moving(vehicle, validation),
+        *_ready(vehicle, runs, validation),
         known=known,
         report=report,
         false_alarms=false_alarms,
@@ -518,8 +573,7 @@ def add_effect(
     >>> "ocean_current" in [effect.id for effect in better.all_effects]
     True
     """
-    wanted = lookup(effect, catalogue())
-    done = added(wanted, lay_ground(vehicle, _moving(vehicle, runs), _moving(vehicle, validation)))
+    done = try_effect(vehicle, effect, runs, validation)[1]
     if not (done.helps or force):
         raise UndertowError(
             f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
@@ -528,19 +582,84 @@ def add_effect(
     return done.fit.vehicle
 
 
+def try_effect(
+    vehicle: Vehicle,
+    effect: str,
+    runs: Sequence[Run],
+    validation: Sequence[Run] = (),
+    *,
+    known: Catalogue | None = None,
+    keep_all: bool = False,
+    report: Progress = lambda done, words: None,
+    trust_log: bool = False,
+) -> tuple[Ground, Addition]:
+    """Fit a model with an effect and without it; what was fitted to, and what the effect does to the error.
+
+    Parameters and exceptions are those of `add_effect`; `keep_all` keeps parameters that prove to be zero.
+    """
+    wanted = lookup(effect, catalogue() if known is None else known)
+    train, test = _ready(vehicle, runs, validation)
+    report(0.0, "fitting the model as it is")
+    ground = lay_ground(vehicle, train, test, trust_log=trust_log)
+    report(0.3, f"fitting it with {wanted.id}")
+    return ground, added(wanted, ground, keep_all=keep_all)
+
+
+def save_addition(ground: Ground, addition: Addition, template: str | Path, out: Path) -> None:
+    """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
+    history = _history(
+        "undertow add",
+        _roles(ground.train, ground.test),
+        (addition.before.error, addition.after.error),
+        addition.fit,
+        added=[addition.effect],
+        helps=addition.helps,
+    )
+    save_vehicle(addition.fit.vehicle, template, out, history=history)
+
+
+def plan(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    request: PlanRequest,
+    *,
+    only: Sequence[str] = (),
+    between: Sequence[str] = (),
+    diagnosis: Path | None = None,
+    known: Catalogue | None = None,
+    trust_log: bool = False,
+) -> Planned:
+    """Plan the manoeuvre that best determines parameters (`only` these), or tells models apart.
+
+    The models are the vehicle with each of the effects in `between` (one alone against the model as it is),
+    or those that the file of a `diagnosis` leaves open.
+    """
+    if runs:
+        train, _ = _ready(vehicle, runs, ())
+        runs = train
+    if not between and diagnosis is None:
+        return plan_parameters(vehicle, runs, request, only, trust_log=trust_log)
+    effects = catalogue() if known is None else known
+    if diagnosis is not None:
+        specs = specs_of(read_diagnosis(diagnosis), vehicle, effects)
+    else:
+        specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
+    return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
+
+
 def _page(outcome: Outcome) -> str:
     """The report of a diagnosis as one HTML page."""
     from .report.page import render_report  # brings matplotlib, which only a report needs
 
-    return render_report(outcome.diagnosis, _pictures_data(outcome))
+    return render_report(outcome.diagnosis, report_data_of(outcome))
 
 
-def _pictures_data(outcome: Outcome) -> ReportData:
-    """Comparison of the refitted model with the kept-aside runs, before and after."""
+def report_data_of(outcome: Outcome, *, compiled: bool | None = None) -> ReportData:
+    """What a report draws: the model on the validation runs before and after; `compiled` as for `compare`."""
     from .report.tables import report_data
 
-    before = compare(outcome.before, outcome.test)
+    before = compare(outcome.before, outcome.test, compiled=compiled)
     added = outcome.diagnosis.last_step.changes
-    after = compare(outcome.after, outcome.test) if added else None
+    after = compare(outcome.after, outcome.test, compiled=compiled) if added else None
     names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
     return report_data(before, after, names=names)

@@ -15,6 +15,7 @@ FORCE = ("X", "Y", "Z", "K", "M", "N")
 FORCE_UNITS = ("N",) * 3 + ("N m",) * 3
 POSE_UNITS = ("m",) * 3 + ("rad",) * 3
 VELOCITY_UNITS = ("m/s",) * 3 + ("rad/s",) * 3
+MOTION_UNITS = dict(zip((*POSE, *VELOCITY), (*POSE_UNITS, *VELOCITY_UNITS), strict=True))
 # Columns of a log that mean the same for every vehicle: nothing of a vehicle's own may be called so.
 CHANNELS = frozenset({"t", *POSE, *VELOCITY, *(f"{v}_dot" for v in VELOCITY), *(f"tau_{f}" for f in FORCE)})
 # No vehicle in water moves or turns faster, and no water flows faster: m/s and rad/s.
