@@ -8,7 +8,7 @@ from pathlib import Path
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.shape.panels import PANELS
+from undertow.shape.panels import PANEL_RULES
 
 from ..progress import clear, teller
 from .bodies import measure
@@ -18,7 +18,9 @@ from .page import page
 def main(arguments: list[str] | None = None) -> int:
     """Make the page; 0 when all went well, 2 without capytaine."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.shape", description=__doc__)
-    parser.add_argument("--panels", type=int, default=PANELS, help="of the finest mesh (default %(default)s)")
+    parser.add_argument(
+        "--panels", type=int, default=PANEL_RULES.finest, help="of the finest mesh (default %(default)s)"
+    )
     parser.add_argument("--out", type=Path, default=Path("docs/shape.md"), help="default: %(default)s")
     options = parser.parse_args(arguments)
     try:

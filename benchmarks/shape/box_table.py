@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.files import write_whole
-from undertow.shape.mesh import quiet_capytaine
+from undertow.shape.mesh import load_capytaine
 
 from ..progress import clear, teller
 
@@ -37,7 +37,7 @@ COLUMNS = "L/B,B/H,long,middle,short,about_long,about_middle,about_short,error"
 
 def coefficients(sides: Array, cells: int) -> tuple[Array, int]:
     """Six coefficients of a box, in order of its axes, and how many panels it took."""
-    cpt = quiet_capytaine()
+    cpt = load_capytaine()
     quarter = cpt.Mesh(*_quarter(sides / 2, cells))
     mesh = cpt.ReflectionSymmetricMesh(cpt.ReflectionSymmetricMesh(quarter, plane="xOz"), plane="yOz")
     body = cpt.FloatingBody(mesh=mesh, dofs=cpt.rigid_body_dofs(rotation_center=(0, 0, 0)), name="box")
@@ -94,7 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
         most = max(most, panels)
         rows.append(",".join(f"{x:.6g}" for x in (longer, wider, *found)) + f",{error:.1g}")
     clear()
-    head = HEAD.format(version=quiet_capytaine().__version__, most=most, order=ORDER)
+    head = HEAD.format(version=load_capytaine().__version__, most=most, order=ORDER)
     write_whole(out, head + "\n".join([COLUMNS, *rows]) + "\n")
     return 0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from undertow import __version__
 from undertow.identification.report.tables import versions
-from undertow.shape.mesh import quiet_capytaine
+from undertow.shape.mesh import load_capytaine
 
 from .bodies import Measured
 
@@ -31,7 +31,7 @@ def page(measured: Sequence[Measured], finest: int) -> str:
     made = (
         "## How it was made\n\n"
         f"    python -m benchmarks.shape --panels {finest}\n\n"
-        f"undertow {__version__}; capytaine {quiet_capytaine().__version__}; {used}.\n"
+        f"undertow {__version__}; capytaine {load_capytaine().__version__}; {used}.\n"
     )
     text = _TEXT.read_text(encoding="utf-8")
     return text.replace("{table}", "\n".join(_table(measured))).replace("{made}", made)

@@ -76,7 +76,7 @@ def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STAT
     """Read a text file (UTF-8) that is no longer than such a file may be."""
     try:
         with Path(path).open("rb") as stream:
-            data = stream.read(limits.size + 1)  # a device or a pipe tells no size
+            data = stream.read(limits.size + 1)  # a device or a pipe has no size
     except (OSError, ValueError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error)
         raise UndertowError(
@@ -102,8 +102,8 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError; integers of thousands of digits; days that are none
-        told = str(error).partition("; use sys.")[0]  # the remedy of Python is for programmers
-        raise UndertowError(f"{where}: not valid TOML: {told}") from error
+        reason = str(error).partition("; use sys.")[0]  # the remedy of Python is for programmers
+        raise UndertowError(f"{where}: not valid TOML: {reason}") from error
     _refuse_integers(content, "", where, STATEMENTS.integer)
     return content
 
@@ -121,7 +121,7 @@ def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:
     dots = [key.count(".") for key in _DOTTED.findall(bare)]
     if max(dots, default=0) >= limits.depth:
         raise UndertowError(
-            f"{where}: a key with so many dots ({max(dots)}, limit {limits.depth - 1}) is no part of a "
+            f"{where}: a key with so many dots ({max(dots)}, limit {limits.depth - 1}) does not belong in a "
             f"{kind}: shorten it"
         )
     if len(dots) > limits.dotted_keys:
@@ -322,7 +322,9 @@ def check_folder(path: str | os.PathLike[str]) -> None:
     folder = Path(path)
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     if not existing.is_dir():
-        raise UndertowError(f"cannot write into '{folder}': '{existing}' is no folder; choose another place")
+        raise UndertowError(
+            f"cannot write into '{folder}': '{existing}' is not a folder; choose another place"
+        )
     if not os.access(existing, os.W_OK):
         raise UndertowError(f"cannot write into '{folder}': permission denied: {_REMEDIES[errno.EACCES]}")
 
@@ -340,7 +342,7 @@ def _check_target(path: Path) -> None:
 
 
 def _try_folder(path: Path) -> None:
-    """Make a file without a name there: where no file can be (/proc), permissions do not tell."""
+    """Make a file without a name there: where no file can be (/proc), permissions do not show it."""
     try:
         with TemporaryFile(dir=path.resolve().parent):
             pass

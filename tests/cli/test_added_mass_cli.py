@@ -13,7 +13,7 @@ from tests.cli.bad import refusal
 from tests.identification.test_panels import BOX, needs_capytaine
 from undertow.cli.main import main
 from undertow.model.loading import load_vehicle
-from undertow.shape.bodies import cylinder, ellipsoid, moved, turned
+from undertow.shape.bodies import cylinder, ellipsoid, transformed
 
 Capture = pytest.CaptureFixture[str]
 
@@ -33,7 +33,7 @@ def test_an_ellipsoid_in_any_direction_and_place(hulls: Path, capsys: Capture) -
     found = answer(capsys, *words, "--turn", "0,90,0", "--at", "0,0,0.5")
     # Nose up: the body's x points up, its z forward.
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    expected = moved(turned(ellipsoid(0.6, 0.3, 0.2, 1025.0).matrix, turn), [0.0, 0.0, 0.5])
+    expected = transformed(ellipsoid(0.6, 0.3, 0.2, 1025.0).matrix, turn, [0.0, 0.0, 0.5])
     np.testing.assert_allclose(np.array(found["matrix"]), expected, atol=1e-9)
     assert "Lamb" in str(found["source"])
 
@@ -61,7 +61,7 @@ def test_into_a_vehicle_as_priors(hulls: Path, capsys: Capture) -> None:
     words = ["added-mass", "spheroid", "--length", "1.2", "--diameter", "0.4", "--at", "0.1,0,0"]
     assert main([*words, "--into", "mini-auv", "--out", "new.toml"]) == 0
     new, old = load_vehicle("new.toml"), load_vehicle("mini-auv")
-    lamb = moved(ellipsoid(0.6, 0.2, 0.2).matrix, [0.1, 0, 0])
+    lamb = transformed(ellipsoid(0.6, 0.2, 0.2).matrix, np.eye(3), [0.1, 0, 0])
     for name, i in (("X_udot_forward", 0), ("X_udot_backward", 0), ("Y_vdot", 1), ("N_rdot", 5)):
         value = new.value_of(name)
         assert value.value == pytest.approx(-lamb[i, i], rel=1e-9)
@@ -119,7 +119,7 @@ def test_a_mesh_by_panels(hulls: Path, capsys: Capture) -> None:
         (["cylinder", "--length", "1", "--diameter", "1"], "strips need 5"),
         (["box", "--length", "9", "--beam", "1", "--height", "1"], "the table ends at 5.66"),
         (["mesh", "none.stl"], "none.stl: cannot be read"),
-        (["mesh", "box.stl"], "600 x 420 x 240 m is no likely hull"),
+        (["mesh", "box.stl"], "600 x 420 x 240 m is an unlikely hull size"),
     ],
 )
 def test_one_line_for_each_mistake(words: list[str], message: str, hulls: Path, capsys: Capture) -> None:

@@ -129,10 +129,10 @@ def test_an_axis_left_alone_is_told_by_design_as_by_gains(
     [
         (["linearize", "heave.toml", "--at", "w=1e9"], "w = 1e+09 (SI) is too much"),
         (["linearize", "heave.toml", "--at", "f1=1e200"], "stay within 1e+06"),
-        (["linearize", "heave.toml", "--current", "1e200,0"], "1e+200 m/s to the north is none of water"),
+        (["linearize", "heave.toml", "--current", "1e200,0"], "1e+200 m/s to the north exceeds the limit"),
         (
             ["simulate", "heave.toml", "gains.toml", "--to", "1", "--current", "0,-101"],
-            "-101 m/s to the east is none of water: stay within 100 m/s",
+            "-101 m/s to the east exceeds the limit of 100 m/s: correct it or its unit",
         ),
         (["design", "heave.toml", "--error", "z=1e-200", "--force", "heave=1"], "error of z is 1e-200"),
         (["design", "heave.toml", "--error", "z=1", "--force", "heave=1e200"], "1e-09 to 1e+09"),

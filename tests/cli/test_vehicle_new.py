@@ -18,8 +18,8 @@ from undertow.codegen.simulate import Simulator
 from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import hints, mass_matrix_at
 from undertow.model.vehicle import Vehicle
-from undertow.shape.bodies import ellipsoid, equivalent, moved
-from undertow.shape.first import drag_of_hull
+from undertow.shape.bodies import ellipsoid, equivalent, transformed
+from undertow.shape.first import HullRules, drag_of_hull
 
 Capture = pytest.CaptureFixture[str]
 MESH = ["vehicle", "new", "--mesh", "box.stl", "--unit", "mm", "--mass", "60"]
@@ -100,7 +100,7 @@ def test_a_mesh_in_other_axes_about_another_point(no_extra: None, hulls: Path) -
     np.testing.assert_allclose(place, [1.0, -0.5, -0.3], rtol=1e-5)
     assert main([*words, "--cg", "0,0,0.02", "--force"]) == 0
     about_buoyancy = np.array(mass_matrix_at(load_vehicle("my.toml")))
-    expected = moved(about_buoyancy, [1.0, -0.5, -0.3])
+    expected = transformed(about_buoyancy, np.eye(3), [1.0, -0.5, -0.3])
     np.testing.assert_allclose(np.array(mass_matrix_at(about_mesh)), expected, rtol=1e-3, atol=0.01)
 
 
@@ -147,7 +147,7 @@ def test_with_the_extra_the_hull_itself_is_computed(hulls: Path) -> None:
         (["--cg", "1"], "--cg '1' is not three numbers"),
         (["--cd", "a,b,c"], "--cd 'a,b,c' is not three numbers"),
         (["--cd", "1,-1,1"], "drag coefficient -1 cannot be"),
-        (["--frame", "FLD"], "is no right-handed set of axes"),
+        (["--frame", "FLD"], "is not a right-handed set of axes"),
         (["--out", "box.stl"], "output 'box.stl' is the input"),
         (["--out", "spheroid.stl"], "'spheroid.stl' exists already"),
         (["--name", "a\nb"], "a name must be printable"),
@@ -167,7 +167,7 @@ def test_one_line_for_each_wrong_wish(words: list[str], message: str, hulls: Pat
 def test_drag_of_a_box_by_strips(monkeypatch: pytest.MonkeyPatch) -> None:
     a, b, c = 0.60, 0.42, 0.24
     with monkeypatch.context() as without_friction:
-        without_friction.setattr("undertow.shape.first._FRICTION", 0.0)
+        without_friction.setattr("undertow.shape.first._RULES", HullRules(friction=0.0))
         found = drag_of_hull(box_mesh(), 1000.0, cd=(0.9, 1.0, 1.2))
     forces = 500 * np.array([0.9 * b * c, 1.0 * a * c, 1.2 * a * b])
     np.testing.assert_allclose(found.coefficients[:3], forces, rtol=1e-6)

@@ -84,13 +84,13 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
     [
         (["craft.toml", "nothing/*.parquet"], "no file fits 'nothing/*.parquet'"),
         (["craft.tom", "logs"], "'craft.tom' is neither a file nor a bundled vehicle"),
-        (["craft.toml", "craft.toml"], "is no Parquet file"),
+        (["craft.toml", "craft.toml"], "is not a Parquet file"),
         (["mini-auv", "logs"], "none of 4 files could be used"),
-        (["craft.toml", "logs", "--daily", "lag"], "'lag' is no effect"),
-        (["craft.toml", "logs", "--out", "craft.toml"], "is no folder"),
+        (["craft.toml", "logs", "--daily", "lag"], "'lag' is not an effect"),
+        (["craft.toml", "logs", "--out", "craft.toml"], "is not a folder"),
         (["craft.toml", "logs", "--map", "none.toml"], "none.toml"),
         (["craft.toml", "logs", "--map", "fresh.toml"], "`fresh` need whole logs"),
-        (["{vehicle}.toml", "outside"], "'../craft' is no name that a file may have"),
+        (["{vehicle}.toml", "outside"], "'../craft' is not a valid file name"),
     ],
 )
 def test_mistakes_are_told_in_one_line(

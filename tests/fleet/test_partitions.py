@@ -45,11 +45,11 @@ def test_folders_columns_names_and_clocks(
     ("path", "columns", "words"),
     [
         ("v/x.parquet", {}, "does not say its day"),
-        ("v/2026-13-03.parquet", {}, "is no day"),
+        ("v/2026-13-03.parquet", {}, "is not a date"),
         ("vehicle=v/day=monday/x.parquet", {}, "does not say its day"),
         ("v/2026-02-03.parquet", {"vehicle": ["a", "b"]}, "more than one vehicle"),
-        ("vehicle=/2026-02-03.parquet", {}, "names its vehicle with nothing"),
-        ("v/2026-02-03.parquet", {"vehicle": [None, None]}, "names its vehicle with nothing"),
+        ("vehicle=/2026-02-03.parquet", {}, "has an empty vehicle name"),
+        ("v/2026-02-03.parquet", {"vehicle": [None, None]}, "has an empty vehicle name"),
     ],
 )
 def test_what_does_not_say_it_is_refused(
@@ -63,7 +63,7 @@ def test_what_is_no_parquet_file_is_refused(tmp_path: Path) -> None:
     csv, broken = tmp_path / "2026-02-03.parquet", tmp_path / "2026-02-04.parquet"
     csv.write_text("t,u\n0,1\n")
     broken.write_bytes(b"PAR1 and no more")
-    with pytest.raises(UndertowError, match="no Parquet file"):
+    with pytest.raises(UndertowError, match="not a Parquet file"):
         partition_of(csv, LogMapping())
     with pytest.raises(UndertowError, match="cannot be read"):
         partition_of(broken, LogMapping())
@@ -96,7 +96,9 @@ def test_a_clock_counts_in_the_unit_of_the_mapping(tmp_path: Path) -> None:
     ms = LogMapping.model_validate({"time": {"column": "t", "unit": "ms"}})
     path = written(tmp_path / "rov7/x.parquet", t=[1770076800000, 1770076800100])
     assert partition_of(path, ms).day == date(2026, 2, 3)
-    with pytest.raises(UndertowError, match=r"1\.77008e\+12 s after 1970, which is no day: give the unit"):
+    with pytest.raises(
+        UndertowError, match=r"1\.77008e\+12 s after 1970, which is not a date: give the unit"
+    ):
         partition_of(path, LogMapping())
     two_days = written(tmp_path / "rov7/y.parquet", t=[172800000.0, 172800000.1])
     with pytest.raises(UndertowError, match="does not say its day"):

@@ -129,7 +129,7 @@ def test_axes_of_a_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(turned.extents, [SIDES[1], SIDES[0], SIDES[2]], rtol=1e-6)
     assert turned.volume > 0
     for wrong in ("FRU", "FR", "FFD", "XYZ"):
-        with pytest.raises(UndertowError, match="is no right-handed set of axes"):
+        with pytest.raises(UndertowError, match="is not a right-handed set of axes"):
             read_hull(path, frame=wrong)
 
 
@@ -141,7 +141,7 @@ def test_axes_of_a_file(tmp_path: Path) -> None:
         ("a.stl", bytes(84), "no triangles in it"),
         ("a.stl", b"solid x\nvertex 0 0\nendsolid", "1 vertices do not make triangles"),
         ("a.stl", b"solid x\nvertex 0 0 q\nendsolid", "a vertex is not three numbers"),
-        ("a.stl", b"solid x\n" + b"vertex 0 0 nan\n" * 3, "is no finite number"),
+        ("a.stl", b"solid x\n" + b"vertex 0 0 nan\n" * 3, "is not a finite number"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "names a vertex that is not there"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf -1 -2 -3\nv 2 0 0\n", "names a vertex that is not there"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 0 1 2\nv 2 0 0\n", "names a vertex that is not there"),
@@ -168,7 +168,7 @@ def test_an_unlikely_size(tmp_path: Path, scale: float, likely: str) -> None:
     with pytest.raises(UndertowError, match=likely):
         read_hull(path)
     assert read_hull(path, unit="m").mesh.extents.max() == pytest.approx(0.6 * scale, rel=1e-6)
-    with pytest.raises(UndertowError, match="unit 'kg' is no length"):
+    with pytest.raises(UndertowError, match="unit 'kg' is not a length"):
         read_hull(path, unit="kg")
 
 

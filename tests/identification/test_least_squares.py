@@ -16,7 +16,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 from undertow.model.vehicle import Value, Vehicle
-from undertow.paper.least_squares import Estimation, chosen, estimate, experiments, selected
+from undertow.paper.least_squares import Estimation, combined, estimate, experiments, selected
 from undertow.paper.regression import CASES, Smoother, chosen_cases
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def test_the_eleven_cases_are_those_of_the_tables() -> None:
         "velocity (4, 11), acceleration from it, acceleration (1, 7)",
     ]
     assert [c.name for c in chosen_cases("11, 2,11")] == ["11", "2"]
-    with pytest.raises(UndertowError, match=r"'12' is no case; give all, or some of 1, 2"):
+    with pytest.raises(UndertowError, match=r"'12' is not a case; give all, or some of 1, 2"):
         chosen_cases("2,12")
 
 
@@ -157,7 +157,7 @@ def test_forward_and_backward_logs_give_their_own_values(runs: dict[float, Run])
     assert [e.runs for e in found] == [(logs[1],), (logs[0],)]
     picks = [(e, estimate(e, CASES["2"])) for e in found]
     assert coefficients(picks[0][1]) == pytest.approx(coefficients(picks[1][1]))
-    result = chosen(auv, picks)
+    result = combined(auv, picks)
     ways = [f"{n}_{way}" for way in ("forward", "backward") for n in ("X_udot", "X_u", "X_uabsu")]
     assert result.names == tuple(ways)
     np.testing.assert_array_equal(result.covariance[:3, 3:], 0.0)
@@ -194,13 +194,13 @@ def test_what_both_directions_share_is_weighted_and_a_contradiction_is_told() ->
     auv = load_vehicle("mini-auv")
     value = auv.value_of("B_net").value
     both = experiments(auv, [_heave(auv, 1.0, value), _heave(auv, -1.0, value)])
-    agree = chosen(auv, [(e, estimate(e, CASES["1"])) for e in both])
+    agree = combined(auv, [(e, estimate(e, CASES["1"])) for e in both])
     assert agree.names.count("B_net") == 1
     assert agree.contradictions == ()
     place = agree.names.index("B_net")
     assert agree.values[place] == pytest.approx(value, abs=4 * np.sqrt(agree.covariance[place, place]))
     apart = experiments(auv, [_heave(auv, 1.0, value), _heave(auv, -1.0, value + 1.9)])
-    told = chosen(auv, [(e, estimate(e, CASES["1"])) for e in apart]).contradictions
+    told = combined(auv, [(e, estimate(e, CASES["1"])) for e in apart]).contradictions
     assert len(told) == 1
     assert told[0].startswith("B_net is ")
     assert " by heave, forward and " in told[0]

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.shape.hulls import SIDES, ball, box_mesh, spheroid_mesh
 from undertow.errors import UndertowError
-from undertow.shape.bodies import box, ellipsoid, moved, turned
-from undertow.shape.mesh import Mesh, has_capytaine, quiet_capytaine
+from undertow.shape.bodies import box, ellipsoid, transformed
+from undertow.shape.mesh import Mesh, has_capytaine, load_capytaine
 from undertow.shape.panels import PanelResult, added_mass_of_hull
 
 needs_capytaine = pytest.mark.skipif(
@@ -74,7 +74,7 @@ def test_place_and_direction_of_a_hull_do_not_matter() -> None:
     here = added_mass_of_hull(box_mesh(), RHO, finest=800).added.matrix
     there = added_mass_of_hull(box_mesh().turned(turn).moved(place), RHO, finest=800).added.matrix
     # Equal edges are cut in another order, so that the panels are not quite the same.
-    expected = moved(turned(here, turn), place)
+    expected = transformed(here, turn, place)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.all(np.abs(there - expected) < 0.005 * scale)
     np.testing.assert_allclose(there, there.T, atol=1e-9)
@@ -140,7 +140,7 @@ def test_capytaine_does_not_speak_for_itself(caplog: pytest.LogCaptureFixture) -
     import logging
 
     handlers = list(logging.getLogger().handlers)
-    package = quiet_capytaine()
+    package = load_capytaine()
     assert logging.getLogger().handlers == handlers
     package.meshes.meshes.LOG.warning("not heard")
     assert not caplog.records

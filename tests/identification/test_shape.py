@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from undertow.errors import UndertowError
-from undertow.shape.bodies import cylinder, ellipsoid, moved, prolate_spheroid, sphere, turned
+from undertow.shape.bodies import cylinder, ellipsoid, prolate_spheroid, sphere, transformed
 
 RHO = 1000.0
 
@@ -104,12 +104,12 @@ def test_energy_does_not_depend_on_axes_or_origin() -> None:
     own = np.concatenate([v, omega])
     energy = own @ matrix @ own
     in_new_axes = np.concatenate([R @ v, R @ omega])
-    assert in_new_axes @ turned(matrix, R) @ in_new_axes == pytest.approx(energy)
+    assert in_new_axes @ transformed(matrix, R) @ in_new_axes == pytest.approx(energy)
     # The old origin moves with v: the new one, from which it lies at `offset`, with v - omega x offset.
     at_new_origin = np.concatenate([v - np.cross(omega, offset), omega])
-    assert at_new_origin @ moved(matrix, offset) @ at_new_origin == pytest.approx(energy)
+    assert at_new_origin @ transformed(matrix, np.eye(3), offset) @ at_new_origin == pytest.approx(energy)
     with pytest.raises(UndertowError, match="no right-handed rotation"):
-        turned(matrix, np.diag([1.0, 1.0, -1.0]))
+        transformed(matrix, np.diag([1.0, 1.0, -1.0]))
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])

@@ -219,14 +219,14 @@ def test_a_users_good_effect_passes(source: str, tmp_path: Path) -> None:
 # Each line: effect, what stands in it, what is written instead, the checks that must fail, what one must say.
 BROKEN = [
     # the declaration
-    ("keel", '"keel_drag"', '"keel drag"', "id", "'keel drag' is no identifier"),
+    ("keel", '"keel_drag"', '"keel drag"', "id", "'keel drag' is not an identifier"),
     ("keel", '"keel_drag"', '"lift"', "id", "belongs to Lift already"),
     ("keel", '"""Drag of a keel below the origin."""', "pass", "documentation", "meaning is missing"),
     ("keel", '"Hoerner (1965), Fluid-Dynamic Drag"', '""', "documentation", "reference is missing"),
     ("keel", 'reference = "Hoerner', '_unused = "Hoerner', "documentation", "reference is missing"),
     ("keel", '"too fast at high speed"', '" "', "documentation", "signature is missing"),
     ("keel", 'family = "damping"', "", "documentation", "family is missing"),
-    ("share", '("added_mass",)', '("added_mas",)', "requires", "'added_mas', which is no known effect"),
+    ("share", '("added_mass",)', '("added_mas",)', "requires", "'added_mas', which is not a known effect"),
     ("tank", "tank_m", "I_z", "names", "'I_z' is taken by effect 'rigid_body'"),
     ("keel", "C_keel", "w", "names", "'w' is taken by a signal"),
     ("keel", "C_keel", "X_u_forward", "names", "'X_u_forward' is taken by effect 'linear_damping'"),
@@ -234,7 +234,7 @@ BROKEN = [
     ("keel", "(0, 5)", "(5, 0)", "bounds", "bounds of 'C_keel' are 5 to 0"),
     ("keel", "default=0.1", "default=-0.1", "bounds", "default -0.1 of 'keel_area' is outside"),
     ("shear", "starts=(0.01,)", "starts=(2.0,)", "bounds", "start 2 of 'shear' is outside"),
-    ("post", '{"x_post"', '{"rubbing": 1.0, "x_post"', "bounds", "'rubbing', which is no shape parameter"),
+    ("post", '{"x_post"', '{"rubbing": 1.0, "x_post"', "bounds", "'rubbing', which is not a shape parameter"),
     ("post", '0.0, "z_post"', '1e5, "z_post"', "bounds", "100000 for 'y_post', outside"),
     ("post", 'seen.get("x", (0.0, 0.0))[0]', 'seen["x"][0]', "bounds", "cannot be worked out: KeyError: 'x'"),
     ("post", '"gap_of_post"', '"z_post"', "names", "abbreviation 'z_post' is also a parameter"),
@@ -332,8 +332,8 @@ BROKEN = [
     ),
     ("keel", "(0, 5))", "(0, 5), linear=False, starts=(1.0,))", "linearity", "'C_keel' enters linearly"),
     ("keel", "linear=False, default", "default", "linearity", "'C_keel', 'keel_area' multiply each other"),
-    ("shear", "linear=False, ", "", "linearity", "'shear' of a flow effect is no regressor column"),
-    ("scale", "linear=False, ", "", "linearity", "'log_gain' of a measurement effect is no regressor column"),
+    ("shear", "linear=False, ", "", "linearity", "'shear' of a flow effect is not a regressor column"),
+    ("scale", "linear=False, ", "", "linearity", "of a measurement effect is not a regressor column"),
     ("sluggish", "(0.01, 10), linear=False", "(0.01, 10)", "linearity", "'T_slow' acts through a state"),
     # inertia
     (
@@ -522,7 +522,7 @@ def test_zero_fits_every_unit() -> None:
         (sm.sin(x), r"'sin\(x\)' needs a pure number but 'x' is in m"),
         (sm.exp(t), r"'exp\(t\)' needs a pure number"),
         (x**t, "needs a pure number but 't' is in s"),
-        (x ** (x / (v * t)), "raises a term in m to a power that is no number"),
+        (x ** (x / (v * t)), "raises a term in m to a power that is not a number"),
         (sm.Max(x, t), "is in s but 'x' is in m"),
         (sm.Piecewise((x, v > x), (0, True)), "in 'v > x' the term 'v' is in m/s but 'x' is in m"),
         (sm.Piecewise((x, v > 0), (t, True)), "is in m but 't' is in s"),
@@ -604,7 +604,7 @@ def test_an_id_that_is_taken_is_refused(tmp_path: Path) -> None:
     ("value", "message"),
     [
         ("undertow.model.effects.lift:Missing", "'keel' of an installed package cannot be loaded"),
-        ("undertow.model.effects.lift:Signals", "is no effect class"),
+        ("undertow.model.effects.lift:Signals", "is not an effect class"),
     ],
 )
 def test_broken_plugins_are_named(value: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:

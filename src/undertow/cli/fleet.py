@@ -230,7 +230,7 @@ def rollouts(
         seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
         mapping = options.mapping.model_dump_json()
         job = RolloutJob(
-            seen, options.files, mapping, options.fill, horizon, coverage, seed, options.trust_log
+            seen, options.files, mapping, options.fill, options.trust_log, horizon, coverage, seed
         )
         with progress("rolling out") as report:
             paths = [str(p.absolute()) for p in logs]

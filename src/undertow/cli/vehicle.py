@@ -135,11 +135,11 @@ def new(
     added mass, drag and buoyancy are marked to be estimated from logs. Thrusters are left for you to state.
     """
     from undertow.files import sha256_of, write_whole
-    from undertow.shape.first import Wish, first_vehicle, motions
+    from undertow.shape.first import HullSpec, first_vehicle, motions
 
     target = new_file(out or Path(f"{name or mesh.stem}.toml"), force, [mesh])
     hull = read(mesh, unit, frame)
-    wish = Wish(
+    spec = HullSpec(
         name=name or mesh.stem,
         mesh=mesh.name,
         sha256=sha256_of(mesh),
@@ -153,8 +153,8 @@ def new(
         remarks=(f"Axes of the mesh: {frame.upper()}.", *hull.remarks),
     )
     found = _added(hull.mesh, density, added_mass, panels, crease)
-    write_whole(target, first_vehicle(hull.mesh, found, wish))
-    _summary(hull.mesh, target, wish.volume, mass, density, found.source)
+    write_whole(target, first_vehicle(hull.mesh, found, spec))
+    _summary(hull.mesh, target, spec.volume, mass, density, found.source)
 
 
 def _by_panels(method: Method) -> bool:

@@ -162,7 +162,7 @@ def by_month(days: Sequence[Day]) -> Mapping[str, list[Day]]:
 Profile = Callable[[Day], float]
 Kind = Literal["drag", "thrust", "inertia"]
 KINDS: tuple[Kind, ...] = ("drag", "thrust", "inertia")
-#: Days on either side of a comparison that scatter can be told from at all.
+#: Days on either side of a comparison from which scatter can be estimated.
 FEWEST_DAYS = 3
 _MOTIONS = {"X": "surge", "Y": "sway", "Z": "heave", "K": "roll", "M": "pitch", "N": "yaw"}
 _GAIN = "gain_error_"
@@ -212,7 +212,7 @@ class Span:
 
     @property
     def enough(self) -> bool:
-        """Whether there are days enough to tell a change from scatter."""
+        """Whether there are days enough to distinguish a change from scatter."""
         first, last = self.groups
         return min(first, last or first) >= FEWEST_DAYS
 
@@ -275,7 +275,7 @@ class ChangeTests:
 
     @property
     def unseen(self) -> list[str]:
-        """What no change can be told of, because nothing of it is to be estimated."""
+        """Kinds of change that cannot be estimated, because the file marks no parameter for it."""
         kinds = {d.kind for d in self.directions}
         names = {"drag": "drag (no damping coefficient is marked with estimate)", "thrust": "thrust"}
         return [words for kind, words in names.items() if kind not in kinds]

@@ -70,9 +70,9 @@ def summary(vehicles: Vehicles) -> FleetReport:
     """Tables and statements of all vehicles; those of one count all that were looked at."""
     drafts = [_draft(name, ChangeTests(panel), days) for name, (panel, days) in vehicles.items()]
     said = iter(statements([a for d in drafts for a in d.asked]))
-    told = tuple(_told(d, list(islice(said, len(d.asked)))) for d in drafts)
+    reports = tuple(_vehicle_report(d, list(islice(said, len(d.asked)))) for d in drafts)
     unscored = dict.fromkeys(n for d in drafts for n in d.changes.panel.unscored)
-    return FleetReport(told, unscored=tuple(unscored))
+    return FleetReport(reports, unscored=tuple(unscored))
 
 
 def _draft(name: str, changes: ChangeTests, days: Sequence[Day]) -> _Draft:
@@ -83,7 +83,7 @@ def _draft(name: str, changes: ChangeTests, days: Sequence[Day]) -> _Draft:
     )
 
 
-def _told(draft: _Draft, said: Sequence[Statement]) -> VehicleReport:
+def _vehicle_report(draft: _Draft, said: Sequence[Statement]) -> VehicleReport:
     months = by_month(draft.days)
     rest: list[tuple[Sequence[Change], Statement | None]] = [((), None)]
     rest += [(a.changes, s) for a, s in zip(draft.asked[1:], said[1:], strict=True)]
@@ -172,7 +172,7 @@ def _remarks(draft: _Draft) -> list[str]:
             found.append(
                 f"{name} is {moved / stated:+.0%} from the file's value, far for one linear step: --passes 2"
             )
-    return [*found, *(f"no change of {what} can be told" for what in draft.changes.unseen)]
+    return [*found, *(f"no change of {what} can be estimated" for what in draft.changes.unseen)]
 
 
 # What reading a damaged file raises: its packing, its list of contents, or a flag for what is not supported.
@@ -234,7 +234,7 @@ def _read(data: bytes) -> Reduced | None:
 PLACE = "{vehicle}"
 # What may stand for a vehicle in the path of its file: it leads to no other folder.
 _NAME = re.compile(r"(?!\.\.?$)[^/\\\0]+")
-_NO_NAME = "'{}' is no name that a file may have: rename the vehicle, or give one file for all vehicles"
+_NO_NAME = "'{}' is not a valid file name: rename the vehicle, or give one file for all vehicles"
 
 
 @dataclass
@@ -333,11 +333,8 @@ def _reduced(
         else:
             store.put(jobs[partition.vehicle].fingerprint, sha256, answer)
             known.worked.add(partition.path)
-    return {v: (panel_of(job), _days(v, job, known, store)) for v, job in jobs.items() if _has(v, known)}
-
-
-def _has(vehicle: str, known: _Known) -> bool:
-    return any(p.vehicle == vehicle for p in known.partitions)
+    left = {p.vehicle for p in known.partitions}
+    return {v: (panel_of(job), _days(v, job, known, store)) for v, job in jobs.items() if v in left}
 
 
 def _days(vehicle: str, job: Job, known: _Known, store: Store) -> list[Day]:
@@ -366,5 +363,5 @@ def _refuse_nothing(done: Vehicles, known: _Known, count: int) -> None:
     if done:
         return
     path, words = next(iter(sorted(known.failed.items())))
-    told = words if path in words else f"{path}: {words}"
-    raise UndertowError(f"none of {count} files could be used; {told}" if count > 1 else told)
+    text = words if path in words else f"{path}: {words}"
+    raise UndertowError(f"none of {count} files could be used; {text}" if count > 1 else text)

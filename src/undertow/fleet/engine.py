@@ -81,7 +81,8 @@ class DaskEngine:
         token, heard, finished = uuid4().hex[:12], time.monotonic(), SimpleQueue[Any]()
         try:
             while waiting or running:
-                for _ in range(min(len(waiting), self._room() - len(running))):
+                room = WAITING.tasks * max(self._workers(), 1) - len(running)
+                for _ in range(min(len(waiting), room)):
                     place, item = waiting.pop()
                     key = f"undertow-{token}-{place}"
                     future = self.client.submit(guarded, function, *item, key=key, pure=False)
@@ -98,9 +99,6 @@ class DaskEngine:
         finally:
             if running and self.client.status == "running":
                 self.client.cancel(list(running), force=True)
-
-    def _room(self) -> int:
-        return WAITING.tasks * max(self._workers(), 1)
 
     def _workers(self) -> int:
         if self.client.status != "running":

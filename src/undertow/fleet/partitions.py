@@ -80,12 +80,12 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
 
     with path.open("rb") as stream:
         if not is_parquet(stream.read(4)):
-            raise UndertowError(f"{path} is no Parquet file: write the table as Parquet")
+            raise UndertowError(f"{path} is not a Parquet file: write the table as Parquet")
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
     head = {} if len(keys) == 2 else _said_inside(path, mapping)
     vehicle = keys.get("vehicle", head.get("vehicle", path.parent.name))
     if vehicle is None or not str(vehicle).strip():
-        raise UndertowError(f"{path} names its vehicle with nothing: name its folder, such as vehicle=rov7")
+        raise UndertowError(f"{path} has an empty vehicle name: name its folder, such as vehicle=rov7")
     return Partition(str(vehicle), _day(path, keys.get("day"), head), path)
 
 
@@ -146,7 +146,7 @@ def _date(path: Path, match: re.Match[str]) -> date:
     try:
         return date(*map(int, match.groups()))
     except ValueError as error:
-        raise UndertowError(f"{path}: '{match[0]}' is no day: {error}") from error
+        raise UndertowError(f"{path}: '{match[0]}' is not a date: {error}") from error
 
 
 def _date_of(path: Path, time: float) -> date:
@@ -154,8 +154,8 @@ def _date_of(path: Path, time: float) -> date:
         return datetime.fromtimestamp(time, UTC).date()
     except (ValueError, OverflowError, OSError) as error:
         raise UndertowError(
-            f"{path}: its time begins at {time:.6g} s after 1970, which is no day: give the unit of the time "
-            'column in a mapping file (--map), such as [time] unit = "ms"'
+            f"{path}: its time begins at {time:.6g} s after 1970, which is not a date: give the unit of the "
+            'time column in a mapping file (--map), such as [time] unit = "ms"'
         ) from error
 
 

@@ -37,7 +37,7 @@ from undertow.typing import Array
 
 from .partitions import Partition, content_of, digest, partition_of
 
-#: Effects that differ from day to day and tell nothing of the vehicle: water, ballast, payload.
+#: Effects that differ from day to day and say nothing of the vehicle: water, ballast, payload.
 DAILY = ("ocean_current", "net_buoyancy", "constant_force")
 
 
@@ -118,9 +118,9 @@ class Panel:
     def _noise(self, data: WeakData, p: Array) -> list[Whitening]:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
         first = first_guess(self.base, data, p)
-        quiet = self.base.whitening(data, p)
-        fit = start_fit(self.base, data, {}, with_process_noise(quiet, first, data), first, steps=1)
-        return with_process_noise(quiet, matched_disturbance(fit, quiet), data)
+        sensor_noise = self.base.whitening(data, p)
+        fit = start_fit(self.base, data, {}, with_process_noise(sensor_noise, first, data), first, steps=1)
+        return with_process_noise(sensor_noise, matched_disturbance(fit, sensor_noise), data)
 
     def _columns(self, data: WeakData) -> list[Array]:
         found: list[dict[str, Array]] = [{} for _ in data.segments]
@@ -153,7 +153,7 @@ def _has_a_score(effect: type[Effect]) -> bool:
 def _refuse_unknown(daily: Sequence[str], known: Catalogue, scored: Sequence[Candidate]) -> None:
     for name in daily:
         if name not in known:
-            raise UndertowError(f"'{name}' is no effect of the catalogue: undertow effects lists them")
+            raise UndertowError(f"'{name}' is not an effect of the catalogue: undertow effects lists them")
         if name not in {c.id for c in scored} and name not in DAILY:
             raise UndertowError(
                 f"'{name}' cannot have a value for each day: the model has it already, its degrees of "
@@ -173,24 +173,29 @@ _LOOSE = 1e-6
 
 
 @dataclass(frozen=True)
-class Job:
-    """What is done with every log of a vehicle; plain data, so that it can be sent to any machine."""
+class LogJob:
+    """Logs of a vehicle and how they are read; plain data, so that it can be sent to any machine."""
 
     vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
     effects: tuple[str, ...] = ()  # paths of files with effects of the user
     mapping: str = "{}"  # the mapping file's content as JSON
-    # values of parameters that differ from the file's, SI and SNAME signs
-    values: tuple[tuple[str, float], ...] = ()
-    daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
-    rows: int = ROWS  # rows that are read at a time
     fill: CommandPolicy | None = None  # what to do where a command has no sample
-    trust_log: bool = False  # whether logs count that cannot be
-    fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
+    trust_log: bool = False  # whether physically impossible logs count
 
     @cached_property
     def log_mapping(self) -> LogMapping:
         """What the columns of the logs mean."""
         return LogMapping.model_validate_json(self.mapping)
+
+
+@dataclass(frozen=True)
+class Job(LogJob):
+    """What is done with every log of a vehicle."""
+
+    values: tuple[tuple[str, float], ...] = ()  # that differ from the file's, SI and SNAME signs
+    daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
+    rows: int = ROWS  # rows that are read at a time
+    fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
 
 
 @dataclass(frozen=True)
@@ -279,7 +284,7 @@ def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
 
 
 def reduce_runs(runs: Iterable[Run], panel: Panel, where: str, *, trust_log: bool = False) -> Reduced:
-    """Reduce the parts of a log; one that cannot be is refused, unless it is trusted."""
+    """Reduce the parts of a log; an impossible one is refused, unless it is trusted."""
     triangle, samples, seconds, refusal = Triangle(len(panel.daily) + len(panel.names)), 0, 0.0, ""
     for run in runs:
         samples, seconds = samples + len(run.t), seconds + float(run.t[-1] - run.t[0])

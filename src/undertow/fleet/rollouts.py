@@ -18,36 +18,37 @@ from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.predictor import Predictor
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.windows import Windows, cut
-from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .engine import Engine, Failure
 from .partitions import files_digest
-
-# Standard deviation of a start, in that of the sensors: a parabola through five samples has 0.70.
-_START = 0.7
-# Bytes that the rollouts of one window may take.
-_MOST = 1_000_000_000
-# Shares of the drawn vehicles that may be none (no positive mass matrix) before the covariance is refused.
-_REFUSED = 0.5
+from .reduction import LogJob
 
 
 @dataclass(frozen=True)
-class RolloutJob:
-    """What is simulated; plain data, so that it can be sent to any machine."""
+class RolloutLimits:
+    """How rollouts are drawn, and how many may be."""
 
-    vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
-    effects: tuple[str, ...] = ()  # paths of files with effects of the user
-    mapping: str = "{}"  # the mapping file's content as JSON
-    fill: CommandPolicy | None = None  # what to do where a command has no sample
+    # standard deviation of a start in that of the sensors: a parabola through five samples has 0.70
+    start: float = 0.7
+    bytes: int = 1_000_000_000  # that the rollouts of one window may take
+    # share of the draws without a positive mass matrix at which the covariance is refused
+    refused: float = 0.5
+
+
+_LIMITS = RolloutLimits()
+
+
+@dataclass(frozen=True)
+class RolloutJob(LogJob):
+    """What is simulated."""
+
     horizon: float = 10.0  # length of a window, s
     coverage: float = 0.9  # share of the rollouts within the band
     seed: int = 0  # of all that is drawn
-    trust_log: bool = False  # whether logs count that cannot be
     # hash of the vehicle file and the effects, by which workers see that they have the same; empty where it
     # is not known yet
     files: str = ""
@@ -89,16 +90,15 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
     spread = spread_of(vehicle, source)
     model = WeakModel(Functions(vehicle), spread.names)
     places = list(model.places)
+    low, high = np.array([vehicle.declaration(n).bounds for n in spread.names]).T
     centre = np.array(model.functions.values(), dtype=float)
     random = np.random.default_rng(seed)
     found: list[Array] = []
-    most = int(count / _REFUSED)
+    most = int(count / _LIMITS.refused)
     for _ in range(most):
         shift = random.multivariate_normal(np.zeros(len(places)), spread.covariance, method="eigh")
         p = centre.copy()
-        p[places] = [
-            _inside(vehicle, n, v) for n, v in zip(spread.names, centre[places] + shift, strict=True)
-        ]
+        p[places] = np.clip(centre[places] + shift, low, high)
         if not model.limits.broken(p):
             found.append(p)
         if len(found) == count:
@@ -107,11 +107,6 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
         f"{most - len(found)} of {most} vehicles drawn from the {spread.source} have no positive mass "
         "matrix: fit the vehicle to better logs"
     )
-
-
-def _inside(vehicle: Vehicle, name: str, value: float) -> float:
-    low, high = vehicle.declaration(name).bounds
-    return float(min(max(value, low), high))
 
 
 def windows_of(job: RolloutJob, source: Source) -> int:
@@ -130,7 +125,7 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
     _refuse_large(count, samples, len(predictor.functions.state_names))
     random = np.random.default_rng([job.seed, place])
     sigma = chosen.sigma
-    paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
+    paths = _paths(predictor, chosen, p, _LIMITS.start * sigma * random.standard_normal((count, len(sigma))))
     good = _credible(paths, chosen.t[0])
     if not good.any():
         raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")
@@ -169,10 +164,10 @@ def _path(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Arra
 
 def _refuse_large(count: int, samples: int, states: int) -> None:
     size = 8 * count * samples * states
-    if size > _MOST:
+    if size > _LIMITS.bytes:
         raise UndertowError(
             f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
-            f"{_MOST / 1e9:g}: take fewer (--count) or shorter ones (--horizon)"
+            f"{_LIMITS.bytes / 1e9:g}: take fewer (--count) or shorter ones (--horizon)"
         )
 
 
@@ -190,8 +185,7 @@ def _predictor(vehicle: str, effects: tuple[str, ...], files: str) -> Predictor:
 @lru_cache(maxsize=4)
 def _cut(job: RolloutJob, source: Source) -> Windows:
     vehicle = _predictor(job.vehicle, job.effects, job.files).functions.vehicle
-    mapping = LogMapping.model_validate_json(job.mapping)
-    run = read_log(source.log, mapping, vehicle.command_names, missing_commands=job.fill)
+    run = read_log(source.log, job.log_mapping, vehicle.command_names, missing_commands=job.fill)
     if run.sha256 != source.sha256:
         raise UndertowError(
             f"{source.log} is another file for this worker, or was changed meanwhile: try again"

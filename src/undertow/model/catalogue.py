@@ -58,10 +58,12 @@ def _installed(point: EntryPoint) -> type[Effect]:
     except Exception as error:  # a broken package must be named, it is not ours to mend
         why = f"{type(error).__name__}: {error}"
         raise UndertowError(
-            f"effect {place} cannot be loaded from {point.value}: {why}; mend or uninstall it"
+            f"effect {place} cannot be loaded from {point.value}: {why}; repair or uninstall it"
         ) from error
     if not (inspect.isclass(cls) and issubclass(cls, Effect)):
-        raise UndertowError(f"entry point {place}, {point.value}, is no effect class: mend or uninstall it")
+        raise UndertowError(
+            f"entry point {place}, {point.value}, is not an effect class: repair or uninstall it"
+        )
     return cls
 
 

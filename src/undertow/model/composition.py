@@ -19,6 +19,7 @@ from .symbols import (
     FORCE,
     FORCE_UNITS,
     POSE,
+    POSE_UNITS,
     VELOCITY,
     VELOCITY_UNITS,
     Signals,
@@ -255,7 +256,6 @@ class Composition:
         return [*names, "rho", "g"]
 
 
-_POSE_UNITS = ("m",) * 3 + ("rad",) * 3
 _NED = ("north", "east", "down")
 
 
@@ -412,7 +412,7 @@ def _measurement(effect: Measurement, s: Signals) -> tuple[Part, ...]:
     usable = _usable(s.eta, s.nu, s.t, s.rho, s.g)
     pose, velocity = effect.reported(s.eta, s.nu, s)
     return (
-        Part("reported pose", pose, tuple(f"reported {n}" for n in POSE), _POSE_UNITS, s.eta, usable),
+        Part("reported pose", pose, tuple(f"reported {n}" for n in POSE), POSE_UNITS, s.eta, usable),
         Part(
             "reported velocity",
             velocity,

@@ -22,18 +22,28 @@ from .units import dimension, require_unit
 
 Point = dict[sm.Symbol, float]
 
-_SEED = 20210405
-_TOLERANCE = 1e-9
-# Far apart in size, so that a kink or a saturation is met on both sides.
-_DECADES = (-2.0, 1.0)
-_PARAMETER_DECADES = (-2.0, 2.0)
+
+@dataclass(frozen=True)
+class Trials:
+    """Points at which an effect is tried; sizes are far apart, so that a kink is met on both sides."""
+
+    seed: int = 20210405
+    points: int = 200  # for bounds and power
+    identity: int = 12  # points, for what has to be zero everywhere
+    linearity: int = 40  # lines, for what has to be affine along them
+    signals: tuple[float, float] = (-2.0, 1.0)  # decades of their magnitude
+    parameters: tuple[float, float] = (-2.0, 2.0)  # the same
+    rounding: float = 1e-9  # of a sum, as a share of its terms
 
 
-class Probe:
+_TRIALS = Trials()
+
+
+class RandomPoints:
     """Draws points for the symbols of a statement: signals of every size, parameters within their bounds."""
 
-    def __init__(self, statement: Statement, seed: int = _SEED) -> None:
-        self._random = Random(seed)
+    def __init__(self, statement: Statement) -> None:
+        self._random = Random(_TRIALS.seed)
         self._inputs = statement.inputs
         self._parameters = statement.parameters
 
@@ -54,14 +64,14 @@ class Probe:
             return 1000.0 if name == "rho" else 9.81
         if unit == "rad":  # clear of the singularity of the Euler angles
             return self._random.uniform(-1.4, 1.4)
-        return abs(self._any_size(_DECADES)) if unit == "s" else self._any_size(_DECADES)
+        return abs(self._any_size(_TRIALS.signals)) if unit == "s" else self._any_size(_TRIALS.signals)
 
     def _any_size(self, decades: tuple[float, float]) -> float:
         return self._random.choice((-1.0, 1.0)) * 10 ** self._random.uniform(*decades)
 
     def _within(self, parameter: Parameter) -> float:
         low, high = parameter.bounds
-        step = self._any_size(_PARAMETER_DECADES)
+        step = self._any_size(_TRIALS.parameters)
         if math.isinf(low) and math.isinf(high):
             return step
         if math.isinf(high):
@@ -88,49 +98,43 @@ def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, flo
     return values
 
 
-def nonzero_row(matrix: sm.Matrix, statement: Statement, trials: int = 12) -> int | None:
+def nonzero_row(matrix: sm.Matrix, statement: Statement) -> int | None:
     """Index of the first row that is not identically zero, or None.
 
     Expansion proves most identities; what it leaves is tried at random points.
     """
     for i, row in enumerate(matrix):
         expanded = sm.expand(row)
-        if expanded != 0 and not _vanishes(expanded, statement, trials):
+        if expanded != 0 and not _vanishes(expanded, statement):
             return i
     return None
 
 
-def _vanishes(expression: sm.Expr, statement: Statement, trials: int) -> bool:
+def _vanishes(expression: sm.Expr, statement: Statement) -> bool:
     values = compiled([expression, *sm.Add.make_args(expression)])
-    probe = Probe(statement)
-    for _ in range(trials):
+    probe = RandomPoints(statement)
+    for _ in range(_TRIALS.identity):
         whole, *terms = values(probe.point())
-        if not math.isnan(whole) and abs(whole) > _TOLERANCE * sum(map(abs, terms)):
+        if not math.isnan(whole) and abs(whole) > _TRIALS.rounding * sum(map(abs, terms)):
             return False
     return True
 
 
-def bent_row(
-    matrix: sm.Matrix, along: Sequence[sm.Symbol], statement: Statement, trials: int = 40
-) -> int | None:
+def nonlinear_row(matrix: sm.Matrix, along: Sequence[sm.Symbol], statement: Statement) -> int | None:
     """Index of the first row that is not affine in the symbols `along` taken together, or None.
 
     Affine means that the value half-way between any two points is the mean of the values there, so
-    that a kink (dead band, dry friction) counts as bent although its second derivative is zero.
+    that a kink (dead band, dry friction) counts as not affine although its second derivative is zero.
     """
-    values, probe = compiled(list(matrix)), Probe(statement)
-    for _ in range(trials):
+    values, probe = compiled(list(matrix)), RandomPoints(statement)
+    for _ in range(_TRIALS.linearity):
         start = probe.point()
         end = probe.moved(start, along)
         middle = start | {x: (start[x] + end[x]) / 2 for x in along}
         for i, (a, b, half) in enumerate(zip(*map(values, (start, end, middle)), strict=True)):
-            if abs(half - (a + b) / 2) > _TOLERANCE * (abs(a) + abs(b) + abs(half)):
+            if abs(half - (a + b) / 2) > _TRIALS.rounding * (abs(a) + abs(b) + abs(half)):
                 return i
     return None
-
-
-_TRIALS = 200
-_ROUNDING = 1e-9
 
 
 # --- symbols and units ------------------------------------------------------------------------
@@ -226,20 +230,23 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     moved = [kind for kind in s.kinds if kind in ("flow", "measurement")]
     if moved:
         for p in linear:
-            yield f"parameter '{p.name}' of a {moved[0]} effect is no regressor column: declare linear=False"
+            yield (
+                f"parameter '{p.name}' of a {moved[0]} effect is not a regressor column: declare linear=False"
+            )
         return
     main = s.parts[0].matrix
     hidden = {x for part in s.parts[1:] for x in part.matrix.free_symbols}
     found = [complaint for p in linear for complaint in _not_linear(p, main, hidden, s)]
     yield from found
     together = [symbol(p.name) for p in linear]
-    if not found and bent_row(main, together, s) is not None:
-        yield f"the linear parameters {_names(linear)} multiply each other: declare all but one linear=False"
+    if not found and nonlinear_row(main, together, s) is not None:
+        names = ", ".join(f"'{p.name}'" for p in linear)
+        yield f"the linear parameters {names} multiply each other: declare all but one linear=False"
     for p in own:
         if (
             not p.linear
             and symbol(p.name) not in hidden
-            and bent_row(main, [*together, symbol(p.name)], s) is None
+            and nonlinear_row(main, [*together, symbol(p.name)], s) is None
         ):
             yield f"parameter '{p.name}' enters linearly although declared linear=False: declare linear=True"
 
@@ -247,12 +254,8 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
 def _not_linear(p: Parameter, main: sm.Matrix, hidden: set[sm.Symbol], s: Statement) -> Iterator[str]:
     if symbol(p.name) in hidden:
         yield f"parameter '{p.name}' acts through a state or a delay, so not linearly: declare linear=False"
-    elif (row := bent_row(main, [symbol(p.name)], s)) is not None:
+    elif (row := nonlinear_row(main, [symbol(p.name)], s)) is not None:
         yield f"{s.parts[0].rows[row]} is not linear in '{p.name}', as it is declared: declare linear=False"
-
-
-def _names(parameters: Sequence[Parameter]) -> str:
-    return ", ".join(f"'{p.name}'" for p in parameters)
 
 
 def affine_in_motion(s: Statement) -> Iterator[str]:
@@ -265,7 +268,7 @@ def affine_in_motion(s: Statement) -> Iterator[str]:
         (turned, POSE[3:], attitude),
         (velocity, VELOCITY, place),
     ):
-        row = bent_row(matrix, along, s)
+        row = nonlinear_row(matrix, along, s)
         if row is not None:
             what = "attitude" if along is attitude else "position and velocity"
             yield f"reported {names[row]} is not affine in {what}: {_short(matrix[row])}"
@@ -278,8 +281,8 @@ def dead_time_positive(s: Statement) -> Iterator[str]:
     """Nothing acts or is reported before its time, for parameters within bounds."""
     parts = [p for p in s.parts if p.name in ("dead_time", "age")]
     rows = [(name, seconds) for p in parts for name, seconds in zip(p.rows, p.matrix, strict=True)]
-    values, probe = compiled([seconds for _, seconds in rows]), Probe(s)
-    for _ in range(_TRIALS):
+    values, probe = compiled([seconds for _, seconds in rows]), RandomPoints(s)
+    for _ in range(_TRIALS.points):
         early = [row for row, seconds in zip(rows, values(probe.point()), strict=True) if seconds < 0]
         if early:
             yield f"{early[0][0]} can be negative within the bounds: {_short(early[0][1])}"
@@ -317,8 +320,8 @@ def inertia_positive(s: Statement) -> Iterator[str]:
     inertia = inertia_of(s)
     diagonal = inertia.diagonal().free_symbols
     couplings = {x: sm.Integer(0) for x in s.parameters if x not in diagonal}
-    entries, probe = compiled(list(inertia.subs(couplings))), Probe(s)
-    for _ in range(_TRIALS):
+    entries, probe = compiled(list(inertia.subs(couplings))), RandomPoints(s)
+    for _ in range(_TRIALS.points):
         values = entries(probe.point())
         rows = [values[6 * i : 6 * i + 6] for i in range(6)]
         for i in range(6):
@@ -330,7 +333,7 @@ def inertia_positive(s: Statement) -> Iterator[str]:
             return
 
 
-def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _ROUNDING) -> bool:
+def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _TRIALS.rounding) -> bool:
     """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
     trace = sum(abs(rows[i][i]) for i in range(len(rows)))
     return failing_pivot(rows, margin * trace or margin) is None
@@ -350,13 +353,13 @@ def no_work(s: Statement) -> Iterator[str]:
         yield f"declared workless, but its power is {_short(sm.expand(power[0]))}"
 
 
-def never_feeds(s: Statement) -> Iterator[str]:
+def dissipates(s: Statement) -> Iterator[str]:
     """nu' tau <= 0 at every point tried."""
-    terms, probe = compiled(power_terms(s)), Probe(s)
-    for _ in range(_TRIALS):
+    terms, probe = compiled(power_terms(s)), RandomPoints(s)
+    for _ in range(_TRIALS.points):
         point = probe.point()
         powers = terms(point)
-        if sum(powers) > _ROUNDING * sum(map(abs, powers)):
+        if sum(powers) > _TRIALS.rounding * sum(map(abs, powers)):
             speeds = ", ".join(
                 f"{n} = {point[symbol(n)]:.3g}" for n, p in zip(VELOCITY, powers, strict=True) if p > 0
             )
@@ -420,15 +423,11 @@ class _Law:
 
 
 def _is(*kinds: str) -> Callable[[Statement], bool]:
-    return lambda s: any(kind in s.kinds for kind in kinds)
+    return lambda s: not set(kinds).isdisjoint(s.kinds)
 
 
 _LAWS = (
-    _Law(
-        "symbols",
-        "stated in signals, own and shared parameters, and own states only",
-        only_known_symbols,
-    ),
+    _Law("symbols", "stated in signals, own and shared parameters, and own states only", only_known_symbols),
     _Law("parameters", "every parameter occurs in the physics", parameters_used),
     _Law("units", "every term of every row has the right unit", units_fit),
     _Law("zero", "changes nothing where its parameters are neutral", absent_at_neutral),
@@ -440,17 +439,12 @@ _LAWS = (
         affine_in_motion,
         _is("measurement"),
     ),
-    _Law(
-        "dead_time",
-        "no dead time can be negative",
-        dead_time_positive,
-        _is("actuation", "measurement"),
-    ),
+    _Law("dead_time", "no dead time can be negative", dead_time_positive, _is("actuation", "measurement")),
     _Law("rate", "acceleration is the derivative of velocity", rate_is_derivative, _is("flow")),
     _Law("symmetry", "its part of the mass matrix is symmetric", inertia_symmetric, accelerates),
     _Law("inertia", "its part of the mass matrix is positive", inertia_positive, has_own_inertia),
     _Law("workless", "its power is identically zero", no_work, lambda s: claims(s, "workless")),
-    _Law("dissipative", "it never feeds power in", never_feeds, lambda s: claims(s, "dissipative")),
+    _Law("dissipative", "it never feeds power in", dissipates, lambda s: claims(s, "dissipative")),
 )
 
 
@@ -481,15 +475,12 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Cont
     except UndertowError as error:
         return [*findings, ContractCheck("shape", False, str(error))]
     findings.append(ContractCheck("shape", True, "every part is a column of the right length"))
-    symbols = _law_findings(_LAWS[0], statement)
+    symbols = _found(_LAWS[0].check, _LAWS[0].holds, only_known_symbols(statement))
     if not symbols[0].ok:  # unknown symbols have no value, so the laws cannot be tried
         return [*findings, *symbols]
-    rest = [f for law in _LAWS[1:] if law.applies(statement) for f in _law_findings(law, statement)]
+    laws = [law for law in _LAWS[1:] if law.applies(statement)]
+    rest = [f for law in laws for f in _found(law.check, law.holds, law.complaints(statement))]
     return [*findings, *symbols, *rest]
-
-
-def _law_findings(law: _Law, statement: Statement) -> list[ContractCheck]:
-    return _found(law.check, law.holds, law.complaints(statement))
 
 
 def _found(check: str, holds: str, complaints: Iterator[str]) -> list[ContractCheck]:
@@ -507,7 +498,7 @@ def _declaration(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str
     yield "id", "is an identifier of its own", _id_complaints(cls, known)
     yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
     yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
-    yield "taken", "what it takes from other effects can be told there", _taken_complaints(cls, known)
+    yield "taken", "what it takes from other effects can be stated there", _taken_complaints(cls, known)
     yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
     yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
     yield "claims", "claims about power do not contradict each other", _claim_complaints(cls)
@@ -519,7 +510,7 @@ def _id_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     if not isinstance(getattr(cls, "id", None), str):
         yield "id is missing: give the class an attribute id = 'my_effect'"
     elif not _NAME.fullmatch(cls.id):
-        yield f"id '{cls.id}' is no identifier: use letters, digits and underscores"
+        yield f"id '{cls.id}' is not an identifier: use letters, digits and underscores"
     elif known.get(cls.id, cls) is not cls:
         yield f"id '{cls.id}' belongs to {known[cls.id].__name__} already: choose another"
 
@@ -544,7 +535,7 @@ def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             return
         for beside in ids:
             if beside not in known:
-                yield f"{what} '{beside}', which is no known effect: correct the id"
+                yield f"{what} '{beside}', which is not a known effect: correct the id"
 
 
 def _keys(effect: Effect) -> dict[str, str]:
@@ -557,13 +548,13 @@ def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     for taken in cls.taken:
         key = taken.key
         if taken.owner not in known:
-            yield f"'{key}' is taken from '{taken.owner}', which is no known effect: correct the id"
+            yield f"'{key}' is taken from '{taken.owner}', which is not a known effect: correct the id"
             continue
         units = {"rho": "kg/m^3", "g": "m/s^2", **_keys(known[taken.owner].specimen())}
         for unknown in sorted({key, *taken.unless} - own.keys()):
-            yield f"taken names '{unknown}', which is no key of the effect's table: correct it"
+            yield f"taken names '{unknown}', which is not a key of the effect's table: correct it"
         for unknown in sorted({str(x) for f in taken.formulas for x in f.free_symbols} - units.keys()):
-            yield f"'{key}' is taken from '{unknown}', no key of '{taken.owner}': correct the formula"
+            yield f"'{key}' is taken from '{unknown}', not a key of '{taken.owner}': correct the formula"
 
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
@@ -572,7 +563,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     taken = _taken_names(cls, known)
     for name in names:
         if not _NAME.fullmatch(name):
-            yield f"'{name}' is no identifier: use letters, digits and underscores"
+            yield f"'{name}' is not an identifier: use letters, digits and underscores"
         elif name in taken:
             yield f"'{name}' is taken by {taken[name]}: choose another name"
         elif names.count(name) > 1:
@@ -606,7 +597,7 @@ def _bounds_complaints(cls: type[Effect]) -> Iterator[str]:
     points = [point for seen in (_SOMEWHERE, {}) for point in cls.starts_near(seen)]
     for name, value in {entry for point in points for entry in point.items()}:
         if name not in parameters or parameters[name].linear:
-            yield f"starts_near() gives '{name}', which is no shape parameter of the effect: leave it out"
+            yield f"starts_near() gives '{name}', which is not a shape parameter of the effect: leave it out"
         elif not parameters[name].bounds[0] <= value <= parameters[name].bounds[1]:
             yield f"starts_near() gives {value:g} for '{name}', outside its bounds: correct it"
 

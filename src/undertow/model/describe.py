@@ -106,7 +106,7 @@ def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
             yield from declaration.expand(())
 
 
-def _note(p: Parameter, told_elsewhere: Set[str]) -> ParameterNote:
+def _note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
     low, high = (None if math.isinf(b) else b for b in p.bounds)
     return ParameterNote(
         name=p.name,
@@ -114,7 +114,7 @@ def _note(p: Parameter, told_elsewhere: Set[str]) -> ParameterNote:
         low=low,
         high=high,
         linear=p.linear,
-        required=p.must_be_given and p.name not in told_elsewhere,
+        required=p.must_be_given and p.name not in stated_elsewhere,
         default=p.default,
         directional=p.motion is not None,
         about=p.about,

@@ -21,7 +21,7 @@ def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Param
 
 
 @dataclass(frozen=True)
-class Bulk:
+class VehicleSize:
     """How large a vehicle is, by its mass and inertia."""
 
     mass: float  # kg
@@ -116,7 +116,7 @@ class Effect(abc.ABC):
         return {}
 
     @classmethod
-    def settled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+    def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
         """The same physics as `values`, which a fit found, with what a file takes from elsewhere in them.
 
         Parameters
@@ -124,7 +124,7 @@ class Effect(abc.ABC):
         values : mapping
             Parameters by name; one that is missing was found to be zero.
         taken : mapping
-            What other tables of the file tell, by key.
+            What other tables of the file state, by key.
         """
         return dict(values)
 
@@ -147,8 +147,8 @@ class Effect(abc.ABC):
         yield from ()
 
     @classmethod
-    def bulk(cls, values: Mapping[str, float]) -> Bulk | None:
-        """How large a vehicle with these values is; None where the effect does not tell."""
+    def vehicle_size(cls, values: Mapping[str, float]) -> VehicleSize | None:
+        """How large a vehicle with these values is; None where the effect does not say."""
         return None
 
     @property

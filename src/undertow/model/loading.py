@@ -147,7 +147,7 @@ def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
     if kind == "missing":
         return f"'{place}' is missing: add it"
     if kind in _NO_QUANTITY and any(str(part) in _UNION_MEMBERS for part in first["loc"]):
-        return f"'{place}' = {found} is no quantity: write a number in SI or a text such as '1.5 kg'"
+        return f"'{place}' = {found} is not a quantity: write a number in SI or a text such as '1.5 kg'"
     expected = str(first.get("ctx", {}).get("expected", ""))
     hint = nearest(str(first["input"]), re.findall(r"'([^']*)'", expected))
     return f"'{place}': {first['msg'].removeprefix('Value error, ')}, found {found}{hint}"
@@ -212,10 +212,10 @@ class Statements:
         return found
 
     def taken(self, effect: Effect) -> dict[str, float]:
-        """What other tables tell of an effect and its own leaves open, by key, SI."""
+        """What other tables state of an effect and its own leaves open, by key, SI."""
         own = self.tables.get(effect.id, {})
-        told = {t.key: self._told(t) for t in effect.taken if not {t.key, *t.unless} & own.keys()}
-        return {k: v for k, v in told.items() if v is not None}
+        stated = {t.key: self._from_owner(t) for t in effect.taken if not {t.key, *t.unless} & own.keys()}
+        return {k: v for k, v in stated.items() if v is not None}
 
     def completed(self) -> dict[str, dict[str, Any]]:
         """The tables with what each takes from others."""
@@ -228,7 +228,7 @@ class Statements:
             for key, value in self.taken(effect).items()
         }
 
-    def _told(self, taken: Taken) -> float | None:
+    def _from_owner(self, taken: Taken) -> float | None:
         stated = self._own.get(taken.owner)
         if stated is None:
             return None
@@ -239,7 +239,7 @@ class Statements:
         return None
 
     def differing(self) -> Iterator[str]:
-        """One line for every value that another table tells otherwise, unless it says that it overrides."""
+        """One line for every value that another table states otherwise, unless it says that it overrides."""
         for effect in self.effects:
             for key, entry in self.tables[effect.id].items():
                 yield from self._difference(effect, key, entry)
@@ -250,28 +250,28 @@ class Statements:
         meant = bool(field_of(entry, "override"))
         if taken is None or taken.only_where_silent:
             if meant:
-                raise UndertowError(f"{place} overrides nothing, no other table tells it: remove 'override'")
+                raise UndertowError(f"{place} overrides nothing, no other table states it: remove 'override'")
             return
-        told, raw = self._told(taken), field_of(entry, "value")
-        if meant or told is None or raw is None:
+        elsewhere, raw = self._from_owner(taken), field_of(entry, "value")
+        if meant or elsewhere is None or raw is None:
             return
         value = si_of(place, raw, taken.unit)
-        if not isclose(value, told, rel_tol=taken.rounding, abs_tol=_NOTHING):
+        if not isclose(value, elsewhere, rel_tol=taken.rounding, abs_tol=_NOTHING):
             fitted = bool(field_of(entry, "estimate")) or self._fitted(taken)
-            yield _differs(place, value, told, taken, most=inf if fitted else taken.most)
+            yield _differs(place, value, elsewhere, taken, most=inf if fitted else taken.most)
 
     def _fitted(self, taken: Taken) -> bool:
-        """Whether a fit may have moved what the owner tells; what it found must fit into a file."""
+        """Whether a fit may have moved what the owner states; what it found must fit into a file."""
         names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
         owner = self.tables.get(taken.owner, {})
         return any(field_of(owner[n], "estimate") for n in names & owner.keys())
 
 
-def _differs(place: str, value: float, told: float, taken: Taken, most: float) -> str:
-    other = f"{taken.words or taken.key} = {told:g} {taken.unit} by [effects.{taken.owner}]"
+def _differs(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:
+    other = f"{taken.words or taken.key} = {elsewhere:g} {taken.unit} by [effects.{taken.owner}]"
     line = f"{place} = {value:g} {taken.unit}, but {other}"
     how = "remove it to use the latter, or write { value = ..., override = true } if both are meant"
-    if max(abs(value), abs(told)) > most * min(abs(value), abs(told)):
+    if max(abs(value), abs(elsewhere)) > most * min(abs(value), abs(elsewhere)):
         raise UndertowError(f"{line}: no vehicle has both (limit: a factor of {most:g}); {how}")
     return f"{line}: {how}"
 
@@ -458,7 +458,7 @@ def _carried_over(
     converted: Mapping[str, float],
     values: Mapping[str, Value],
 ) -> dict[str, float]:
-    """Standard deviations of what a file tells by way of others.
+    """Standard deviations of what a file states by way of others.
 
     A mass that is to be found, at a known place, leaves its static moment to be found, too.
     """

@@ -209,19 +209,15 @@ class DerivativeMatrix:
         return tuple(self._entry(i, j) for i, j in self.entries)
 
     def _entry(self, i: int, j: int) -> Parameter:
-        force, per = ("N" if i < 3 else "N m"), self.motion_unit[j > 2]
+        force, unit, per = *(("force", "N") if i < 3 else ("moment", "N m")), self.motion_unit[j > 2]
         return Parameter(
-            unit=force if per == "1" else f"{force}/({per})",
-            about=self.about.format(force=_axis(i), motion=DOFS[j]),
+            unit=unit if per == "1" else f"{unit}/({per})",
+            about=self.about.format(force=f"{DOFS[i]} {force}", motion=DOFS[j]),
             bounds=self.bounds,
             motion=j if self.directional else None,
             on_left_side=True,
             name=self._name(i, j),
         )
-
-
-def _axis(i: int) -> str:
-    return f"{DOFS[i]} {'force' if i < 3 else 'moment'}"
 
 
 _WAYS = {"ned": ("north", "east", "down"), "body": ("forward", "to starboard", "down")}
@@ -273,7 +269,7 @@ Declaration = Parameter | DerivativeMatrix | Place
 
 @dataclass(frozen=True)
 class Taken:
-    """A quantity that another effect's table tells as well, so that a file need not say it twice."""
+    """A quantity that another effect's table states as well, so that a file need not say it twice."""
 
     key: str  # the quantity in the effect's own table
     owner: str  # id of the other effect

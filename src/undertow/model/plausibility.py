@@ -9,39 +9,35 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 
-from .effect import Bulk, Effect
+from .effect import Effect, VehicleSize
 from .kinematics import failing_pivot
 from .parameter import DerivativeMatrix, Limits, Range, declared
 from .symbols import DOFS, FORCE, symbol
 from .vehicle import Thruster, Value, Vehicle
 
+_LIMITS = Limits()
 _ROUNDING = 1e-12
 
 
-def check_vehicle(vehicle: Vehicle, limits: Limits | None = None) -> None:
-    """Refuse a vehicle that cannot be."""
-    chosen = limits or Limits()
-    _check_environment(vehicle, chosen)
+def check_vehicle(vehicle: Vehicle) -> None:
+    """Refuse a vehicle that is physically impossible, or whose equations have no value."""
+    _check_environment(vehicle)
     _check_forces(vehicle)
     _check_complete(vehicle)
     _check_defined(vehicle)
-    for complaint in _complaints(vehicle, chosen):
+    for complaint in _complaints(vehicle):
         raise UndertowError(complaint)
     _check_inertia(vehicle)
 
 
-def _complaints(vehicle: Vehicle, limits: Limits) -> Iterator[str]:
-    bulk = _bulk(vehicle)
-    yield from _numbers(vehicle, limits)
-    yield from _effects(vehicle, limits)
-    yield from _thrusters(vehicle, bulk, limits)
-    if bulk is not None:
-        yield from _places(vehicle, bulk, limits)
-
-
-def _bulk(vehicle: Vehicle) -> Bulk | None:
+def _complaints(vehicle: Vehicle) -> Iterator[str]:
     known = _known(vehicle)
-    return next((b for e in vehicle.effects if (b := e.bulk(known)) is not None), None)
+    size = next((b for e in vehicle.effects if (b := e.vehicle_size(known)) is not None), None)
+    yield from _numbers(vehicle)
+    yield from _effects(vehicle, known)
+    yield from _thrusters(vehicle, size)
+    if size is not None:
+        yield from _places(vehicle, size)
 
 
 def _known(vehicle: Vehicle) -> dict[str, float]:
@@ -54,9 +50,9 @@ def _known(vehicle: Vehicle) -> dict[str, float]:
 _HINTS = {"water_density": "1 g/cm^3 is 1000 kg/m^3", "gravity": "981 cm/s^2 is 9.81 m/s^2"}
 
 
-def _check_environment(vehicle: Vehicle, limits: Limits) -> None:
+def _check_environment(vehicle: Vehicle) -> None:
     for key, name, unit in (("water_density", "rho", "kg/m^3"), ("gravity", "g", "m/s^2")):
-        value, (low, high) = vehicle.environment[name], getattr(limits, key)
+        value, (low, high) = vehicle.environment[name], getattr(_LIMITS, key)
         if not low <= value <= high:
             raise UndertowError(
                 f"{key} = {value:g} {unit} cannot be (possible: {low:g} to {high:g}): correct the number or "
@@ -65,10 +61,10 @@ def _check_environment(vehicle: Vehicle, limits: Limits) -> None:
 
 
 # --- numbers --------------------------------------------------------------------------------------
-def _numbers(vehicle: Vehicle, limits: Limits) -> Iterator[str]:
+def _numbers(vehicle: Vehicle) -> Iterator[str]:
     for name, value in vehicle.values.items():
-        yield from _out_of(_place(vehicle, name), value.value, (0.0, limits.largest))
-        yield from _sigma(_place(vehicle, name), value, limits)
+        yield from _out_of(_place(vehicle, name), value.value, (0.0, _LIMITS.largest))
+        yield from _sigma(_place(vehicle, name), value)
 
 
 def _place(vehicle: Vehicle, name: str) -> str:
@@ -90,53 +86,55 @@ def _out_of(place: str, value: float, limits: Range, unit: str = "") -> Iterator
         )
 
 
-def _sigma(place: str, value: Value, limits: Limits) -> Iterator[str]:
+def _sigma(place: str, value: Value) -> Iterator[str]:
     # None: not stated. A fit to data without noise finds zero, one to no data infinity.
     if value.sigma is not None and 0 < value.sigma < inf:
-        yield from _out_of(f"{place} sigma", value.sigma, limits.sigma)
+        yield from _out_of(f"{place} sigma", value.sigma, _LIMITS.sigma)
 
 
 # --- thrusters ------------------------------------------------------------------------------------
-def _thrusters(vehicle: Vehicle, bulk: Bulk | None, limits: Limits) -> Iterator[str]:
+def _thrusters(vehicle: Vehicle, size: VehicleSize | None) -> Iterator[str]:
     for thruster in vehicle.thrusters:
         place, thrust = f"thruster '{thruster.name}'", thruster.thrust_per_command
         # Rounding leaves 1e-17 where a cosine is zero, so it is the largest entry that cannot be small.
-        yield from _out_of(f"{place} wrench, its largest entry", max(thruster.wrench, key=abs), limits.thrust)
+        yield from _out_of(
+            f"{place} wrench, its largest entry", max(thruster.wrench, key=abs), _LIMITS.thrust
+        )
         if thrust.value:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
-            yield from _out_of(f"{place} thrust_per_command", thrust.value, limits.thrust, "N")
-        yield from _sigma(f"{place} thrust_per_command", thrust, limits)
+            yield from _out_of(f"{place} thrust_per_command", thrust.value, _LIMITS.thrust, "N")
+        yield from _sigma(f"{place} thrust_per_command", thrust)
         if thruster.limit is not None:
-            yield from _out_of(f"{place} limit", thruster.limit, limits.command)
-        if bulk is not None:
-            yield from _pushed(thruster, bulk.mass, limits)
+            yield from _out_of(f"{place} limit", thruster.limit, _LIMITS.command)
+        if size is not None:
+            yield from _pushed(thruster, size.mass)
 
 
-def _pushed(thruster: Thruster, mass: float, limits: Limits) -> Iterator[str]:
+def _pushed(thruster: Thruster, mass: float) -> Iterator[str]:
     command = 1.0 if thruster.limit is None else thruster.limit
     force = hypot(*thruster.wrench[:3]) * thruster.thrust_per_command.value * command
-    if force / mass > limits.acceleration and not thruster.thrust_per_command.estimate:
+    if force / mass > _LIMITS.acceleration and not thruster.thrust_per_command.estimate:
         yield (
             f"thruster '{thruster.name}' pushes with {force:g} N at a command of {command:g}, which is "
-            f"{force / mass:.3g} m/s^2 for {mass:g} kg (possible: up to {limits.acceleration:g}): correct "
+            f"{force / mass:.3g} m/s^2 for {mass:g} kg (possible: up to {_LIMITS.acceleration:g}): correct "
             f"its wrench, thrust_per_command or limit"
         )
 
 
 # --- effects and places ---------------------------------------------------------------------------
-def _effects(vehicle: Vehicle, limits: Limits) -> Iterator[str]:
-    known, moved = _known(vehicle), {n for n, v in vehicle.values.items() if v.estimate}
+def _effects(vehicle: Vehicle, known: Mapping[str, float]) -> Iterator[str]:
+    moved = {n for n, v in vehicle.values.items() if v.estimate}
     for effect in vehicle.effects:
-        for complaint in effect.impossible(known, limits, moved):
+        for complaint in effect.impossible(known, _LIMITS, moved):
             yield f"[effects.{effect.id}] {complaint}"
 
 
-def _places(vehicle: Vehicle, bulk: Bulk, limits: Limits) -> Iterator[str]:
-    size = max(bulk.length, bulk.gyration)
+def _places(vehicle: Vehicle, size: VehicleSize) -> Iterator[str]:
+    extent = max(size.length, size.gyration)
     for place, arm in _arms(vehicle):
-        if abs(arm) > limits.farthest * size:
+        if abs(arm) > _LIMITS.farthest * extent:
             yield (
-                f"{place} is {abs(arm):.3g} m off the body origin of a vehicle of {bulk.mass:g} kg (limit "
-                f"{limits.farthest * size:.3g} m): lengths are in m, or have a unit, such as '160 mm'"
+                f"{place} is {abs(arm):.3g} m off the body origin of a vehicle of {size.mass:g} kg (limit "
+                f"{_LIMITS.farthest * extent:.3g} m): lengths are in m, or have a unit, such as '160 mm'"
             )
 
 
@@ -158,7 +156,8 @@ def _check_forces(vehicle: Vehicle) -> None:
         dof = DOFS[FORCE.index(channel.removeprefix("tau_"))]
         if dof not in vehicle.degrees_of_freedom:
             raise UndertowError(
-                f"generalised_forces has {channel}, but {dof} is no degree of freedom: add {dof} or remove it"
+                f"generalised_forces has {channel}, but {dof} is not a degree of freedom: add {dof} or "
+                "remove it"
             )
 
 
@@ -175,8 +174,8 @@ def _check_complete(vehicle: Vehicle) -> None:
 
 
 def _between(bounds: Range) -> str:
-    told = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
-    return f", {' '.join(told)}" if told else ""
+    limits = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
+    return f", {' '.join(limits)}" if limits else ""
 
 
 # Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.

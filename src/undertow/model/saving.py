@@ -97,7 +97,7 @@ _QUANTITIES = ("value", "forward", "backward", "sigma", "sigma_forward", "sigma_
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Entry:
     """What an entry is to say, SI and in the signs of the file."""
 
     numbers: Mapping[str, float]  # the value by its key: "value", or "forward" and "backward"
@@ -105,10 +105,10 @@ class Wanted:
     unit: str  # SI unit of the parameter
     estimate: bool = False
     assumed: bool = False
-    override: bool = False  # whether it has to say that another table tells something else
+    override: bool = False  # whether it has to say that another table states something else
     source: str = ""
 
-    def fitted(self, source: str) -> Wanted:
+    def fitted(self, source: str) -> Entry:
         """The same with a new source, which is no assumption."""
         return replace(self, source=source, assumed=False)
 
@@ -126,7 +126,7 @@ class Wanted:
         return present != set(new) or not all(_same(old[k], new[k], self.unit, place) for k in new)
 
 
-def update_entry(raw: Any, wanted: Wanted, place: str) -> Any:
+def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
     """The new entry for what stands in the file (None: nothing stands there), or None where it can stay.
 
     A table is changed in place and keeps whatever else it says.
@@ -143,7 +143,7 @@ def update_entry(raw: Any, wanted: Wanted, place: str) -> Any:
     return fields["value"] if set(fields) == {"value"} else _inline(fields)
 
 
-def _changed_fields(old: Mapping[str, Any], wanted: Wanted, place: str) -> dict[str, Any]:
+def _changed_fields(old: Mapping[str, Any], wanted: Entry, place: str) -> dict[str, Any]:
     """Keys with their new values, None for those that go."""
     like = _like(old, wanted.unit)
     new = wanted.quantities()
@@ -154,12 +154,12 @@ def _changed_fields(old: Mapping[str, Any], wanted: Wanted, place: str) -> dict[
         if k not in old or not _same(old[k], number, wanted.unit, place)
     }
     numbers = {k: v for k, v in written.items() if k in wanted.numbers}
-    told = {"estimate": True} if wanted.estimate else {}
+    estimate = {"estimate": True} if wanted.estimate else {}
     sigmas = {k: v for k, v in written.items() if k not in numbers}
     source = {"source": wanted.source} if wanted.source else {}
     assumed = {"assumed": True if wanted.assumed else None} if wanted.assumed or "assumed" in old else {}
     override = {"override": True} if wanted.override else {}
-    return gone | numbers | told | sigmas | source | assumed | override
+    return gone | numbers | estimate | sigmas | source | assumed | override
 
 
 def _fields(raw: Any) -> dict[str, Any]:
@@ -203,11 +203,8 @@ def _updated(entry: Any, fields: Mapping[str, Any]) -> Any:
 
 def _inline(fields: Mapping[str, Any]) -> Any:
     ordered = sorted(fields, key=lambda k: _ORDER.index(k) if k in _ORDER else len(_ORDER))
-    return tomlkit.value("{ " + ", ".join(f"{k} = {_text(fields[k])}" for k in ordered) + " }")
-
-
-def _text(value: Any) -> str:
-    return tomlkit.item(safe(value)).as_string()
+    texts = (f"{k} = {tomlkit.item(safe(fields[k])).as_string()}" for k in ordered)
+    return tomlkit.value(f"{{ {', '.join(texts)} }}")
 
 
 _BEFORE = "; before: "
@@ -222,10 +219,10 @@ _NO_COVARIANCE = (
 
 def fit_source(history: Mapping[str, object] | None, before: str) -> str:
     """What a fitted value gives as its source: logs and date, and where the value before came from."""
-    told = "fitted"
+    text = "fitted"
     if history and history.get("logs"):
-        told = f"fit to {_log_names(history)} on {history.get('date', 'an unknown date')}"
-    return f"{told}{_BEFORE}{before}" if before else told
+        text = f"fit to {_log_names(history)} on {history.get('date', 'an unknown date')}"
+    return f"{text}{_BEFORE}{before}" if before else text
 
 
 def source_before(source: str) -> str:
@@ -297,12 +294,12 @@ def _row(value: Any) -> Any:
     return row
 
 
-def _covariance(vehicle: Vehicle, told: Mapping[str, Any], signs: str) -> dict[str, Any]:
-    names = [str(n) for n in told["parameters"]]
+def _covariance(vehicle: Vehicle, stated: Mapping[str, Any], signs: str) -> dict[str, Any]:
+    names = [str(n) for n in stated["parameters"]]
     turn = [_turn(vehicle, name, signs) for name in names]
     rows = [
         [float(f"{turn[i] * turn[j] * float(v):.{_COVARIANCE_DIGITS}g}") for j, v in enumerate(row)]
-        for i, row in enumerate(told["matrix"])
+        for i, row in enumerate(stated["matrix"])
     ]
     return {"parameters": names, "matrix": rows}
 
@@ -316,12 +313,12 @@ def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> t
 
     Empty where the file has none.
     """
-    told = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
-    if told is None:
+    stated = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
+    if stated is None:
         return [], []
     try:
-        names = [str(n) for n in told["parameters"]]
-        rows = [[float(v) for v in row] for row in told["matrix"]]
+        names = [str(n) for n in stated["parameters"]]
+        rows = [[float(v) for v in row] for row in stated["matrix"]]
         signs = [_turn(vehicle, n, vehicle.signs) for n in names]
     except (KeyError, TypeError, ValueError) as error:
         raise UndertowError(_NO_COVARIANCE) from error
@@ -365,7 +362,7 @@ def save_vehicle(
         If the template cannot be read or does not fit the vehicle, or `out` cannot be written.
     """
     path = resolve_vehicle(template)
-    vehicle = _settled(vehicle, path)
+    vehicle = _reconciled(vehicle, path)
     if out != path and out.exists() and out.samefile(path):
         raise UndertowError(
             f"'{out}' is the file {path} itself: choose another name, or give that path to replace it"
@@ -375,14 +372,14 @@ def save_vehicle(
     write_whole(out, text)
 
 
-def _settled(vehicle: Vehicle, path: Path) -> Vehicle:
-    """The same vehicle, in whose new effects what a fit cannot show is what the file tells elsewhere."""
+def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
+    """The same vehicle, in whose new effects what a fit cannot show is as the file states it elsewhere."""
     table = read_vehicle_table(path)
     stated = Statements(vehicle.effects, table.effects, vehicle.environment, table.signs)
     for effect in (e for e in vehicle.effects if e.id not in table.effects):
         own = {p.name: vehicle.value_of(p.name) for p in effect.parameters if p.name in vehicle.values}
         old = {n: v.value for n, v in own.items()}
-        new = effect.settled(old, stated.taken(effect))
+        new = effect.reconciled(old, stated.taken(effect))
         changed = {n: v for n, v in new.items() if old.get(n) != v}
         vehicle = vehicle.with_values({n: replace(own.get(n, Value(v)), value=v) for n, v in changed.items()})
     return vehicle
@@ -448,23 +445,23 @@ def _write_effect(
     table: Any, effect: Effect, vehicle: Vehicle, stated: Statements, history: Mapping[str, object] | None
 ) -> None:
     taken = stated.taken(effect)
-    told = _told_otherwise(table, effect, vehicle, taken)
+    derived = _derived_elsewhere(table, effect, vehicle, taken)
     for parameter in effect.parameters:
         values = vehicle.values_of(parameter)
-        if values and parameter.name not in told:
+        if values and parameter.name not in derived:
             wanted = _wanted(parameter, values, stated.signs)
             wanted = replace(wanted, override=parameter.name in taken)
             _write(table, parameter.name, wanted, f"[effects.{effect.id}] {parameter.name}", history)
 
 
 def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
-    """Standard deviations that say something: exact data give none, no data an endless one."""
+    """Standard deviations that say something: exact data give none, no data an infinite one."""
     found = {key: v.sigma for key, v in values.items() if v.sigma is not None}
     return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
 
 
-def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Wanted:
-    return Wanted(
+def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Entry:
+    return Entry(
         numbers={key: printed(parameter, v.value, signs) for key, v in values.items()},
         sigmas=_sigmas(values),
         unit=parameter.unit,
@@ -474,7 +471,7 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Wa
     )
 
 
-def _write(table: Any, key: str, wanted: Wanted, place: str, history: Mapping[str, object] | None) -> None:
+def _write(table: Any, key: str, wanted: Entry, place: str, history: Mapping[str, object] | None) -> None:
     fitted = history is None or "logs" in history
     if fitted and wanted.estimate and wanted.differs(table.get(key), place):
         wanted = wanted.fitted(fit_source(history, source_before(wanted.source)))
@@ -487,8 +484,8 @@ def _write(table: Any, key: str, wanted: Wanted, place: str, history: Mapping[st
         append(table, key, entry)
 
 
-def _told_otherwise(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapping[str, float]) -> set[str]:
-    """Parameters that the file rightly tells by other keys (`x_g` for `mx_g`); wrong keys are taken out."""
+def _derived_elsewhere(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapping[str, float]) -> set[str]:
+    """Parameters that the file rightly states by other keys (`x_g` for `mx_g`); wrong keys are taken out."""
     units = effect.file_units()
     place = f"[effects.{effect.id}]"
     raw = {k: v if not isinstance(v, Mapping) else v["value"] for k, v in table.items() if k in units}
@@ -497,20 +494,20 @@ def _told_otherwise(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapping
     known = {*table, *taken}
     direct = {p.name: vehicle.value_of(p.name).value for p in effect.parameters if p.name in known}
     found = effect.from_file(direct | aliases) if aliases else {}
-    told = {n: v for n, v in found.items() if n not in known}
-    told |= {k: v for k, v in taken.items() if k not in units}
-    wrong = {n for n, v in told.items() if not _still(vehicle.value_of(n), v)}
+    derived = {n: v for n, v in found.items() if n not in known}
+    derived |= {k: v for k, v in taken.items() if k not in units}
+    wrong = {n for n, v in derived.items() if not _is_unchanged(vehicle.value_of(n), v)}
     for key in own:
         moved = effect.from_file(direct | aliases | {key: aliases[key] + 1.0})
-        touched = {n for n in told if n in found and moved.get(n) != found[n]}
+        touched = {n for n in derived if n in found and moved.get(n) != found[n]}
         if touched & wrong:
             wrong |= touched
             table.remove(key)
-    return set(told) - wrong
+    return set(derived) - wrong
 
 
-def _still(value: Value, told: float) -> bool:
-    same = isclose(value.value, told, rel_tol=_ROUND_TRIP / 2)
+def _is_unchanged(value: Value, derived: float) -> bool:
+    same = isclose(value.value, derived, rel_tol=_ROUND_TRIP / 2)
     return same and not value.estimate and value.sigma is None
 
 
@@ -525,7 +522,7 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
     for thruster in vehicle.thrusters:
         value = thruster.thrust_per_command
         sigmas = _sigmas({"value": value})
-        wanted = Wanted(
+        wanted = Entry(
             {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, source=value.source
         )
         place = f"thruster '{thruster.name}' thrust_per_command"

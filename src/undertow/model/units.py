@@ -14,7 +14,6 @@ from undertow.errors import UndertowError
 
 if TYPE_CHECKING:
     from pint import Unit, UnitRegistry
-    from pint.util import UnitsContainer
     from pint.util import UnitsContainer as Dimension
 
 
@@ -91,11 +90,6 @@ def si_unit(unit: str) -> str:
     return f"{base:~C}".replace("**", "^") or "1"
 
 
-def dimensionality(unit: str) -> UnitsContainer:
-    """Return the dimension of a unit text, with `*`, `/`, `**` like a unit; empty for a pure number."""
-    return _unit(unit).dimensionality
-
-
 @cache
 def _affine(unit_from: str, unit_to: str) -> tuple[float, float]:
     try:
@@ -160,7 +154,7 @@ _LONGEST_TERM = 70
 @cache
 def dimension(unit: str) -> Dimension:
     """Dimension of a unit text such as ``N/(m/s)^2``; angles are pure numbers, ``command`` is its own."""
-    return dimensionality(unit)
+    return _unit(unit).dimensionality
 
 
 def unit_text(dim: Dimension | None) -> str:
@@ -238,7 +232,9 @@ class _Analysis:
 
     def _symbol(self, e: sm.Basic) -> Dimension | None:
         if e not in self._units:
-            raise UndertowError(f"the symbol {e} has no unit: it is no signal and no parameter of the effect")
+            raise UndertowError(
+                f"the symbol {e} has no unit: it is neither a signal nor a parameter of the effect"
+            )
         return dimension(self._units[e])
 
     def _common(self, args: Iterable[sm.Basic], whole: sm.Basic) -> Dimension | None:
@@ -270,7 +266,9 @@ class _Analysis:
         if found in (ANY, dimension("1")):
             return found
         if not exponent.is_Rational:
-            raise UndertowError(f"{_short(e)} raises a term {unit_text(found)} to a power that is no number")
+            raise UndertowError(
+                f"{_short(e)} raises a term {unit_text(found)} to a power that is not a number"
+            )
         return found ** (int(exponent) if exponent.is_Integer else float(exponent))
 
     def _plain(self, e: sm.Basic) -> Dimension | None:

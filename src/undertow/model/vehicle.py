@@ -49,11 +49,6 @@ def _refuse_twice(names: Iterable[str], complaint: str) -> None:
         seen.add(name)
 
 
-def _table_of(effect_id: str) -> str:
-    """What a vehicle file brings an effect in by."""
-    return {Thrusters.id: "[[thrusters]]"}.get(effect_id, f"[effects.{effect_id}]")
-
-
 @dataclass(frozen=True, repr=False)
 class Vehicle:
     """A marine vehicle as a sum of effects, for any subset of the six degrees of freedom.
@@ -126,9 +121,10 @@ class Vehicle:
         for effect in self.effects:
             missing = self.lacks(effect)
             if missing:
+                table = "[[thrusters]]" if missing[0] == Thrusters.id else f"[effects.{missing[0]}]"
                 raise UndertowError(
                     f"effect '{effect.id}' shares parameters of '{missing[0]}', which vehicle '{self.name}' "
-                    f"lacks: add {_table_of(missing[0])} to the vehicle file"
+                    f"lacks: add {table} to the vehicle file"
                 )
 
     def lacks(self, effect: Effect | type[Effect]) -> list[str]:

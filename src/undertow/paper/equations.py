@@ -120,10 +120,9 @@ class _Equations:
         symmetric = (balance + balance.T) / 2
         fixed = self.in_body_axes(self.rate() + 2 * self.printed)
         if not _zero(symmetric) and _zero(fixed + fixed.T):
-            numbers = {
-                x: -sm.Float(self.vehicle.value_of(n).value)
-                for x, n in zip(self.added, _names(), strict=True)
-            }
+            names = ("X_udot_forward", "Y_vdot", "Z_wdot_forward", "N_rdot")
+            values = (-sm.Float(self.vehicle.value_of(n).value) for n in names)
+            numbers = dict(zip(self.added, values, strict=True))
             size = symmetric[0, 1].xreplace(numbers | {self.r: sm.Integer(1)})
             yield Discrepancy(
                 WRONG,
@@ -186,10 +185,6 @@ class _Equations:
             )
 
 
-def _names() -> tuple[str, ...]:
-    return ("X_udot_forward", "Y_vdot", "Z_wdot_forward", "N_rdot")
-
-
 def _zero(matrix: sm.Matrix) -> bool:
     return matrix.applyfunc(lambda e: sm.trigsimp(sm.expand(e))).is_zero_matrix is True
 
@@ -235,7 +230,7 @@ def audit_vehicle(vehicle: Vehicle) -> list[Discrepancy]:
     return [
         *_symmetry(plant),
         *_skew(plant),
-        *_definite(plant),
+        *(found for one in sign_sets(plant) for found in _damping(plant, one)),
         *_power(vehicle),
         *(
             Discrepancy(OPEN, "vehicle file", hint, "what the file states and what it does not")
@@ -263,11 +258,6 @@ def _skew(plant: Plant) -> Iterator[Discrepancy]:
 def _first(matrix: sm.Matrix) -> str:
     i, j = next((i, j) for i in range(matrix.rows) for j in range(matrix.cols) if matrix[i, j] != 0)
     return f"{matrix[i, j]} in row {i + 1}, column {j + 1}"
-
-
-def _definite(plant: Plant) -> Iterator[Discrepancy]:
-    for one in sign_sets(plant):
-        yield from _damping(plant, one)
 
 
 def _damping(plant: Plant, one: SignSet) -> Iterator[Discrepancy]:

@@ -134,6 +134,8 @@ def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Esti
     variance = float(residual @ residual) / (triangle.count - len(theta))
     inverse = np.linalg.inv(scaled.T @ scaled) / np.outer(size, size)
     covariance = variance * inverse
+    declared = experiment.axis.vehicle.declared_parameters
+    limits = [(n, v, declared[n].bounds) for n, v in zip(regression.free, theta.tolist(), strict=True)]
     return Estimation(
         case=case,
         names=regression.free,
@@ -144,7 +146,7 @@ def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Esti
         condition=condition,
         inertia=regression.inertia(theta, covariance),
         inertial=regression.inertial,
-        impossible=_impossible(experiment.axis, dict(zip(regression.free, theta.tolist(), strict=True))),
+        impossible=tuple(n for n, v, (low, high) in limits if not low <= v <= high),
     )
 
 
@@ -173,11 +175,6 @@ def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) ->
     )
 
 
-def _impossible(axis: Axis, values: dict[str, float]) -> tuple[str, ...]:
-    declared = axis.vehicle.declared_parameters
-    return tuple(n for n, v in values.items() if not declared[n].bounds[0] <= v <= declared[n].bounds[1])
-
-
 # --- which estimate is taken ----------------------------------------------------------------------
 RULE = "of the cases whose estimates are all physical, the one with the least residual variance"
 
@@ -192,7 +189,7 @@ _APART = 3.0
 
 
 @dataclass(frozen=True)
-class Chosen:
+class CombinedEstimates:
     """Values for a vehicle file."""
 
     names: tuple[str, ...]  # parameters of the whole vehicle
@@ -211,25 +208,21 @@ class Chosen:
         )
 
 
-def chosen(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> Chosen:
+def combined(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) -> CombinedEstimates:
     """Put the estimates of several motions together.
 
     What several motions or directions share is weighted by the inverse of its variances.
     """
-    labels = [_whole_name(stated, e.axis, n) for e, estimation in found for n in estimation.names]
+    pairs = [(n, e.axis.name_of(n)) for e, estimation in found for n in estimation.names]
+    labels = [own if own in stated.values else name for name, own in pairs]
     theta = np.concatenate([estimation.theta for _, estimation in found])
     covariance = block_diag(*(estimation.covariance for _, estimation in found))
     names = tuple(dict.fromkeys(labels))
     weights = np.array([[float(label == n) for label in labels] for n in names]) / np.diag(covariance)
     weights /= weights.sum(axis=1, keepdims=True)
     axes = [str(e.axis) for e, estimation in found for _ in estimation.names]
-    told = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
-    return Chosen(names, weights @ theta, weights @ covariance @ weights.T, tuple(told))
-
-
-def _whole_name(stated: Vehicle, axis: Axis, name: str) -> str:
-    own = axis.name_of(name)
-    return own if own in stated.values else name
+    contradictions = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
+    return CombinedEstimates(names, weights @ theta, weights @ covariance @ weights.T, tuple(contradictions))
 
 
 def _apart(
@@ -270,7 +263,7 @@ def estimate_streaming(
 
     Every log is read twice: to see what moves in it, then for the rows of the regression. Parts overlap by
     more than the filters reach, and what a filter makes of the samples at the border of a part is dropped, so
-    that the answer is that of the log in one piece. (What a gap is, is told by the median step of a part.)
+    that the answer is that of the log in one piece. (The median step of a part defines what a gap is.)
     """
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
@@ -352,9 +345,9 @@ class Identified:
         return [(e, pick) for e, pick in picks if pick is not None]
 
     @cached_property
-    def chosen(self) -> Chosen | None:
+    def chosen(self) -> CombinedEstimates | None:
         """The values of the whole vehicle; None where no case of any motion is physical."""
-        return chosen(self.stated, self.taken) if self.taken else None
+        return combined(self.stated, self.taken) if self.taken else None
 
     def to_json(self) -> str:
         """All numbers as JSON, SI and SNAME signs."""

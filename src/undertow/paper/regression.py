@@ -17,7 +17,7 @@ from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.identification.logs.checks import constant_channels
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Actuation, Effect, Measurement
+from undertow.model.effect import Actuation, Measurement
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
@@ -87,9 +87,10 @@ def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
     own = f"tau_{FORCE[place]}"
     alone = replace(vehicle, degrees_of_freedom=(motion,), force_channels=(own,) if run.has(own) else ())
     if run.has(own):
-        alone = replace(alone, thrusters=(), effects=_without_actuation(vehicle))
+        kept = [e for e in vehicle.effects if not isinstance(e, Actuation) and "thrusters" not in e.requires]
+        alone = replace(alone, thrusters=(), effects=tuple(kept))
     alone = replace(alone, effects=tuple(e for e in alone.effects if not isinstance(e, Measurement)))
-    if not _split(alone):
+    if not any(n in alone.sides for n in alone.parameter_names):
         return Axis(motion, "both", alone)
     direction = _direction(run, VELOCITY[place], vehicle.name)
     return Axis(motion, direction, _one_way(alone, direction))
@@ -106,16 +107,6 @@ def _direction(run: Run, name: str, vehicle: str) -> Direction:
             "(--from, --to)"
         )
     return "forward" if ahead > 0.5 else "backward"
-
-
-def _without_actuation(vehicle: Vehicle) -> tuple[Effect, ...]:
-    kept = [e for e in vehicle.effects if not isinstance(e, Actuation) and "thrusters" not in e.requires]
-    return tuple(kept)
-
-
-def _split(vehicle: Vehicle) -> bool:
-    """Whether a parameter of this motion has a value for each direction."""
-    return any(n in vehicle.sides for n in vehicle.parameter_names)
 
 
 def _one_way(vehicle: Vehicle, direction: str) -> Vehicle:
@@ -241,7 +232,7 @@ def chosen_cases(words: str) -> list[Case]:
     unknown = [name for name in names if name not in CASES]
     if unknown:
         raise UndertowError(
-            f"--cases {words}: {unknown[0]!r} is no case; give all, or some of {', '.join(CASES)}, "
+            f"--cases {words}: {unknown[0]!r} is not a case; give all, or some of {', '.join(CASES)}, "
             "as in 2,8,11"
         )
     return [CASES[name] for name in dict.fromkeys(names)]

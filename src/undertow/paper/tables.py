@@ -10,7 +10,6 @@ from decimal import Decimal
 from functools import cache
 from importlib.resources import files
 from itertools import combinations
-from typing import Any
 
 # Inertia comes first; the others are damping, but for a constant force.
 _QUANTITIES = {
@@ -31,9 +30,9 @@ class PublishedTable:
     direction: str
     samples: int  # rows of the regression
     selected: str  # case that the paper takes for this motion
-    adopted: str | None  # which set of Table 4 came out of it; None where no set did
     # text of every cell by quantity and case; quantities are parameters, ``variance`` and ``sd_`` of each
     printed: Mapping[str, Mapping[str, str]]
+    adopted: str | None = None  # which set of Table 4 came out of it; None where no set did
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -81,20 +80,8 @@ def appendix() -> Appendix:
     folder = files("undertow.paper")
     meta = tomllib.loads(folder.joinpath("appendix_a.toml").read_text(encoding="utf-8"))
     numbers = _numbers(folder.joinpath("appendix_a.csv").read_text(encoding="utf-8"))
-    tables = tuple(_table(name, about, numbers[name]) for name, about in meta["tables"].items())
-    return Appendix(tables, meta["body"], meta["adopted"])
-
-
-def _table(name: str, about: Mapping[str, Any], printed: Mapping[str, Mapping[str, str]]) -> PublishedTable:
-    return PublishedTable(
-        name,
-        about["motion"],
-        about["direction"],
-        about["samples"],
-        about["selected"],
-        about.get("adopted"),
-        printed,
-    )
+    tables = (PublishedTable(name=n, printed=numbers[n], **about) for n, about in meta["tables"].items())
+    return Appendix(tuple(tables), meta["body"], meta["adopted"])
 
 
 def _numbers(text: str) -> dict[str, dict[str, dict[str, str]]]:
@@ -118,11 +105,19 @@ KINDS = {
 #: Cases with one filter of growing frame, in this order.
 FAMILIES = (("2", "3", "4"), ("6", "7", "8"))
 RULE = "lowest variance"
-_FAR = 5.0
-_SURE = 2.0
-_DIGITS = 7
-# Share by which a sum may be off without a contradiction: what goes into it is printed to six digits.
-_ROUNDING = 1e-4
+
+
+@dataclass(frozen=True)
+class TableLimits:
+    """From where on numbers of a table do not fit."""
+
+    outlier: float = 5.0  # standard deviations off the trend of the cases before
+    significant: float = 2.0  # standard deviations from zero
+    digits: int = 7  # that two numbers have in common if one is copied
+    rounding: float = 1e-4  # share by which a sum may be off: what goes into it is printed to six digits
+
+
+_LIMITS = TableLimits()
 
 
 @dataclass(frozen=True)
@@ -174,7 +169,7 @@ def _outliers(table: PublishedTable) -> Iterator[Remark]:
             trend = 2 * table.value(quantity, second) - table.value(quantity, first)
             value, spread = table.value(quantity, third), table.value(f"sd_{quantity}", third)
             away = abs(value - trend) / spread
-            if away > _FAR:
+            if away > _LIMITS.outlier:
                 text = (
                     f"{table.printed[quantity][third]}, but cases {first} and {second} lead to {trend:.5g}: "
                     f"{away:.1f} standard deviations away"
@@ -195,7 +190,7 @@ def _selection(table: PublishedTable) -> Iterator[Remark]:
 def _insignificant(table: PublishedTable) -> Iterator[Remark]:
     for quantity in table.quantities if table.adopted else ():
         value, spread = (table.value(q, table.selected) for q in (quantity, f"sd_{quantity}"))
-        if abs(value) < _SURE * spread:
+        if abs(value) < _LIMITS.significant * spread:
             text = f"{value:.6g} with a standard deviation of {spread:.6g}: t = {abs(value) / spread:.2f}"
             yield Remark("insignificant", f"{table.name}, case {table.selected}, {quantity}", text)
 
@@ -222,7 +217,7 @@ def _same_digits(one: str, other: str) -> bool:
     places = min(-int(Decimal(x).as_tuple().exponent) for x in (one, other))
     digits = min(len(x.lstrip("-").replace(".", "").lstrip("0")) for x in (one, other))
     shorter = Decimal(1).scaleb(-places)
-    return digits >= _DIGITS and abs(Decimal(one) - Decimal(other)) < shorter
+    return digits >= _LIMITS.digits and abs(Decimal(one) - Decimal(other)) < shorter
 
 
 def _sums(tables: Appendix) -> Iterator[Remark]:
@@ -252,5 +247,5 @@ def _buoyancy(tables: Appendix) -> Iterator[Remark]:
 
 def _sum(where: str, words: str, taken: float, expected: float) -> Iterator[Remark]:
     share = abs(taken - expected) / abs(expected)
-    if share > _ROUNDING:
+    if share > _LIMITS.rounding:
         yield Remark("sum", where, f"{words}, but Table 4 has {taken:.9g}, {share:.2%} away")

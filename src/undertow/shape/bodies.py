@@ -17,23 +17,10 @@ from undertow.typing import Array
 from .mesh import Mesh
 
 
-def turned(matrix: Array, rotation: ArrayLike) -> Array:
-    """A 6 × 6 inertia or added-mass matrix in other axes with the same origin.
-
-    `matrix` (6, 6): in the axes of the body; forces and moments per linear and angular acceleration;
-    `rotation` (3, 3): takes components along the axes of the body into components along the new ones.
-    """
-    both = transformation(rotation, np.zeros(3))
-    return both @ matrix @ both.T
-
-
-def moved(matrix: Array, offset: ArrayLike) -> Array:
-    """A 6 × 6 inertia or added-mass matrix about an origin from which its own lies at `offset`.
-
-    `matrix` (6, 6): about its own origin; `offset` (3,): where that origin lies, m, along the same axes.
-    """
-    arm = transformation(np.eye(3), offset)
-    return arm @ matrix @ arm.T
+def transformed(matrix: Array, rotation: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """A 6 × 6 inertia or added-mass matrix in other axes, about another origin; see `transformation`."""
+    T = transformation(rotation, offset)
+    return T @ matrix @ T.T
 
 
 def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
@@ -49,7 +36,7 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
     """
     R, place = np.asarray(rotation, dtype=float), np.asarray(offset, dtype=float)
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
-        raise UndertowError("rotation is no right-handed rotation matrix: its rows must be orthonormal")
+        raise UndertowError("rotation is not a right-handed rotation matrix: its rows must be orthonormal")
     if place.shape != (3,):
         raise UndertowError(f"offset has shape {place.shape}: give x, y and z in m")
     x, y, z = place
@@ -58,11 +45,25 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
 
 
 _LAMB = "Lamb (1932), Hydrodynamics, chapter V (ellipsoids)"
-#: Length over diameter from which strip theory counts for a cylinder across the flow.
-_SLENDER = 5.0
-# What flat ends change, by panels (docs/shape.md): shares of the strips times diameter over length, and what
-# they carry along the axis over density times diameter cubed.
-_ENDS_ACROSS, _ENDS_ABOUT, _ENDS_ALONG = 0.7, 2.0, 0.5
+
+
+@dataclass(frozen=True)
+class ValidityLimits:
+    """Up to where closed forms and tables hold."""
+
+    slender: float = 5.0  # length over diameter from which strip theory counts for a cylinder
+    # flat ends, by panels (docs/shape.md): share of the strips times diameter over length
+    ends_across: float = 0.7
+    ends_about: float = 2.0  # the same in turning
+    ends_along: float = 0.5  # what flat ends carry along the axis over density times diameter cubed
+    box: float = 0.02  # largest relative error of the table of boxes, its interpolation included
+    # share of the way from box to ellipsoid: cylinders and torpedoes, no cone (docs/shape.md)
+    between: float = 0.25
+    # relative error of an ellipsoid that was stretched because the table of boxes ends
+    stretched: float = 0.4
+
+
+_VALID = ValidityLimits()
 
 
 @dataclass(frozen=True)
@@ -123,23 +124,26 @@ def cylinder(length: float, diameter: float, density: float = 1000.0) -> AddedMa
     axis it is taken as zero: that depends on the ends, which strips do not see.
     """
     positive(length=length, diameter=diameter, density=density)
-    if length < _SLENDER * diameter:
+    if length < _VALID.slender * diameter:
         raise UndertowError(
             f"a cylinder of {length:g} m by {diameter:g} m is {length / diameter:.3g} diameters long, strips "
-            f"need {_SLENDER:g}: take the ellipsoid of the same length and volume, or a panel method"
+            f"need {_VALID.slender:g}: take the ellipsoid of the same length and volume, or a panel method"
         )
     across = density * np.pi / 4 * diameter**2 * length
     about = across * length**2 / 12
     slender = diameter / length
     limits = (
-        f"from {_SLENDER:g} diameters of length; real ends take {_ENDS_ACROSS * slender:.0%} away across and "
-        f"{_ENDS_ABOUT * slender:.0%} in turning, and there is some added mass along the axis, depending on "
-        "their shape"
+        f"from {_VALID.slender:g} diameters of length; real ends take "
+        f"{_VALID.ends_across * slender:.0%} away across and {_VALID.ends_about * slender:.0%} in turning, "
+        "and there is some added mass along the axis, depending on their shape"
     )
-    shares = np.array([0.0, _ENDS_ACROSS, _ENDS_ACROSS, 0.0, _ENDS_ABOUT, _ENDS_ABOUT]) * slender
+    shares = (
+        np.array([0.0, _VALID.ends_across, _VALID.ends_across, 0.0, _VALID.ends_about, _VALID.ends_about])
+        * slender
+    )
     matrix = np.diag([0.0, across, across, 0.0, about, about])
     error = shares * matrix
-    error[0, 0] = _ENDS_ALONG * density * diameter**3
+    error[0, 0] = _VALID.ends_along * density * diameter**3
     size = f"cylinder of {length:g} m by {diameter:g} m"
     source = f"{size}, strip theory; Lamb (1932), Hydrodynamics, chapter IV (circular cylinder)"
     return AddedMass(matrix, source, limits, error)
@@ -168,11 +172,9 @@ def positive(**numbers: float) -> None:
 
 
 _MOTIONS = 6
-#: Largest relative error of the table, its interpolation included.
-BOX_ERROR = 0.02
 _SOURCE = "table of 36 boxes computed by a panel method (capytaine, direct method), interpolated"
 _LIMITS = (
-    f"sharp edges, smooth closed sides; within {BOX_ERROR:.0%} in ideal fluid far from bottom and surface; "
+    f"sharp edges, smooth closed sides; within {_VALID.box:.0%} in ideal fluid far from bottom and surface; "
     "water that separates at the edges in large motions is not in it"
 )
 
@@ -202,7 +204,7 @@ def box(length: float, beam: float, height: float, density: float = 1000.0) -> A
     own[order], own[order + 3] = coefficients[:3], coefficients[3:]
     matrix = np.diag(own * scale)
     source = f"box of {length:g} x {beam:g} x {height:g} m; {_SOURCE}"
-    return AddedMass(matrix, source, _LIMITS, BOX_ERROR * matrix)
+    return AddedMass(matrix, source, _LIMITS, _VALID.box * matrix)
 
 
 @cache
@@ -224,11 +226,6 @@ def _splines() -> tuple[RectBivariateSpline, ...]:
 
 # --- simple bodies in place of a hull -------------------------------------------------------------
 _FILL_OF_ELLIPSOID = np.pi / 6
-# Cylinders and torpedoes are within this part of the distance from box to ellipsoid, a cone is not
-# everywhere (docs/shape.md).
-_PART = 0.25
-# The same of an ellipsoid that had to be stretched because the table of boxes ends.
-_STRETCHED = 0.4
 _BODY_LIMITS = "simple bodies of the same extents in place of the hull, in ideal fluid"
 
 
@@ -246,11 +243,11 @@ def equivalent(mesh: Mesh, density: float = 1000.0, form: str | None = None) -> 
         if form == "box":
             raise
         full = None
-    between, error, told = _between(round_, full, fill)
+    between, error, text = _between(round_, full, fill)
     chosen = {"box": full, "ellipsoid": round_}.get(form or "", between)
     assert chosen is not None
     extents = f"{length:.4g} x {beam:.4g} x {height:.4g} m"
-    source = f"{form or told} of the extents of the hull, {extents}, of which it fills {fill:.0%}"
+    source = f"{form or text} of the extents of the hull, {extents}, of which it fills {fill:.0%}"
     error = np.maximum(error, np.abs(chosen - between))
     return AddedMass(chosen, source, _BODY_LIMITS, error).placed(np.eye(3), mesh.centroid)
 
@@ -259,9 +256,9 @@ def _between(round_: Array, full: Array | None, fill: float) -> tuple[Array, Arr
     """Added mass for a hull that fills so much of its bounding box, its error, and how it was found."""
     if full is None:
         stretched = round_ * max(1.0, fill / _FILL_OF_ELLIPSOID)
-        return stretched, _STRETCHED * stretched, "an ellipsoid, stretched to the volume,"
+        return stretched, _VALID.stretched * stretched, "an ellipsoid, stretched to the volume,"
     share = float(np.clip((fill - _FILL_OF_ELLIPSOID) / (1 - _FILL_OF_ELLIPSOID), 0.0, 1.0))
     if share > 0.99:
         return full, 0.02 * full, "box"
-    told = f"{1 - share:.0%} ellipsoid and {share:.0%} box"
-    return round_ + share * (full - round_), _PART * np.abs(full - round_), told
+    text = f"{1 - share:.0%} ellipsoid and {share:.0%} box"
+    return round_ + share * (full - round_), _VALID.between * np.abs(full - round_), text

@@ -27,13 +27,30 @@ from .bodies import AddedMass
 from .mesh import Mesh, bisected
 from .panels import Radiation
 
+
+@dataclass(frozen=True)
+class HullRules:
+    """How drag and priors follow from a shape; a share is a standard deviation over its value."""
+
+    # friction coefficient of a turbulent boundary layer, for turning hulls: drag coefficients contain it
+    friction: float = 0.005
+    # triangles are no longer than this part of the hull: integrals over them are good to 1 %
+    strips: int = 30
+    blunt: float = 0.8  # bluntness from which the drag coefficient is that of a blunt form
+    rounded: float = 0.4  # the same of a rounded form; below it the form is streamlined
+    added_mass: float = 0.10  # share that potential flow and an ideal shape leave open of added mass
+    radiation: float = 0.5  # share: waves at one frequency say little of linear damping at all others
+    coupling: float = 0.01  # couplings below this share of the two motions they couple are left out
+    least: float = 0.02  # what moves no ideal fluid moves some real water: share of the largest of its kind
+    buoyancy: float = 0.02  # share that a drawing misses: hollows, cables, foam that is compressed
+    inertia: float = 0.3  # share by which evenly spread mass may miss the moments of inertia
+    even_speed: float = 0.1  # m/s, at which linear drag is assumed to equal quadratic drag
+    rounding: float = 1e-6  # products of inertia and arms below this share of the size are rounding
+
+
+_RULES = HullRules()
+
 _HOERNER = "Hoerner (1965), Fluid-Dynamic Drag, chapter 3"
-# Friction coefficient of a turbulent boundary layer on a hull of this size; only turning hulls get it, the
-# coefficients of silhouettes have it in them.
-_FRICTION = 0.005
-# Triangles are no longer than this part of the hull, so that the integrals over them are good to 1 %.
-_STRIPS = 30
-_BLUNT, _ROUND = 0.8, 0.4
 _CLASSES = {
     "blunt": (1.05, 0.4, f"between a cube face on (1.05) and a long plate; {_HOERNER}"),
     "rounded": (0.8, 0.5, f"between a sphere (0.47) and a long circular cylinder (1.1 to 1.2); {_HOERNER}"),
@@ -73,7 +90,7 @@ def drag_of_hull(
         if not (value >= 0 and np.isfinite(value)):
             raise UndertowError(f"drag coefficient {value:g} cannot be: give a number from 0, such as 1.0")
     areas = np.array([mesh.projected_area(i) for i in range(3)])
-    mesh = bisected(mesh, float(mesh.extents.max()) / _STRIPS)
+    mesh = bisected(mesh, float(mesh.extents.max()) / _RULES.strips)
     facing = np.abs(mesh.vector_areas) / mesh.areas[:, None]
     blunt = (mesh.areas @ facing**3) / 2 / areas
     chosen = [_coefficient(float(b), None if cd is None else float(cd[i])) for i, b in enumerate(blunt)]
@@ -81,12 +98,12 @@ def drag_of_hull(
     forces = density / 2 * np.array(values) * areas
     moments = density / 2 * _moments(mesh, np.asarray(origin, dtype=float), np.array(values) / blunt, facing)
     turning = float(np.hypot(0.5, max(shares)))
-    told = [f"C_d {v:g} on {a:.4g} m^2: {s}" for v, a, s in zip(values, areas, sources, strict=True)]
+    text = [f"C_d {v:g} on {a:.4g} m^2: {s}" for v, a, s in zip(values, areas, sources, strict=True)]
     about = "strips of the surface with the drag coefficients of x, y and z, and friction"
     return Drag(
         np.concatenate([forces, moments]),
         np.concatenate([forces * np.array(shares), moments * turning]),
-        (*told, *[about] * 3),
+        (*text, *[about] * 3),
     )
 
 
@@ -94,7 +111,9 @@ def _coefficient(bluntness: float, stated: float | None) -> tuple[float, float, 
     """Drag coefficient, its standard deviation as a share, and where it is from."""
     if stated is not None:
         return stated, 0.3, "coefficient as stated"
-    form = "blunt" if bluntness >= _BLUNT else "rounded" if bluntness >= _ROUND else "streamlined"
+    form = (
+        "blunt" if bluntness >= _RULES.blunt else "rounded" if bluntness >= _RULES.rounded else "streamlined"
+    )
     value, share, source = _CLASSES[form]
     return value, share, f"{form} this way (bluntness {bluntness:.2f}), {source}"
 
@@ -109,7 +128,7 @@ def _moments(mesh: Mesh, origin: Array, weights: Array, facing: Array) -> Array:
         speed = np.cross(axis, places - origin)
         normal = np.sum(speed * normals, axis=1)
         along = np.linalg.norm(speed - normal[:, None] * normals, axis=1)
-        found.append(areas @ (pressure * np.abs(normal) ** 3 / 2 + _FRICTION * along**3))
+        found.append(areas @ (pressure * np.abs(normal) ** 3 / 2 + _RULES.friction * along**3))
     return np.array(found)
 
 
@@ -120,24 +139,14 @@ def _points(mesh: Mesh) -> tuple[Array, Array]:
     return places.reshape(-1, 3), np.repeat(mesh.areas / 3, 3)
 
 
-#: What potential flow and an ideal shape leave open, as a share of the added mass.
-FLOOR = 0.10
-# What waves at one frequency say of linear damping at all others, as a share.
-_DAMPING_FLOOR = 0.5
-# Couplings that are smaller than this share of the two motions they couple are left out.
-_SMALL = 0.01
-# What moves no ideal fluid moves some real water: this share of the largest of its kind stands for it.
-_LEAST = 0.02
-
-
-def sigma_of(added: AddedMass, floor: float = FLOOR) -> Array:
+def sigma_of(added: AddedMass, floor: float = _RULES.added_mass) -> Array:
     """Standard deviations of a prior, shape (6, 6): its error, and a share of the two motions it couples."""
     return np.hypot(added.error, floor * _scales(added.matrix))
 
 
 def _scales(matrix: Array) -> Array:
     own = np.maximum(np.diag(matrix), 0.0)
-    least = _LEAST * np.repeat(own.reshape(2, 3).max(axis=1), 3)
+    least = _RULES.least * np.repeat(own.reshape(2, 3).max(axis=1), 3)
     root = np.sqrt(np.maximum(own, np.maximum(least, 1e-12)))
     return np.asarray(np.outer(root, root))
 
@@ -145,7 +154,12 @@ def _scales(matrix: Array) -> Array:
 def coupled(matrix: Array) -> list[tuple[int, int]]:
     """Places above the diagonal of couplings that matter."""
     scales = _scales(matrix)
-    return [(i, j) for i in range(6) for j in range(i + 1, 6) if abs(matrix[i, j]) > _SMALL * scales[i, j]]
+    return [
+        (i, j)
+        for i in range(6)
+        for j in range(i + 1, 6)
+        if abs(matrix[i, j]) > _RULES.coupling * scales[i, j]
+    ]
 
 
 def entry(added: AddedMass, i: int, j: int) -> float:
@@ -159,7 +173,7 @@ def derivative(i: int, j: int) -> str:
     return f"{FORCE[i]}_{VELOCITY[j]}dot"
 
 
-def with_added_mass(vehicle: Vehicle, added: AddedMass, *, floor: float = FLOOR) -> Vehicle:
+def with_added_mass(vehicle: Vehicle, added: AddedMass, *, floor: float = _RULES.added_mass) -> Vehicle:
     """The vehicle with this added mass as prior: `X_udot` and so on to be estimated, with their sigma."""
     sigma, own = sigma_of(added, floor), vehicle.dof_indices
     diagonal = {derivative(i, i): (i, i) for i in own}
@@ -185,13 +199,13 @@ def with_radiation(vehicle: Vehicle, radiation: Radiation, source: str) -> Vehic
     """The vehicle with radiation damping at one frequency as prior of its linear damping."""
     damping = np.diag(radiation.damping)
     names = {f"{FORCE[i]}_{VELOCITY[i]}": i for i in vehicle.dof_indices if damping[i] > 0}
-    told = f"radiation damping at {radiation.omega:g} rad/s; {source}"
+    text = f"radiation damping at {radiation.omega:g} rad/s; {source}"
     values = {
         key: Value(
             -float(damping[i]),
             True,
-            float(np.hypot(radiation.error[i, i], _DAMPING_FLOOR * damping[i])),
-            told,
+            float(np.hypot(radiation.error[i, i], _RULES.radiation * damping[i])),
+            text,
         )
         for name, i in names.items()
         for key in _keys(vehicle, name)
@@ -206,19 +220,12 @@ def _keys(vehicle: Vehicle, name: str) -> list[str]:
 
 GRAVITY = 9.81
 _WIDTH = 110
-# What the volume of a drawing misses of a real vehicle: hollows, cables, foam that is compressed.
-_BUOYANCY_SHARE = 0.02
-_INERTIA_SHARE = 0.3
-# Speed at which linear drag is assumed to equal quadratic drag, m/s.
-_EVEN_SPEED = 0.1
-# Products of inertia and arms below this share of the size are rounding.
-_NOTHING = 1e-6
 _UNITS = {"m": ("kg", "kg m^2"), "d": ("kg/s", "kg m^2/s"), "q": ("kg/m", "kg m^2")}
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What a first vehicle is to be."""
+class HullSpec:
+    """What a first vehicle file states besides the shape."""
 
     name: str
     mesh: str  # file of the hull, for the record
@@ -249,22 +256,22 @@ class EffectTable:
     comments: tuple[str, ...] = ()
 
 
-def first_vehicle(hull: Mesh, added: AddedMass, wish: Wish) -> str:
+def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec) -> str:
     """The text of a vehicle file for a hull."""
-    _check(hull, wish)
-    mesh, added = hull.moved(-wish.origin), added.placed(np.eye(3), -wish.origin)
-    drag = drag_of_hull(mesh, wish.density, cd=wish.cd)
-    tables = [t for t in _tables(mesh, added, drag, wish) if t.entries or t.id.endswith("_coriolis")]
+    _check(hull, spec)
+    mesh, added = hull.moved(-spec.origin), added.placed(np.eye(3), -spec.origin)
+    drag = drag_of_hull(mesh, spec.density, cd=spec.cd)
+    tables = [t for t in _tables(mesh, added, drag, spec) if t.entries or t.id.endswith("_coriolis")]
     text = _template().render(
-        mesh=_plain(wish.mesh),
-        sha256=wish.sha256,
-        about=[part for line in _about(mesh, wish) for part in textwrap.wrap(_plain(line), _WIDTH)],
-        name=_quoted(wish.name),
-        description=_quoted(f"First model of {wish.name} from its hull ({_size(mesh)}, {wish.mass:g} kg)"),
-        source=_quoted(f"shape of {wish.mesh}, mass as stated; no test yet"),
-        degrees_of_freedom=[_quoted(d) for d in wish.degrees_of_freedom],
-        water_density=_quoted(f"{wish.density:g} kg/m^3"),
-        forces=[_quoted(f"tau_{FORCE[i]}") for i in wish.own],
+        mesh=_plain(spec.mesh),
+        sha256=spec.sha256,
+        about=[part for line in _about(mesh, spec) for part in textwrap.wrap(_plain(line), _WIDTH)],
+        name=_quoted(spec.name),
+        description=_quoted(f"First model of {spec.name} from its hull ({_size(mesh)}, {spec.mass:g} kg)"),
+        source=_quoted(f"shape of {spec.mesh}, mass as stated; no test yet"),
+        degrees_of_freedom=[_quoted(d) for d in spec.degrees_of_freedom],
+        water_density=_quoted(f"{spec.density:g} kg/m^3"),
+        forces=[_quoted(f"tau_{FORCE[i]}") for i in spec.own],
         effects=tables,
     )
     try:
@@ -285,26 +292,26 @@ def _template() -> Any:
     return environment.get_template("vehicle.txt")
 
 
-def _check(hull: Mesh, wish: Wish) -> None:
-    for what, value, unit in (("mass", wish.mass, "kg"), ("density", wish.density, "kg/m^3")):
+def _check(hull: Mesh, spec: HullSpec) -> None:
+    for what, value, unit in (("mass", spec.mass, "kg"), ("density", spec.density, "kg/m^3")):
         if not (value > 0 and np.isfinite(value)):
             raise UndertowError(f"{what} = {value:g} {unit} cannot be: give a positive number")
-    if wish.volume is not None and not 0 < wish.volume <= hull.volume * 1.001:
+    if spec.volume is not None and not 0 < spec.volume <= hull.volume * 1.001:
         raise UndertowError(
-            f"volume = {wish.volume:g} m^3 cannot be: the hull encloses {hull.volume:.4g} m^3, and water "
+            f"volume = {spec.volume:g} m^3 cannot be: the hull encloses {hull.volume:.4g} m^3, and water "
             "that gets in leaves less"
         )
 
 
-def _about(mesh: Mesh, wish: Wish) -> Iterator[str]:
+def _about(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
     surface = float(mesh.areas.sum())
     yield f"The hull is {_size(mesh)}, encloses {mesh.volume:.6g} m^3 and has {surface:.4g} m^2 of surface."
-    x, y, z = wish.origin
+    x, y, z = spec.origin
     yield (
         f"The origin is at ({x:.5g}, {y:.5g}, {z:.5g}) m of the mesh; axes: x forward, y to starboard, "
         "z down."
     )
-    yield from wish.remarks
+    yield from spec.remarks
 
 
 def _size(mesh: Mesh) -> str:
@@ -312,105 +319,105 @@ def _size(mesh: Mesh) -> str:
 
 
 # --- effects --------------------------------------------------------------------------------------
-def _tables(mesh: Mesh, added: AddedMass, drag: Drag, wish: Wish) -> Iterator[EffectTable]:
-    turns = len(wish.own) > 1
-    yield EffectTable("rigid_body", list(_rigid_body(mesh, wish)))
+def _tables(mesh: Mesh, added: AddedMass, drag: Drag, spec: HullSpec) -> Iterator[EffectTable]:
+    turns = len(spec.own) > 1
+    yield EffectTable("rigid_body", list(_rigid_body(mesh, spec)))
     if turns:
         yield EffectTable("rigid_body_coriolis", [])
-    if wish.volume is not None:
-        yield EffectTable("entrained_water", list(_water(mesh, wish, wish.volume)))
-    told = tuple(textwrap.wrap(_plain(f"Limits: {added.limits}."), _WIDTH))
-    yield EffectTable("added_mass", list(_added_mass(added, wish)), told)
-    yield EffectTable("added_mass_coupling", list(_couplings(added, wish)))
+    if spec.volume is not None:
+        yield EffectTable("entrained_water", list(_water(mesh, spec, spec.volume)))
+    text = tuple(textwrap.wrap(_plain(f"Limits: {added.limits}."), _WIDTH))
+    yield EffectTable("added_mass", list(_added_mass(added, spec)), text)
+    yield EffectTable("added_mass_coupling", list(_couplings(added, spec)))
     if turns:
         yield EffectTable("added_mass_coriolis", [])
-    yield EffectTable("linear_damping", list(_linear_drag(mesh, drag, wish)))
-    yield EffectTable("quadratic_damping", list(_quadratic_drag(drag, wish)))
-    if {"heave", "roll", "pitch"} & set(wish.degrees_of_freedom):
-        told = ("Weight and centre of gravity are those of rigid_body.",)
-        yield EffectTable("restoring", list(_restoring(mesh, wish)), told)
+    yield EffectTable("linear_damping", list(_linear_drag(mesh, drag, spec)))
+    yield EffectTable("quadratic_damping", list(_quadratic_drag(drag, spec)))
+    if {"heave", "roll", "pitch"} & set(spec.degrees_of_freedom):
+        text = ("Weight and centre of gravity are those of rigid_body.",)
+        yield EffectTable("restoring", list(_restoring(mesh, spec)), text)
 
 
-def _rigid_body(mesh: Mesh, wish: Wish) -> Iterator[str]:
-    yield _entry("m", wish.mass, "kg", source="as stated")
-    for axis, arm in zip("xyz", wish.cg, strict=True):
+def _rigid_body(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
+    yield _entry("m", spec.mass, "kg", source="as stated")
+    for axis, arm in zip("xyz", spec.cg, strict=True):
         if arm:
             yield _entry(f"{axis}_g", arm, "m", source="as stated")
-    cg = np.array(wish.cg)
-    inertia = mesh.inertia * wish.mass / mesh.volume + wish.mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
+    cg = np.array(spec.cg)
+    inertia = mesh.inertia * spec.mass / mesh.volume + spec.mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
     source = "assumed: mass spread evenly over the hull"
-    yield from _tensor(inertia, "", wish, source)
+    yield from _tensor(inertia, "", spec, source)
 
 
-def _tensor(inertia: Array, suffix: str, wish: Wish, source: str) -> Iterator[str]:
-    turning = [i - 3 for i in wish.own if i > 2]
+def _tensor(inertia: Array, suffix: str, spec: HullSpec, source: str) -> Iterator[str]:
+    turning = [i - 3 for i in spec.own if i > 2]
     for i in turning:
         value = float(inertia[i, i])
-        sigma = _INERTIA_SHARE * value
+        sigma = _RULES.inertia * value
         yield _entry(f"I_{'xyz'[i]}{suffix}", value, "kg m^2", sigma=sigma, assumed=True, source=source)
     for i, j in ((0, 1), (0, 2), (1, 2)):
         product = -float(inertia[i, j])
-        if {i, j} <= set(turning) and abs(product) > _NOTHING * np.trace(inertia):
-            sigma = _INERTIA_SHARE * float(np.sqrt(inertia[i, i] * inertia[j, j]))
+        if {i, j} <= set(turning) and abs(product) > _RULES.rounding * np.trace(inertia):
+            sigma = _RULES.inertia * float(np.sqrt(inertia[i, i] * inertia[j, j]))
             name = f"I_{'xyz'[i]}{'xyz'[j]}{suffix}"
             yield _entry(name, product, "kg m^2", sigma=sigma, assumed=True, source=source)
 
 
-def _water(mesh: Mesh, wish: Wish, volume: float) -> Iterator[str]:
-    mass = wish.density * (mesh.volume - volume)
+def _water(mesh: Mesh, spec: HullSpec, volume: float) -> Iterator[str]:
+    mass = spec.density * (mesh.volume - volume)
     source = "assumed: water fills what the hull encloses and does not displace, evenly"
-    yield _entry("m_w", mass, "kg", sigma=_INERTIA_SHARE * mass, assumed=True, source=source)
+    yield _entry("m_w", mass, "kg", sigma=_RULES.inertia * mass, assumed=True, source=source)
     for axis, arm in zip("xyz", mesh.centroid, strict=True):
-        if abs(arm) > _NOTHING * mesh.extents.max():
+        if abs(arm) > _RULES.rounding * mesh.extents.max():
             yield _entry(f"m{axis}_w", mass * float(arm), "kg m", assumed=True, source=source)
     centre = mesh.centroid
     about = mesh.inertia / mesh.volume + centre @ centre * np.eye(3) - np.outer(centre, centre)
-    yield from _tensor(mass * about, "w", wish, source)
+    yield from _tensor(mass * about, "w", spec, source)
 
 
-def _added_mass(added: AddedMass, wish: Wish) -> Iterator[str]:
+def _added_mass(added: AddedMass, spec: HullSpec) -> Iterator[str]:
     sigma = sigma_of(added)
-    for i in wish.own:
+    for i in spec.own:
         value, spread = entry(added, i, i), float(sigma[i, i])
         yield _entry(
             derivative(i, i), -value, _UNITS["m"][i > 2], sigma=spread, estimate=True, source=added.source
         )
 
 
-def _couplings(added: AddedMass, wish: Wish) -> Iterator[str]:
+def _couplings(added: AddedMass, spec: HullSpec) -> Iterator[str]:
     sigma = sigma_of(added)
     for i, j in coupled(added.matrix):
-        if {i, j} <= set(wish.own):
+        if {i, j} <= set(spec.own):
             unit = ("kg", "kg m", "kg m^2")[(i > 2) + (j > 2)]
             value, spread = float(added.matrix[i, j]), float(sigma[i, j])
             yield _entry(derivative(i, j), -value, unit, sigma=spread, source=added.source)
 
 
-def _linear_drag(mesh: Mesh, drag: Drag, wish: Wish) -> Iterator[str]:
-    for i in wish.own:
-        even = _EVEN_SPEED if i < 3 else _EVEN_SPEED / (float(mesh.extents.max()) / 2)
+def _linear_drag(mesh: Mesh, drag: Drag, spec: HullSpec) -> Iterator[str]:
+    for i in spec.own:
+        even = _RULES.even_speed if i < 3 else _RULES.even_speed / (float(mesh.extents.max()) / 2)
         value = float(drag.coefficients[i]) * even
         unit = "m/s" if i < 3 else "rad/s"
-        told = f"assumed: as much as the quadratic drag at {even:.2g} {unit}"
+        text = f"assumed: as much as the quadratic drag at {even:.2g} {unit}"
         name = f"{FORCE[i]}_{VELOCITY[i]}"
-        yield _entry(name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, assumed=True, source=told)
+        yield _entry(name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, assumed=True, source=text)
 
 
-def _quadratic_drag(drag: Drag, wish: Wish) -> Iterator[str]:
-    for i in wish.own:
+def _quadratic_drag(drag: Drag, spec: HullSpec) -> Iterator[str]:
+    for i in spec.own:
         value, sigma = float(drag.coefficients[i]), float(drag.sigma[i])
         name = f"{FORCE[i]}_{VELOCITY[i]}abs{VELOCITY[i]}"
         source = drag.sources[i]
         yield _entry(name, -value, _UNITS["q"][i > 2], sigma=sigma, estimate=True, source=source)
 
 
-def _restoring(mesh: Mesh, wish: Wish) -> Iterator[str]:
-    volume = mesh.volume if wish.volume is None else wish.volume
-    buoyancy = wish.density * GRAVITY * volume
-    told = "volume of the hull" if wish.volume is None else "volume as stated"
-    source = f"{told}, {volume:.5g} m^3, times density and gravity"
-    yield _entry("B", buoyancy, "N", sigma=_BUOYANCY_SHARE * buoyancy, estimate=True, source=source)
-    centre = np.where(np.abs(mesh.centroid) > _NOTHING * mesh.extents.max(), mesh.centroid, 0.0)
+def _restoring(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
+    volume = mesh.volume if spec.volume is None else spec.volume
+    buoyancy = spec.density * GRAVITY * volume
+    text = "volume of the hull" if spec.volume is None else "volume as stated"
+    source = f"{text}, {volume:.5g} m^3, times density and gravity"
+    yield _entry("B", buoyancy, "N", sigma=_RULES.buoyancy * buoyancy, estimate=True, source=source)
+    centre = np.where(np.abs(mesh.centroid) > _RULES.rounding * mesh.extents.max(), mesh.centroid, 0.0)
     for axis, arm in zip("xyz", centre, strict=True):
         yield _entry(f"{axis}_b", float(arm), "m", source="centre of volume of the hull")
 
@@ -427,7 +434,7 @@ def _entry(
     source: str,
 ) -> str:
     # What is zero by symmetry, and known to be so, leaves nothing to be estimated.
-    open_ = bool(value) or sigma > _NOTHING
+    open_ = bool(value) or sigma > _RULES.rounding
     fields = [f"value = {_quoted(f'{0.0 + value:.6g} {unit}')}"]
     fields += ["assumed = true"] if assumed else []
     fields += ["estimate = true"] if estimate and open_ else []

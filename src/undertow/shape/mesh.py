@@ -23,7 +23,22 @@ from undertow.model.units import to_si
 from undertow.typing import Array
 
 Faces = NDArray[np.int64]
-_STATIONS = 100
+
+
+@dataclass(frozen=True)
+class MeshLimits:
+    """What is read from a file of a hull, and how it is cut."""
+
+    stations: int = 100  # at which a silhouette is measured
+    same: float = 1e-6  # points closer than this share of the size are one: STL has seven digits
+    file: int = 300_000_000  # bytes
+    triangles: int = 1_000_000
+    longest: float = 100.0  # m, of a hull in a file that does not say its unit
+    shortest: float = 0.01  # m, the same
+    simplified: float = 0.33  # of the triangles wanted: cutting the longest edges then evens them out
+
+
+_LIMITS = MeshLimits()
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,7 @@ class Mesh:
         section; steps (n,), m, are what each station stands for: stations are closer at the ends.
         """
         low, high = self.bounds[:, along]
-        angles = (np.arange(_STATIONS) + 0.5) / _STATIONS * np.pi - np.pi / 2
+        angles = (np.arange(_LIMITS.stations) + 0.5) / _LIMITS.stations * np.pi - np.pi / 2
         half = (high - low) / 2
         places = low + half + half * np.sin(angles)
         weights = np.cos(angles)
@@ -141,10 +156,6 @@ def _covered(begins: Array, ends: Array) -> float:
     return float(np.maximum(ends - np.maximum(begins, reached), 0.0).sum())
 
 
-# Points closer than this share of the size are one: STL has seven digits.
-_SAME = 1e-6
-
-
 def mended(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     """One closed body whose triangles all look outward, and what was done for it."""
     joined = _joined(mesh)
@@ -166,7 +177,7 @@ def _joined(mesh: Mesh) -> Mesh:
     """Equal corners as one vertex, without triangles that have no area or stand there twice."""
     size = float(mesh.extents.max()) or 1.0
     _, first, place = np.unique(
-        np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (_SAME * size)),
+        np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (_LIMITS.same * size)),
         axis=0,
         return_index=True,
         return_inverse=True,
@@ -243,8 +254,8 @@ def has_capytaine() -> bool:
     return find_spec("capytaine") is not None
 
 
-def quiet_capytaine() -> Any:
-    """The package capytaine, which speaks up for errors only."""
+def load_capytaine() -> Any:
+    """The package capytaine, which logs errors only."""
     root, silent = logging.getLogger(), logging.NullHandler()
     # On import it gives the root logger a handler to stdout, unless there is one.
     root.addHandler(silent)
@@ -260,9 +271,6 @@ def quiet_capytaine() -> Any:
     return package
 
 
-_LARGEST_FILE = 300_000_000
-_MOST_TRIANGLES = 1_000_000
-_LONGEST, _SHORTEST = 100.0, 0.01
 _LETTERS = {"F": (0, 1), "B": (0, -1), "R": (1, 1), "L": (1, -1), "D": (2, 1), "U": (2, -1)}
 _STL_HEAD, _STL_FACET = 84, np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 
@@ -276,33 +284,22 @@ class Hull:
 
 
 def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") -> Hull:
-    """Read a closed hull from an STL (binary or text), OBJ or MSH file.
+    """Read a closed hull from an STL (binary or text), OBJ or, with the extra `bem`, MSH file.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file. MSH needs the extra `bem`.
-    unit : str, optional
-        What its numbers are in, such as "mm". Metres by default, and then a hull of more than 100 m or less
-        than 1 cm is refused.
-    frame : str
-        Directions of its x, y and z axes: Forward or Back, Right or Left, Down or Up.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or the surface is open, several bodies, or of an unlikely size.
+    `unit` is that of its numbers, such as "mm"; m by default, and then an unlikely size is refused. `frame`
+    has the directions of its x, y and z axes: Forward or Back, Right or Left, Down or Up.
     """
     path = Path(path)
     vertices, faces = _content(path)
     if not len(faces):
         raise UndertowError(f"{path}: no triangles in it: export the surface of the hull as STL")
-    if len(faces) > _MOST_TRIANGLES:
+    if len(faces) > _LIMITS.triangles:
         raise UndertowError(
-            f"{path}: {len(faces)} triangles are too many (limit {_MOST_TRIANGLES}): export it more coarsely"
+            f"{path}: {len(faces)} triangles are too many (limit {_LIMITS.triangles}): export it more "
+            "coarsely"
         )
     if not np.isfinite(vertices).all():
-        raise UndertowError(f"{path}: a coordinate is no finite number: export the hull anew")
+        raise UndertowError(f"{path}: a coordinate is not a finite number: export the hull anew")
     scaled = vertices * (1.0 if unit is None else _metres(unit))
     _check_size(path, scaled, unit)
     return Hull(*mended(Mesh(scaled @ _rotation(frame).T, faces), str(path)))
@@ -312,7 +309,7 @@ def _metres(unit: str) -> float:
     try:
         return to_si(f"1 {unit}", "m")
     except UndertowError as error:
-        raise UndertowError(f"unit '{unit}' is no length: give m, mm, cm, in or ft") from error
+        raise UndertowError(f"unit '{unit}' is not a length: give m, mm, cm, in or ft") from error
 
 
 def _rotation(frame: str) -> Array:
@@ -323,7 +320,7 @@ def _rotation(frame: str) -> Array:
         rotation[axis, column] = sign
     if len(letters) != 3 or not np.isclose(np.linalg.det(rotation), 1.0):
         raise UndertowError(
-            f"frame '{frame}' is no right-handed set of axes: say where x, y and z point, such as FRD "
+            f"frame '{frame}' is not a right-handed set of axes: say where x, y and z point, such as FRD "
             "(forward, right, down) or FLU (forward, left, up)"
         )
     return rotation
@@ -332,12 +329,12 @@ def _rotation(frame: str) -> Array:
 def _check_size(path: Path, vertices: Array, unit: str | None) -> None:
     extents = np.ptp(vertices, axis=0)
     longest = float(extents.max())
-    if unit is None and not _SHORTEST <= longest <= _LONGEST:
+    if unit is None and not _LIMITS.shortest <= longest <= _LIMITS.longest:
         size = " x ".join(f"{e:.4g}" for e in extents)
-        likely = "mm" if longest > _LONGEST else "in, ft or km"
+        likely = "mm" if longest > _LIMITS.longest else "in, ft or km"
         raise UndertowError(
-            f"{path}: {size} m is no likely hull ({_SHORTEST:g} to {_LONGEST:g} m): say the unit of its "
-            f"numbers, such as {likely} (or m if it is so)"
+            f"{path}: {size} m is an unlikely hull size ({_LIMITS.shortest:g} to {_LIMITS.longest:g} m): "
+            f"give the unit of its numbers, such as {likely} (or m if it is so)"
         )
 
 
@@ -347,8 +344,8 @@ def _content(path: Path) -> tuple[Array, Faces]:
     if read is None:
         raise UndertowError(f"{path}: hulls are read from .stl, .obj and .msh files: export it as STL")
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise UndertowError(f"{path}: larger than {_LARGEST_FILE / 1e6:g} MB: export it more coarsely")
+        if path.stat().st_size > _LIMITS.file:
+            raise UndertowError(f"{path}: larger than {_LIMITS.file / 1e6:g} MB: export it more coarsely")
         return read(path)
     except OSError as error:
         raise UndertowError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -361,13 +358,12 @@ def _stl(path: Path) -> tuple[Array, Faces]:
     binary = len(data) == _STL_HEAD + count * _STL_FACET.itemsize
     if not binary and not data[:512].lstrip().startswith(b"solid"):
         raise UndertowError(f"{path}: no STL file, or cut off: export the hull anew")
-    points = _binary_facets(data) if binary else _text_facets(path, data)
+    if binary:
+        facets = np.frombuffer(data, dtype=_STL_FACET, offset=_STL_HEAD)
+        points = facets["floats"][:, 3:].reshape(-1, 3).astype(float)
+    else:
+        points = _text_facets(path, data)
     return points, np.arange(len(points)).reshape(-1, 3)
-
-
-def _binary_facets(data: bytes) -> Array:
-    facets = np.frombuffer(data, dtype=_STL_FACET, offset=_STL_HEAD)
-    return facets["floats"][:, 3:].reshape(-1, 3).astype(float)
 
 
 def _text_facets(path: Path, data: bytes) -> Array:
@@ -431,13 +427,9 @@ def _msh(path: Path) -> tuple[Array, Faces]:
     return np.asarray(content.points, dtype=float), np.array(faces, dtype=np.int64).reshape(-1, 3)
 
 
-# Part of the triangles wanted to which a hull is simplified: cutting the longest edges then evens them out.
-_PART = 0.33
-
-
 def base_mesh(mesh: Mesh, count: int) -> Mesh:
     """A mesh of at most some `count` triangles of similar size: simplified, or cut at the longest edges."""
-    found = _simplified(mesh, round(count * _PART)) if len(mesh.faces) > count else mesh
+    found = _simplified(mesh, round(count * _LIMITS.simplified)) if len(mesh.faces) > count else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:
         found, longest = finer, 0.9 * longest

@@ -13,25 +13,36 @@ from scipy.spatial import KDTree
 from undertow.errors import UndertowError
 from undertow.typing import Array, Progress
 
-from .bodies import AddedMass, transformation, turned
-from .mesh import Faces, Mesh, base_mesh, bisected, each_edge, quartered, quiet_capytaine, subdivided
-
-#: Angle in degrees below which the bend at an edge is taken for a coarsely drawn curve.
-CREASE = 30.0
-_FINE_ENOUGH = 8000
-_CANDIDATES = 12
-# Share of the volume that panels may miss.
-_MISSED = 0.05
+from .bodies import AddedMass, transformation, transformed
+from .mesh import Faces, Mesh, base_mesh, bisected, each_edge, load_capytaine, quartered, subdivided
 
 
-def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh, Mesh]:
+@dataclass(frozen=True)
+class PanelRules:
+    """How a hull is cut into panels, and their results extrapolated."""
+
+    crease: float = 30.0  # degrees; edges that bend by less are taken for a coarsely drawn curve
+    curved: int = 8000  # triangles from which a curve is drawn finely enough
+    candidates: int = 12  # triangles whose nearest point may be that of the surface
+    missed: float = 0.05  # share of the volume that panels may miss
+    finest: int = 3200  # panels of the finest of three meshes: some seconds, 0.5 GB
+    fewest: int = 320  # panels of the finest mesh
+    most: int = 12_000  # the same
+    pair: int = 48  # bytes of memory for each pair of panels: three complex matrices
+    orders: tuple[float, float] = (1.0, 2.0)  # of convergence: at sharp edges, and on a smooth hull
+
+
+PANEL_RULES = PanelRules()
+
+
+def panels(mesh: Mesh, finest: int, crease: float = PANEL_RULES.crease) -> tuple[Mesh, Mesh, Mesh]:
     """A hull in triangles of three sizes, each half of the one before.
 
     `crease`: degrees. Edges at which the surface bends by less are taken for a curve, drawn coarsely.
     """
     coarse = base_mesh(mesh, finest // 16)
     smooth = mesh
-    while len(smooth.faces) < _FINE_ENOUGH and _bends(smooth, crease):
+    while len(smooth.faces) < PANEL_RULES.curved and _bends(smooth, crease):
         smooth = curved(smooth, crease)
     onto = _Surface(bisected(smooth, float(np.sqrt(coarse.areas.mean()))))
     first = Mesh(onto.nearest(coarse.vertices), coarse.faces)
@@ -43,10 +54,10 @@ def panels(mesh: Mesh, finest: int, crease: float = CREASE) -> tuple[Mesh, Mesh,
 
 def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
     missed = abs(panelled.volume / smooth.volume - 1)
-    if missed > _MISSED:
+    if missed > PANEL_RULES.missed:
         raise UndertowError(
             f"{len(panelled.faces)} panels miss the volume of the hull by {missed:.1%} "
-            f"(limit {_MISSED:.0%}): choose more panels"
+            f"(limit {PANEL_RULES.missed:.0%}): choose more panels"
         )
 
 
@@ -64,7 +75,7 @@ class _Surface:
 
     def nearest(self, points: Array) -> Array:
         """The nearest point of the surface for each point, m, shape (n, 3)."""
-        count = min(_CANDIDATES, len(self._corners))
+        count = min(PANEL_RULES.candidates, len(self._corners))
         _, which = self._tree.query(points, k=count)
         found = _on_triangles(points[:, None], self._corners[which.reshape(len(points), count)])
         best = np.argmin(np.sum((found - points[:, None]) ** 2, axis=2), axis=1)
@@ -102,8 +113,8 @@ def _cosine(degrees: float) -> float:
     return float(np.cos(np.radians(degrees)))
 
 
-def curved(mesh: Mesh, crease: float = CREASE) -> Mesh:
-    """Four triangles for each; new vertices lie on the curve that the normals at both ends of an edge tell.
+def curved(mesh: Mesh, crease: float = PANEL_RULES.crease) -> Mesh:
+    """Four triangles for each; new vertices lie on the curve that the normals at both ends of an edge give.
 
     `crease`: degrees. An edge at which the surface bends by more, or not at all, stays straight.
 
@@ -160,13 +171,6 @@ def _angles(mesh: Mesh) -> Array:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-#: Panels of the finest of three meshes: some seconds, 0.5 GB.
-PANELS = 3200
-_FEWEST, _MOST = 320, 12_000
-# Of memory for each pair of panels, three complex matrices.
-_BYTES = 48
-# The error of flat panels falls with their size where edges are sharp, with its square on a smooth hull.
-_ORDERS = (1.0, 2.0)
 # Between body axes (z down) and those of the panel method (z up).
 _UP = np.diag([1.0, -1.0, -1.0])
 _LIMITS = (
@@ -209,14 +213,14 @@ def added_mass_of_hull(
     *,
     depth: float | None = None,
     omegas: Sequence[float] = (),
-    finest: int = PANELS,
-    crease: float = CREASE,
+    finest: int = PANEL_RULES.finest,
+    crease: float = PANEL_RULES.crease,
     report: Progress = lambda done, words: None,
 ) -> PanelResult:
-    """Added mass of a hull by panels of three sizes, extrapolated to endlessly small ones.
+    """Added mass of a hull by panels of three sizes, extrapolated to infinitely small ones.
 
     `mesh`: the hull, m, body axes; `density`: of the water, kg/m^3; `depth`: depth of the centre of volume
-    under the free surface, m; endlessly deep by default; `omegas`: frequencies of radiation damping, rad/s;
+    under the free surface, m; infinitely deep by default; `omegas`: frequencies of radiation damping, rad/s;
     they need a depth; `crease`: degrees, 0 to 180; edges at which the surface bends by less are taken for a
     curve, drawn coarsely.
 
@@ -224,7 +228,7 @@ def added_mass_of_hull(
     (sharp edges) to two (smooth hulls); the error is half of what the extrapolation adds, more where two
     extrapolations or the two triangles of the matrix differ more, or the panels miss some of the volume.
     """
-    cpt = quiet_capytaine()
+    cpt = load_capytaine()
     _check(mesh, depth, omegas, finest, crease)
     report(0.0, "cutting the hull into panels" if not omegas else "panels, and a table of waves (made once)")
     meshes = panels(mesh, finest, crease)
@@ -252,8 +256,10 @@ def _source(cpt: Any, sizes: tuple[int, ...], depth: float | None) -> str:
 
 
 def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int, crease: float) -> None:
-    if not _FEWEST <= finest <= _MOST:
-        raise UndertowError(f"{finest} panels are out of reach: choose {_FEWEST} to {_MOST}")
+    if not PANEL_RULES.fewest <= finest <= PANEL_RULES.most:
+        raise UndertowError(
+            f"{finest} panels are out of reach: choose {PANEL_RULES.fewest} to {PANEL_RULES.most}"
+        )
     if not 0.0 < crease < 180.0:
         raise UndertowError(f"crease = {crease:g} degrees cannot be: choose more than 0 and less than 180")
     if omegas and depth is None:
@@ -294,18 +300,18 @@ def _solved(
     if not np.isfinite(found).all():  # it goes on after an error, with numbers that are none
         raise UndertowError(
             f"capytaine gave no result for {len(mesh.faces)} panels, which take "
-            f"{_BYTES * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
+            f"{PANEL_RULES.pair * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
         )
-    return turned(found.real, _UP) + 1j * turned(found.imag, _UP)
+    return transformed(found.real, _UP) + 1j * transformed(found.imag, _UP)
 
 
 def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
-    """The symmetric matrix for endlessly small panels and its error, from three sizes halved each time."""
+    """The symmetric matrix for infinitely small panels and its error, from three sizes halved each time."""
     coarse, middle, fine = ((f + f.T) / 2 for f in found)
     first, second = middle - coarse, fine - middle
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.nan_to_num(np.log2(np.abs(first / second)), nan=1.0)
-    share = 1 / (2 ** np.clip(orders, *_ORDERS) - 1)
+    share = 1 / (2 ** np.clip(orders, *PANEL_RULES.orders) - 1)
     result, before = fine + share * second, middle + share * first
     result = _without_negative(result)
     scale = np.sqrt(np.outer(*2 * [np.diag(result)]))

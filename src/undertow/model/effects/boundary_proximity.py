@@ -27,7 +27,7 @@ class BoundaryProximity(Wrench):
     narrow tank. The boundary is a plane: it lies in the direction (fade_N, fade_E, fade_D), the rise fades to
     1/e over 1 / |fade| metres, and the NED origin is fade_0 such lengths away from it. A bottom at depth z_b
     is fade_D = 1/L, fade_0 = z_b/L; the surface fade_D = -1/L, fade_0 = 0; a wall at y = y_w to the east
-    fade_E = 1/L, fade_0 = y_w/L. A vehicle that never comes close tells only rise * exp(-fade_0).
+    fade_E = 1/L, fade_0 = y_w/L. A vehicle that never comes close shows only rise * exp(-fade_0).
     """
 
     id = "boundary_proximity"

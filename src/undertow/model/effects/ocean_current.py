@@ -35,5 +35,6 @@ def check_current(north: float, east: float) -> None:
     for way, value in (("north", north), ("east", east)):
         if not abs(value) <= FASTEST:
             raise UndertowError(
-                f"a current of {value:g} m/s to the {way} is none of water: stay within {FASTEST:g} m/s"
+                f"a current of {value:g} m/s to the {way} exceeds the limit of {FASTEST:g} m/s: "
+                "correct it or its unit"
             )

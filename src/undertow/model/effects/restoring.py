@@ -65,7 +65,7 @@ class Restoring(Wrench):
         return base
 
     @classmethod
-    def settled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+    def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
         """Motion shows W - B alone: the weight is what the mass says, the buoyancy what is left."""
         if "W" not in taken:
             return dict(values)

@@ -8,7 +8,7 @@ from math import sqrt
 import sympy as sm
 
 from undertow.errors import UndertowError
-from undertow.model.effect import Bulk, Wrench
+from undertow.model.effect import VehicleSize, Wrench
 from undertow.model.kinematics import failing_pivot, inertia_matrix, inertia_tensor
 from undertow.model.parameter import Limits, Parameter, Taken
 from undertow.model.symbols import Signals, symbol
@@ -68,12 +68,12 @@ class RigidBody(Wrench):
         return base | {f"m{k}": entries["m"] * v for k, v in arms.items()}
 
     @classmethod
-    def bulk(cls, values: Mapping[str, float]) -> Bulk | None:
+    def vehicle_size(cls, values: Mapping[str, float]) -> VehicleSize | None:
         mass = values.get("m", 0.0)
         if mass <= 0:
             return None
         largest = max(values.get(f"I_{a}", 0.0) for a in "xyz")
-        return Bulk(mass, (mass / values["rho"]) ** (1 / 3), sqrt(max(largest, 0.0) / mass))
+        return VehicleSize(mass, (mass / values["rho"]) ** (1 / 3), sqrt(max(largest, 0.0) / mass))
 
     @classmethod
     def impossible(
@@ -87,7 +87,9 @@ class RigidBody(Wrench):
         axes = [a for a in "xyz" if f"I_{a}" in values]
         tensor = _about_centre(values)
         for a in axes:
-            yield from _moment(a, tensor["xyz".index(a)]["xyz".index(a)], values, cls.bulk(values), limits)
+            yield from _moment(
+                a, tensor["xyz".index(a)]["xyz".index(a)], values, cls.vehicle_size(values), limits
+            )
         if len(axes) == 3 and not any(p.name in moved for p in cls().parameters):
             yield from _triangle(tensor, limits.rounding)
         rows = ["xyz".index(a) for a in axes]
@@ -106,7 +108,7 @@ def _about_centre(values: Mapping[str, float]) -> list[list[float]]:
 
 
 def _moment(
-    axis: str, about: float, values: Mapping[str, float], bulk: Bulk | None, limits: Limits
+    axis: str, about: float, values: Mapping[str, float], size: VehicleSize | None, limits: Limits
 ) -> Iterator[str]:
     name, stated = f"I_{axis}", values[f"I_{axis}"]
     if stated <= 0:
@@ -116,12 +118,12 @@ def _moment(
             f"{name} = {stated:g} kg m^2 about the body origin leaves {about:.3g} about the centre of "
             f"gravity: it must be above m r^2 = {stated - about:.3g}; correct {name}, m or that centre"
         )
-    elif bulk is not None:
-        low, high = (share * bulk.length for share in limits.gyration)
-        arm = sqrt(about / bulk.mass)
+    elif size is not None:
+        low, high = (share * size.length for share in limits.gyration)
+        arm = sqrt(about / size.mass)
         if not low <= arm <= high:
             yield (
-                f"{name} = {stated:g} kg m^2 makes {arm:.3g} m the radius of gyration of {bulk.mass:g} kg "
+                f"{name} = {stated:g} kg m^2 makes {arm:.3g} m the radius of gyration of {size.mass:g} kg "
                 f"(possible: {low:.2g} to {high:.2g} m): correct it or its unit"
             )
 
