@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.validation import training_and_validation
-from undertow.model.catalogue import catalogue, lookup
+from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
+from undertow.model.catalogue import Catalogue, catalogue, lookup
+from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
+from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
+from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.addition import set_up_addition
+from .diagnosis.result import RunInfo
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
 from .estimation.data import prepare
@@ -25,13 +29,18 @@ from .estimation.output_error import LossName, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict
 from .estimation.residual import without_spikes
-from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations
+from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
 from .estimation.windows import Prediction, cut, prediction_error
+from .logs.checks import check_fit
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
 from .logs.run import Run
+from .planning.parameters import Planned, plan_parameters
+from .planning.problem import PlanRequest
+from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
+from .planning.separation import plan_separation
 
 if TYPE_CHECKING:
     import polars as pl
@@ -212,6 +221,20 @@ class Refit:
 
         return before_and_after(self.before.relative, self.after.relative)
 
+    def save(self, template: str | Path, out: Path) -> None:
+        """Write the vehicle file with the fitted values, in the form of the one that it came from."""
+        history = _history(self._command, _roles(self.train, self.test), self.errors, self.fit)
+        save_vehicle(self.vehicle, template, out, history=history)
+
+    @property
+    def _command(self) -> str:
+        """The command that does the same."""
+        e = self.estimator
+        parts = [f"undertow fit --method {e.method}", *([] if e.loss == "gaussian" else [f"--loss {e.loss}"])]
+        parts += [] if e.horizon in (None, Estimator.horizon) else [f"--horizon {e.horizon:.9g}"]
+        parts += [f'--equal "{text}"' for text in written(e.constraints.equal, self.stated)]
+        return " ".join([*parts, *(["--dissipative"] if e.constraints.dissipative else [])])
+
     def __repr__(self) -> str:
         return self.summary()
 
@@ -222,6 +245,29 @@ class Refit:
 
 def _spread(row: Mapping[str, Any]) -> str:
     return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
+
+
+def _history(
+    command: str,
+    logs: Sequence[tuple[str, Run | RunInfo]],
+    errors: tuple[float, float],
+    fit: Fitted,
+    **more: object,
+) -> dict[str, object]:
+    """How the values of a vehicle file came about."""
+    return {
+        "command": command,
+        "date": date.today().isoformat(),
+        **more,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
+        "error_before": errors[0],
+        "error_after": errors[1],
+        "covariance": {"parameters": list(fit.model.free), "matrix": fit.covariance.tolist()},
+    }
+
+
+def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
+    return [*(("train", run) for run in train), *(("holdout", run) for run in test)]
 
 
 def refit(
@@ -413,11 +459,84 @@ def add_effect(
     >>> "ocean_current" in [effect.id for effect in better.all_effects]
     True
     """
-    wanted = lookup(effect, catalogue())
-    done = added(wanted, set_up_addition(vehicle, runs, validation))
+    done = try_effect(vehicle, effect, runs, validation)[1]
     if not (done.helps or force):
         raise UndertowError(
             f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
             f"without, {done.after.error:.3g} with it): force=True puts it in all the same"
         )
     return done.fit.vehicle
+
+
+def try_effect(
+    vehicle: Vehicle,
+    effect: str,
+    runs: Sequence[Run],
+    validation: Sequence[Run] = (),
+    *,
+    known: Catalogue | None = None,
+    keep_all: bool = False,
+    report: Progress = lambda done, words: None,
+    trust_log: bool = False,
+) -> tuple[AdditionSetup, Addition]:
+    """Fit a model with an effect and without it; what was fitted to, and what the effect does to the error.
+
+    Parameters and exceptions are those of `add_effect`; `keep_all` keeps parameters that prove to be zero.
+    """
+    wanted = lookup(effect, catalogue() if known is None else known)
+    report(0.0, "fitting the model as it is")
+    ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
+    report(0.3, f"fitting it with {wanted.id}")
+    return ground, added(wanted, ground, keep_all=keep_all)
+
+
+def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
+    """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
+    history = _history(
+        "undertow add",
+        _roles(ground.train, ground.test),
+        (addition.before.error, addition.after.error),
+        addition.fit,
+        added=[addition.effect],
+        helps=addition.helps,
+    )
+    save_vehicle(addition.fit.vehicle, template, out, history=history)
+
+
+def plan(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    request: PlanRequest,
+    *,
+    only: Sequence[str] = (),
+    between: Sequence[str] = (),
+    diagnosis: Path | None = None,
+    known: Catalogue | None = None,
+    trust_log: bool = False,
+) -> Planned:
+    """Plan the manoeuvre that best determines parameters (`only` these), or tells models apart.
+
+    The models are the vehicle with each of the effects in `between` (one alone against the model as it is),
+    or those that the file of a `diagnosis` leaves open.
+    """
+    if runs:
+        runs = with_velocities(vehicle, runs)
+        check_fit(runs, (), vehicle.velocity_names)
+    if not between and diagnosis is None:
+        return plan_parameters(vehicle, runs, request, only, trust_log=trust_log)
+    effects = catalogue() if known is None else known
+    if diagnosis is not None:
+        specs = specs_of(read_diagnosis(diagnosis), vehicle, effects)
+    else:
+        specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
+    return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
+
+
+def save_diagnosis(
+    result: DiagnosisResult, template: str | Path, out: Path, command: str = "undertow diagnose"
+) -> None:
+    """Write the vehicle file with what was found, in the form of the one that it came from."""
+    d = result.diagnosis
+    errors = d.steps[0].error, d.last_step.error
+    history = _history(command, [(r.role, r) for r in d.runs], errors, result.fit, added=d.effects)
+    save_vehicle(result.after, template, out, history=history)

@@ -351,13 +351,13 @@ class DiagnosisResult:
 
         write_whole(Path(out), render_report(self.diagnosis, self.comparison()))
 
-    def comparison(self) -> ReportData:
-        """The refitted model beside the validation runs, without and with what was added."""
+    def comparison(self, *, compiled: bool | None = None) -> ReportData:
+        """The refitted model beside the validation runs, without and with what was added, for a report."""
         from .report.tables import report_data
 
-        before = compare(self.before, self.test)
+        before = compare(self.before, self.test, compiled=compiled)
         added = self.diagnosis.last_step.changes
-        after = compare(self.after, self.test) if added else None
+        after = compare(self.after, self.test, compiled=compiled) if added else None
         names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
         return report_data(before, after, names=names)
 

@@ -23,6 +23,7 @@ from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.logs.checks import check_fit
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import Parameter
@@ -494,6 +495,7 @@ def training_and_validation(
     Velocities that a run lacks are taken from its pose.
     """
     runs, validation = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    check_fit(runs, validation, vehicle.velocity_names)
     refuse_impossible(vehicle, [*runs, *validation], trust_log=trust_log)
     train, test = (list(runs), list(validation)) if validation else split_into_pieces(runs, settings)
     check_excitation(vehicle, train, settings)
