@@ -383,7 +383,8 @@ def _unnamed(ways: Ways, best: str) -> str:
     listed = [r for way in ways for r in way.outcome.diagnosis.ranking if r.effect == best]
     text = f"All the same {best} is not what the diagnosis names as missing both ways round"
     if any(not r.parameters for r in listed):
-        reason = f"it does not help, or none of its parameters is {DEFAULT.t_in_search:g} standard errors from zero"
+        t = DEFAULT.t_in_search
+        reason = f"it does not help, or none of its parameters is {t:g} standard errors from zero"
         return f"{text}: by the force on one of the other profiles {reason}."
     return f"{text}: it wants the effect to explain {DEFAULT.named_share:.0%} of what exceeds the noise."
 
