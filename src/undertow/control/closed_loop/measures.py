@@ -13,8 +13,8 @@ import numpy as np
 from undertow.model.symbols import FASTEST, MOTION_UNITS
 
 if TYPE_CHECKING:
+    from .parts import Parts
     from .scenario import Scenario
-    from .simulate import ClosedLoop
     from .stepping import Rows
 
 
@@ -294,7 +294,7 @@ class Measures:
 
     def __init__(
         self,
-        loop: ClosedLoop,
+        parts: Parts,
         scenario: Scenario,
         start: Mapping[str, float],
         to: Mapping[str, float],
@@ -311,9 +311,9 @@ class Measures:
             n: _Error(m, _TURN if MOTION_UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()
         }
         self._names = list(to)
-        self._states = loop.parts.functions.state_names
+        self._states = parts.functions.state_names
         self._start = np.array(list(start.values()))
-        self._commands = _Commands(loop)
+        self._commands = _Commands(parts)
         self.gate: float | None = None
         self.diverged: Divergence | None = None
 
@@ -390,9 +390,9 @@ class Measures:
 class _Commands:
     """What is gathered of the commands."""
 
-    def __init__(self, loop: ClosedLoop) -> None:
-        self._names, self._places = loop.parts.controller.command_names, loop.parts.commanded
-        self._limits = loop.parts.controller.allocation.limits
+    def __init__(self, parts: Parts) -> None:
+        self._names, self._places = parts.controller.command_names, parts.commanded
+        self._limits = parts.controller.allocation.limits
         n = len(self._names)
         self._effort, self._square, self._peak, self._changes, self._limited = (np.zeros(n) for _ in range(5))
         self._time = 0.0

@@ -14,8 +14,8 @@ import numpy as np
 from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
 
 if TYPE_CHECKING:
+    from .parts import Parts
     from .scenario import Scenario
-    from .simulate import ClosedLoop
     from .stepping import Rows
 
 # Smallest amplitude of an oscillation that is told of, as a part of the largest error, and in m or rad.
@@ -123,10 +123,10 @@ class Record:
 class Recorder:
     """Keeps every so many-th row of a run, with the mean of the commands up to the next."""
 
-    def __init__(self, loop: ClosedLoop, scenario: Scenario) -> None:
-        self._loop, self._scenario, self._stride = loop, scenario, scenario.stride
+    def __init__(self, parts: Parts, scenario: Scenario) -> None:
+        self._parts, self._scenario, self._stride = parts, scenario, scenario.stride
         rows = -(-scenario.samples // self._stride)
-        self._sums = np.zeros((rows, loop.parts.functions.u.numel()))
+        self._sums = np.zeros((rows, parts.functions.u.numel()))
         self._counts = np.zeros(rows)
         self._kept: list[tuple[np.ndarray, ...]] = []
 
@@ -145,8 +145,8 @@ class Recorder:
     def record(self, start: Mapping[str, float], to: Mapping[str, float], measures: Measures) -> Record:
         """The rows and the result."""
         samples, x, y, tau = (np.concatenate(part) for part in zip(*self._kept, strict=True))
-        t, parts = samples * self._scenario.dt, self._loop.parts
-        vehicle, known = parts.vehicle, self._loop.gains.plant.vehicle
+        t, parts = samples * self._scenario.dt, self._parts
+        vehicle, known = parts.vehicle, self._parts.controller.gains.plant.vehicle
         means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
         if len(means) > 1 and self._counts[samples[-1] // self._stride] < self._stride:
             means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
@@ -168,11 +168,11 @@ class Recorder:
         measures: Measures,
         cycles: Mapping[str, Cycle | None],
     ) -> LoopResult:
-        gains, scenario = self._loop.gains, self._scenario
+        gains, scenario = self._parts.controller.gains, self._scenario
         return LoopResult(
             gains.name,
             gains.law.id,
-            self._loop.vehicle.name,
+            self._parts.vehicle.name,
             scenario.duration,
             scenario.dt,
             "continuous" if scenario.continuous else "sampled",
@@ -183,7 +183,7 @@ class Recorder:
             measures.diverged,
             measures.coordinates(cycles),
             measures.commands(),
-            self._loop.parts.turned,
+            self._parts.turned,
         )
 
 

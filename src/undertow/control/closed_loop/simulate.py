@@ -290,7 +290,7 @@ class ClosedLoop:
         start, to = self.desired(scenario)
         problem = self.problem(scenario, start, to, self.first(scenario, start)[None])
         left = {} if scenario.continuous else offsets(self.parts, scenario.dt)
-        measures, recorder = Measures(self, scenario, start, to, left), Recorder(self, scenario)
+        measures, recorder = Measures(self.parts, scenario, start, to, left), Recorder(self.parts, scenario)
         for block in blocks(self.parts, scenario, range(1)):
             rows = self.stepper.run(problem, block).of(0)
             credible = measures.add(block.first, rows)
