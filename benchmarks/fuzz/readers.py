@@ -131,7 +131,7 @@ def _diagnosis(path: Path) -> Any:
 def _for_plan(path: Path) -> Any:
     found = read_for_plan(path)
     assert found.rivals is not None
-    assert len(found.settled) <= len(found.effects)
+    assert len(found.in_every_rival) <= len(found.effects)
     return found
 
 
