@@ -106,10 +106,10 @@ def new(
 
     check_id(id)
     target = out or Path(f"{id}.py")
-    if target.suffix != ".py":
-        raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
     replaced = target.exists()
     new_file(target, force, [diagnosis] if diagnosis else [])
+    if target.suffix != ".py":
+        raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
     found = suggested(read_diagnosis(diagnosis), diagnosis.name) if diagnosis else example()
     write_whole(target, effect_file(id, target.name, found))
     console().print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
