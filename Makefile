@@ -35,7 +35,7 @@ bench: $(VENV)/.installed-bench
 
 # The page of commands anew, then the site: open docs/_build/html/index.html.
 docs: $(VENV)/.installed-docs
-	$(BIN)/python -m undertow.cli._docs docs/cli.md
+	$(BIN)/python docs/_ext/commands_page.py docs/cli.md
 	$(BIN)/python -m sphinx -b html -q -W --keep-going docs docs/_build/html
 
 # The site, where warnings are errors, then the tests marked docs: links lead somewhere, code on pages runs, pages say

@@ -6,6 +6,7 @@ import doctest
 import inspect
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -95,8 +96,20 @@ def test_an_effect_says_what_it_is(vehicle: ut.Vehicle) -> None:
     assert repr(damping) == f"linear_damping: {damping.about()}"
 
 
+def test_the_same_log_for_fit_and_validation_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
+    with pytest.raises(ut.UndertowError, match="have the same content: give each once"):
+        ut.fit(vehicle, [run], [run])
+
+
+def test_a_velocity_that_never_changes_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
+    still = replace(run, channels={**run.channels, "v": np.zeros_like(run.t)})
+    with pytest.raises(ut.UndertowError, match="v = 0 over all 1200 samples"):
+        ut.diagnose(vehicle, [still])
+
+
 def test_a_fit_says_what_it_found(vehicle: ut.Vehicle, run: ut.Run) -> None:
-    fit = ut.fit(vehicle, [run], [run])
+    other = ut.read_log(DEMO / "train_2.csv.gz", commands=vehicle.command_names)
+    fit = ut.fit(vehicle, [run], [other])
     table = fit.parameters
     assert table["parameter"].to_list() == list(fit.fit.model.free)
     assert table.filter(table["t"] > 5)["standard_error"].null_count() == 0

@@ -16,9 +16,9 @@ import pytest
 
 import undertow
 import undertow.cli
+from docs._ext.commands_page import page
 from tests.quick import first_quick
 from undertow.cli import _terminal  # the terminal that a test stands for
-from undertow.cli._docs import page  # what writes docs/cli.md
 from undertow.cli.main import commands, load, main
 
 ROOT = Path(__file__).parents[1]
@@ -376,7 +376,7 @@ def test_without_a_terminal_nothing_is_printed(monkeypatch: pytest.MonkeyPatch) 
 def test_every_command_is_documented() -> None:
     text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     missing = [name for name in commands() if f"## undertow {name}\n" not in text]
-    assert not missing, f"not in docs/cli.md: {missing}; run: python -m undertow.cli._docs docs/cli.md"
+    assert not missing, f"not in docs/cli.md: {missing}; run: python docs/_ext/commands_page.py docs/cli.md"
 
 
 def test_every_option_and_operand_says_what_it_means() -> None:
@@ -395,7 +395,7 @@ def _parameters(command: object) -> list[object]:
 
 def test_the_page_of_commands_is_up_to_date() -> None:
     text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
-    assert text == page(), "docs/cli.md is out of date; run: python -m undertow.cli._docs docs/cli.md"
+    assert text == page(), "docs/cli.md is out of date; run: python docs/_ext/commands_page.py docs/cli.md"
 
 
 def test_the_page_shows_operands_options_and_sub_commands(added: Added) -> None:

@@ -29,7 +29,7 @@ from benchmarks.fuzz.originals import diagnosis, originals
 from benchmarks.fuzz.readers import READERS, refusal
 from benchmarks.shape.hulls import spheroid_mesh, stl
 from undertow.cli.main import run
-from undertow.cli.simulate import choices_of, scenario_of
+from undertow.cli.simulate import ScenarioOptions, ScheduleOptions
 from undertow.control.closed_loop import Scenario
 from undertow.control.gains import GainTable, gains_from_table, load_gains
 from undertow.control.linear.report import Snapshot
@@ -160,7 +160,9 @@ LISTS = st.none() | st.lists(
 def test_any_scenario_is_read_or_refused_in_one_line(to, start, times, lists, seed, log) -> None:
     moving, noise, pushes = lists
     names = load_vehicle("box-hull").pose_names
-    _one_line(lambda: _posed(scenario_of(to, start, *times, moving, False, noise, seed, pushes, log), names))
+    given = {"start": start, "moving": moving, "push": pushes, "noise": noise, "seed": seed, "log": log}
+    duration, dt = times
+    _one_line(lambda: _posed(ScenarioOptions(to, duration, dt, **given).scenario(), names))
 
 
 def _posed(scenario: Scenario, names: tuple[str, ...]) -> None:
@@ -173,7 +175,7 @@ def _posed(scenario: Scenario, names: tuple[str, ...]) -> None:
 @settings(max_examples=100)
 @given(order=st.sampled_from([None, "together", "yaw-first"]), gate=OPTIONAL, current=OPTIONAL)
 def test_any_schedule_is_read_or_refused_in_one_line(order, gate, current) -> None:
-    _one_line(lambda: choices_of(order, None, None, gate, None, current))
+    _one_line(lambda: ScheduleOptions(order=order, gate=gate, current=current).choices())
 
 
 def _one_line(read: Callable[[], Any]) -> None:

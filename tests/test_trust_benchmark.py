@@ -18,10 +18,11 @@ from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import plain_world
 from benchmarks.trust import sizing
 from benchmarks.trust.__main__ import main
+from benchmarks.trust.ablation import ablation_page, ablations, sample, switchable
 from benchmarks.trust.cases import COMPLETE, FAINT, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
-from benchmarks.trust.grade import HIDDEN, grade_of, told
+from benchmarks.trust.grade import HIDDEN, grade_of, oracle_refit
 from benchmarks.trust.material import simulated, varied, written_and_read, written_to_memory
 from benchmarks.trust.peers import stepwise
 from benchmarks.trust.report import page
@@ -31,6 +32,7 @@ from benchmarks.trust.tally import Share, scored
 from benchmarks.trust.terms import _filled, make_terms
 from benchmarks.trust.verdicts import Answer, accepted
 from undertow.identification.diagnosis.parallel import jobs
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.logs.run import Run
 
 pytestmark = pytest.mark.docs
@@ -103,7 +105,7 @@ def test_a_faint_case_is_as_faint_as_it_aims_to_be() -> None:
     found = sized(case)
     assert found.strength < 1.0
     vehicle, train, test = written_to_memory(simulated(found))
-    assert told(vehicle, train, test, ["constant_force"], {}).ratio == pytest.approx(1.5, rel=0.12)
+    assert oracle_refit(vehicle, train, test, ["constant_force"], {}).ratio == pytest.approx(1.5, rel=0.12)
     assert sized(Planned.read("box:constant_force:x2.5:n1:open:60s:17")).strength == 2.5
 
 
@@ -172,7 +174,7 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_the_refit_that_is_told_the_truth_reaches_the_noise(pushed: Any) -> None:
     vehicle, train, test, values = pushed
-    truth = told(vehicle, train, test, ["constant_force"], values)
+    truth = oracle_refit(vehicle, train, test, ["constant_force"], values)
     assert truth.error == pytest.approx(1.0, abs=0.15)
     assert truth.fit.values["X_0"] == pytest.approx(values["X_0"], rel=0.05)
     assert truth.ratio == pytest.approx(truth.before / truth.error)
@@ -295,8 +297,8 @@ def test_goals_of_records_made_by_hand() -> None:
     assert found["complete models: false alarms"].measured == "1 of 2: 50 % (9.45 to 90.5)"
     assert found["– 2 x noise"].met is False
     assert found["– as drawn"].met is True
-    assert found["outsiders: unexplained"].met is True
-    assert found["error after adding over that of the told refit, median"].measured == "1.150 of 2 cases"
+    assert found["outside the catalogue: unexplained"].met is True
+    assert found["error after adding over that of the oracle refit, median"].measured == "1.150 of 2 cases"
 
 
 def test_an_effect_that_no_catalogue_has_yet_is_an_outsider() -> None:
@@ -323,7 +325,41 @@ def test_the_page_tells_all(tmp_path: Path) -> None:
 def test_a_goal_is_met_from_as_many_cases_on_as_show_it(cases: int, said: str) -> None:
     one = record(LIFT, "unexplained", truth=("lift",), known=False, grade="strong")
     found = {g.name: g for g in goals(scored([one] * cases))}
-    assert found["outsiders: unexplained"].row[-1] == said
+    assert found["outside the catalogue: unexplained"].row[-1] == said
+
+
+# --- ablation ----------------------------------------------------------------------------------------------
+
+
+def test_every_number_is_switched_off_on_the_same_cases() -> None:
+    doing = ablations(sample()[:2])
+    assert len(doing) == 2 * (1 + len(switchable()))
+    assert len({one.id for one in doing}) == len(doing)
+    assert {case.kind for case in sample()} == {"complete", "single", "pair", "outsider"}
+    for one in doing:
+        changed = [n for n in Settings.about() if getattr(one.settings, n) != getattr(Settings(), n)]
+        assert changed == ([one.number] if one.number else [])
+    with pytest.raises(ValueError, match="cannot be switched off"):
+        ablations(sample()[:1], ["seed"])
+
+
+def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
+    names = {"default": ["lift"], "named_share": ["lift"], "within_reach": []}
+    records = [
+        {
+            "id": f"{LIFT}:{n}",
+            "number": "" if n == "default" else n,
+            "answer": {"verdict": "missing_effect" if found else "unexplained", "named": found, "sets": []},
+        }
+        for n, found in names.items()
+    ]
+    rows = {line.split("|")[1].strip(): line for line in ablation_page(records).splitlines() if "|" in line}
+    assert [c.strip() for c in rows["`named_share`"].split("|")[-3:-1]] == ["1", "0"]
+    assert [c.strip() for c in rows["`within_reach`"].split("|")[-3:-1]] == ["1", "1"]
+    assert [c.strip() for c in rows["`excited`"].split("|")[-3:-1]] == ["–", "not run"]
+    assert f"- `within_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
+        records
+    )
 
 
 # --- running -----------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from undertow.figures import save_png
 from undertow.files import write_whole
-from undertow.identification.figures import save_png
 
 from .page import page, picture
 from .steps import Chain, Said

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, figure, look
+from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, figure, look
 
 from .steps import Said
 

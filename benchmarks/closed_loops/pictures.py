@@ -7,9 +7,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from undertow.cli.simulate import coordinate, strategy
 from undertow.control.closed_loop import Record
-from undertow.identification.figures import AFTER, INK, figure, look, save_png
+from undertow.control.closed_loop.pictures import coordinate, strategy
+from undertow.figures import AFTER, INK, figure, look, save_png
 
 NAMES = {
     "13-strategy": "",

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from undertow.figures import AFTER, BEFORE, FAINT, INK, figure, look, save_png
 from undertow.identification.compare.comparison import Comparison, compare
-from undertow.identification.figures import AFTER, BEFORE, FAINT, INK, figure, look, save_png
 from undertow.identification.report.pictures import measured_vs_simulated
 from undertow.identification.report.tables import traces
 

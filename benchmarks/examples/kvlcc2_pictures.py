@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from undertow.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
 from undertow.identification.compare.comparison import Comparison, compare
-from undertow.identification.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
 from undertow.identification.logs.run import Run
 from undertow.identification.report.pictures import measured_vs_simulated, residual_against
 from undertow.identification.report.tables import curves, leading, traces

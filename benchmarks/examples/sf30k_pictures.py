@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from undertow.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
 from undertow.identification.compare.comparison import Comparison
-from undertow.identification.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
 from undertow.identification.logs.run import Run
 from undertow.identification.report.pictures import error_map as drawn_map
 from undertow.identification.report.pictures import measured_vs_simulated

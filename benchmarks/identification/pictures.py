@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from undertow.identification.figures import AFTER, BEFORE, INK, figure, look, save_png
+from undertow.figures import AFTER, BEFORE, INK, figure, look, save_png
 
 from .profile import EXACT
 from .study import OUTPUT, RULE, WEAK, Level

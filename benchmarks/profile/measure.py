@@ -20,8 +20,8 @@ ACTIONS = {
     (module, "prepare"): "reading out velocities, weak form, noise",
     (module, "check_excitation"): "is anything moved?",
     (module, "examine"): "doctor: signs, frames, clocks, units",
-    (module, "Referee"): "setting up simulations",
-    (rounds, "_scouted"): "search: every effect, tried in the weak form",
+    (module, "SimulationValidator"): "setting up simulations",
+    (rounds, "_screened"): "search: every effect, tried in the weak form",
     (rounds, "_tried"): "search: promising effects, fitted",
     (rounds, "_final"): "search: leading effects, judged under their noise",
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from undertow.identification.figures import figure, look, save_png
+from undertow.figures import figure, look, save_png
 
 from .measure import Profile
 from .page import SHOWN, by_module

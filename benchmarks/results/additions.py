@@ -9,7 +9,7 @@ import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.diagnosis.trial import Bench, open_bench, screen
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.weak_form import WeakFit
@@ -89,7 +89,7 @@ def _chained(bench: Bench, vehicle: Vehicle, chain: tuple[str, ...]) -> WeakFit:
     """Priors stay those of the vehicle: a fit of the incomplete model is no prior knowledge."""
     for effect in chain:
         candidate = Candidate(catalogue()[effect], vehicle)
-        start = scout(candidate, bench).values
+        start = screen(candidate, bench)[0].values
         # All parameters of the effect are kept, also those that a diagnosis would drop as uncertain.
         fit = bench.fit(candidate.vehicle, candidate.free(), start)
         bench = replace(bench, base=fit)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from undertow.identification.figures import AFTER, BEFORE, INK, figure, look, save_png
+from undertow.figures import AFTER, BEFORE, INK, figure, look, save_png
 from undertow.identification.report.pictures import measured_vs_simulated
 
 from .basin import Basin, drag

@@ -19,6 +19,7 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.fleet.engine import Engine, engine
 
+from .ablation import ablation_page, ablations, answered, sample
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
 from .report import goal_table, page
@@ -32,6 +33,8 @@ examples:
   # the same on a cluster of Dask; every worker needs this checkout
   python -m benchmarks.trust run --out trust.jsonl --scheduler tcp://10.0.0.1:8786
   python -m benchmarks.trust report trust.jsonl --out docs/trust.md --summary docs/results.md
+  # every number of the diagnosis switched off in turn, on a fixed sample; it goes on where it was cut off
+  python -m benchmarks.trust ablate --source ablation.jsonl --out docs/ablation.md --minutes 60
   # one case with all that is known of it, its files kept
   python -m benchmarks.trust one usv:lift:x1:n1:open:plain:17 --keep cases/lift
 """
@@ -41,7 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; 0 when all went well, 1 when a case failed to run, 2 for a bad request."""
     options = _parser().parse_args(arguments)
     try:
-        return {"run": _run, "one": _one, "list": _list, "report": _report}[options.command](options)
+        commands = {"run": _run, "one": _one, "list": _list, "report": _report, "ablate": _ablate}
+        return commands[options.command](options)
     except (ValueError, OSError, UndertowError) as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 2
@@ -71,12 +75,21 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("case", help="id of the case")
     one.add_argument("--keep", type=Path, metavar="DIR", help="folder for its files")
     one.add_argument("--no-peers", action="store_true", help="leave the other methods out")
-    telling = commands.add_parser("report", help="the tables of a run")
-    telling.add_argument("source", type=Path, nargs="+", metavar="FILE.jsonl")
-    telling.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
-    telling.add_argument(
+    reporting = commands.add_parser("report", help="the tables of a run")
+    reporting.add_argument("source", type=Path, nargs="+", metavar="FILE.jsonl")
+    reporting.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    reporting.add_argument(
         "--summary", type=Path, metavar="RESULTS.md", help="page of results that gets the table of goals"
     )
+    ablating = commands.add_parser("ablate", help="the fixed sample with each number switched off in turn")
+    ablating.add_argument("--source", type=Path, required=True, metavar="FILE.jsonl", help="appended to")
+    ablating.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    ablating.add_argument("--number", action="append", default=[], metavar="NAME", help="only these numbers")
+    ablating.add_argument("--cases", type=int, metavar="N", help="only the first cases of the sample")
+    ablating.add_argument("--vehicle", action="append", help="only its cases with these vehicles")
+    ablating.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
+    ablating.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
+    ablating.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
     return parser
 
 
@@ -110,7 +123,7 @@ def _run(options: argparse.Namespace) -> int:
             jobs=options.jobs,
             minutes=options.minutes,
             limit=options.limit,
-            tell=_tell,
+            report=_report_record,
             engine=doing,
         )
     return int(failed > 0)
@@ -123,7 +136,7 @@ def _engine(options: argparse.Namespace) -> AbstractContextManager[Engine | None
     return engine(address, max(options.jobs, 1), options.limit)
 
 
-def _tell(record: Record, left: int) -> None:
+def _report_record(record: Record, left: int) -> None:
     if "failure" in record:
         words = f"FAILED: {record['failure']}"
     else:
@@ -149,6 +162,19 @@ def _list(options: argparse.Namespace) -> int:
     for case in _planned(options):
         print(f"{case.kind:9s} {case.id}")
     return 0
+
+
+def _ablate(options: argparse.Namespace) -> int:
+    cases = [c for c in sample() if not options.vehicle or c.vehicle in options.vehicle]
+    doing = ablations(cases[: options.cases], options.number)
+    limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
+    failed = run(doing, options.source, answered, report=_report_record, **limits)
+    text = ablation_page(records(options.source))
+    if options.out is None:
+        print(text)
+    else:
+        write_whole(options.out, text)
+    return int(failed > 0)
 
 
 def _report(options: argparse.Namespace) -> int:

@@ -50,22 +50,13 @@ _ALIKE = ({"net_buoyancy", "constant_force"},)
 class Planned:
     """One case to be diagnosed.
 
-    Attributes
-    ----------
-    vehicle : str
-        Name of the vehicle.
-    hidden : tuple of str
-        Names from `EFFECTS`; none, or only a wrong guess, for a complete model.
-    strength, noise : float
-        Factors on the drawn sizes and on the noise.
-    aim : float
-        What the truth is to be worth, the strength being chosen for it; zero where the strength is given.
-    closed_loop : bool
-        Whether heading and depth are held by feedback.
-    variant : str
-        One of `VARIANTS`.
-    seed : int
-        Seed of the simulator.
+    vehicle: name of the vehicle.
+    hidden: names from `EFFECTS`; none, or only a wrong guess, for a complete model.
+    strength, noise: factors on the drawn sizes and on the noise.
+    aim: what the truth is to be worth, the strength being chosen for it; zero where the strength is given.
+    closed_loop: whether heading and depth are held by feedback.
+    variant: one of `VARIANTS`.
+    seed: seed of the simulator.
     """
 
     vehicle: str
@@ -105,13 +96,7 @@ class Planned:
 
     @classmethod
     def read(cls, word: str) -> Planned:
-        """The case of an id.
-
-        Raises
-        ------
-        ValueError
-            If the word is no id of a case.
-        """
+        """The case of an id."""
         try:
             vehicle, hidden, size, noise, loop, variant, seed = word.split(":")
             names = () if hidden == "nothing" else tuple(hidden.split("+"))
@@ -128,26 +113,12 @@ class Planned:
 
 
 def plan(rounds: int, base: int = BASE_SEED) -> list[Planned]:
-    """The cases in the order in which they are run: every beginning of it is a balanced sample.
-
-    Parameters
-    ----------
-    rounds : int
-        How often every effect, complete model and outsider comes.
-    base : int
-        Another number gives other vehicles, noise, sizes and pairs.
-    """
+    """The cases in the order in which they are run: every beginning of it is a balanced sample."""
     return [case for r in range(rounds) for case in _round(r, base)]
 
 
 def part(cases: Sequence[T], which: str) -> list[T]:
-    """Every n-th case, `which` = "i/n" with i from 1.
-
-    Raises
-    ------
-    ValueError
-        If `which` is not of that form.
-    """
+    """Every n-th case, `which` = "i/n" with i from 1."""
     first, _, count = which.partition("/")
     if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
         raise ValueError(f"--part {which!r}: give i/n with 1 <= i <= n, such as 2/4")

@@ -13,9 +13,9 @@ from .tally import VISIBLE, Scored
 
 #: Explanations by hand, case id -> text.
 NOTES = Path(__file__).with_name("notes.toml")
-#: A model that is worse than the told one by less predicts as well as the truth.
+#: A model that is worse than the oracle refit by less predicts as well as the truth.
 _AS_GOOD = 1.02
-HEAD = ("case", "hidden", "verdict", "named", "ratio", "after / told", "what the numbers say")
+HEAD = ("case", "hidden", "verdict", "named", "ratio", "after / oracle", "what the numbers say")
 
 
 def failures(cases: Sequence[Scored]) -> list[Scored]:
@@ -53,7 +53,7 @@ def why(case: Scored) -> str:
     if case.kind == "outsider":
         return "the effects it names explain enough to pass" if case.answer.claims else "taken for noise"
     if case.false_claim and case.cost <= _AS_GOOD:
-        return "what it names predicts the kept-aside data as well as the truth does: they cannot tell"
+        return "what it names predicts the validation data as well as the truth does: they cannot tell"
     if case.grade not in VISIBLE:
         return "the truth is hidden in the noise, and something else is named"
     if not case.answer.claims:

@@ -19,20 +19,12 @@ _NO_FAILURE = 29
 class Goal:
     """One number with its aim.
 
-    Attributes
-    ----------
-    name : str
-        What is measured.
-    aim : str
-        The goal in words.
-    measured : str
-        The number with its interval.
-    met : bool or None
-        Whether it reaches the goal; None without cases.
-    needed : int
-        Cases from which it can be shown: with fewer, one failure more would miss the goal by itself.
-    count : int
-        Cases that there are.
+    name: what is measured.
+    aim: the goal in words.
+    measured: the number with its interval.
+    met: whether it reaches the goal; None without cases.
+    needed: cases from which it can be shown: with fewer, one failure more would miss the goal by itself.
+    count: cases that there are.
     """
 
     name: str
@@ -88,8 +80,12 @@ def _silent(cases: Sequence[Scored]) -> list[Goal]:
 def _others(cases: Sequence[Scored]) -> list[Goal]:
     outsiders, pairs = of_kind(cases, "outsider", *VISIBLE), of_kind(cases, "pair", *VISIBLE)
     return [
-        _at_least("outsiders: unexplained", share(outsiders, _unexplained), 0.95),
-        _at_most("outsiders: a catalogue effect claimed", share(outsiders, lambda c: c.answer.claims), 0.0),
+        _at_least("outside the catalogue: unexplained", share(outsiders, _unexplained), 0.95),
+        _at_most(
+            "outside the catalogue: a catalogue effect claimed",
+            share(outsiders, lambda c: c.answer.claims),
+            0.0,
+        ),
         _at_least("pairs: both found", share(pairs, lambda c: c.reported), 0.85),
     ]
 
@@ -102,7 +98,7 @@ def _costs(cases: Sequence[Scored]) -> list[Goal]:
     costs = np.array([c.cost for c in of_kind(cases, "single", *VISIBLE)])
     costs = costs[np.isfinite(costs)]
     middle, high = np.quantile(costs, [0.5, 0.95]) if len(costs) else (np.nan, np.nan)
-    words = "error after adding over that of the told refit"
+    words = "error after adding over that of the oracle refit"
     return [
         Goal(f"{words}, median", "≤ 1.05", _number(middle, len(costs)), _met(middle <= 1.05, len(costs))),
         Goal(f"{words}, 95th percentile", "≤ 1.3", _number(high, len(costs)), _met(high <= 1.3, len(costs))),

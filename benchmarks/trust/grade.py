@@ -1,4 +1,4 @@
-"""How much the truth helps: the incomplete model against a refit that was told what is hidden."""
+"""How much the truth helps: the incomplete model against a refit that knows what is hidden (oracle)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.validation import Referee
+from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
@@ -23,7 +23,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 
-from .telling import true_values
+from .oracle_values import true_values
 
 #: Name and smallest ratio of each grade, the strongest first.
 GRADES = (("strong", 3.0), ("medium", 1.5), ("weak", 1.1))
@@ -37,7 +37,7 @@ def grade_of(ratio: float) -> str:
 
 
 def error_of(fit: Fitted, test: WeakData, noise: list[Whitening]) -> float:
-    """Error of a model on kept-aside data: rms over all equations of the residual, in units of the noise.
+    """Error of a model on validation data: rms over all equations of the residual, in units of the noise.
 
     Not the geometric mean that the diagnosis prints: in twelve equations that would hide one bad one.
     """
@@ -46,21 +46,15 @@ def error_of(fit: Fitted, test: WeakData, noise: list[Whitening]) -> float:
 
 
 @dataclass(frozen=True)
-class Told:
-    """A refit that was told the truth, and what others are held against.
+class OracleRefit:
+    """A refit that knows the truth, and what others are held against.
 
-    Attributes
-    ----------
-    fit : Fitted
-        The model with the true effects, fitted as the diagnosis fits what it names: by output error, started
-        from the weak form, where that simulates the kept-aside run no worse.
-    test : WeakData
-        Data kept aside.
-    before, error : float
-        Error of the refitted incomplete model, by weak form or by output error, whichever is less, and of the
-        told one, in units of the same noise: that which the sensors make, as the told model sees it.
-    lacking : dict
-        Error of the model that lacks only this one of two true effects.
+    fit: the model with the true effects, fitted as the diagnosis fits what it names: by output error, started
+        from the weak form, where that simulates the validation run no worse.
+    test: data kept aside.
+    before, error: error of the refitted incomplete model, by weak form or by output error, whichever is less,
+        and of the oracle refit, in units of the same noise: that of the sensors, as the oracle refit has it.
+    lacking: error of the model that lacks only this one of two true effects.
     """
 
     fit: Fitted
@@ -76,47 +70,35 @@ class Told:
 
     def error_of(self, fit: Fitted) -> float:
         """Error of any model in the same units."""
-        return error_of(fit, self.test, quiet(self.fit, self.test))
+        return error_of(fit, self.test, sensor_noise(self.fit, self.test))
 
 
-def quiet(fit: Fitted, data: WeakData) -> list[Whitening]:
+def sensor_noise(fit: Fitted, data: WeakData) -> list[Whitening]:
     """The noise that the sensors alone make in the equations of a model."""
     return fit.model.whitening(data, np.asarray(fit.p))
 
 
-def told(
+def oracle_refit(
     vehicle: Vehicle,
     train: Sequence[Run],
     test: Sequence[Run],
     truth: Sequence[str],
     values: Mapping[str, float],
-) -> Told:
-    """Add the true effects, all their parameters free, and refit.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The incomplete model.
-    train, test : sequence of Run
-        Data to fit to and data kept aside.
-    truth : sequence of str
-        Ids of what is hidden; all in the catalogue.
-    values : mapping
-        True values, as far as they bear the names of the catalogue: the search begins there.
-    """
+) -> OracleRefit:
+    """Add the true effects, all their parameters free, and refit."""
     base, aside = opened(vehicle, train, test)
-    referee = Referee(vehicle, train, test, aside.sigma)
-    fit, _ = referee.refined(with_reestimated_noise(_added(base, vehicle, truth, values)))
-    noise = quiet(fit, aside)
+    validator = SimulationValidator(vehicle, train, test, aside.sigma)
+    fit, _ = validator.refined(with_reestimated_noise(_added(base, vehicle, truth, values)))
+    noise = sensor_noise(fit, aside)
 
     def least(weak: WeakFit) -> float:
-        return min(error_of(f, aside, noise) for f in (weak, referee.refined(weak)[0]))
+        return min(error_of(f, aside, noise) for f in (weak, validator.refined(weak)[0]))
 
     lacking = {}
     for effect in truth if len(truth) > 1 else ():
         others = [other for other in truth if other != effect]
         lacking[effect] = least(with_reestimated_noise(_added(base, vehicle, others, values)))
-    return Told(fit, aside, least(base), error_of(fit, aside, noise), lacking)
+    return OracleRefit(fit, aside, least(base), error_of(fit, aside, noise), lacking)
 
 
 def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> tuple[WeakFit, WeakData]:
@@ -126,8 +108,8 @@ def opened(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> tuple
 
 
 def excess(base: WeakFit, test: WeakData) -> float:
-    """Error of a refitted model on kept-aside data, in units of the noise of the sensors alone."""
-    return error_of(base, test, quiet(base, test))
+    """Error of a refitted model on validation data, in units of the noise of the sensors alone."""
+    return error_of(base, test, sensor_noise(base, test))
 
 
 def addable(vehicle: Vehicle, effect: str) -> bool:

@@ -27,13 +27,7 @@ _VELOCITY = ("u", "v", "w", "p", "q", "r")
 
 
 def simulated(case: Planned) -> Case:
-    """Logs, prior model and truth; the truth tells the strength with which the vehicle did not run away.
-
-    Raises
-    ------
-    ValueError
-        If it runs away even with a quarter of the strength.
-    """
+    """Logs, prior model and truth; the truth tells the strength with which the vehicle did not run away."""
     for share in _MILDER:
         try:
             made = _made(case, share * case.strength)

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hidden_effects import Case
-from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from .cases import Planned
-from .grade import Told, addable, excess, grade_of, opened, told
+from .grade import OracleRefit, addable, excess, grade_of, opened, oracle_refit
 from .material import simulated, without, written_and_read, written_to_memory
 from .peers import asked
 from .sizing import sized
@@ -24,22 +24,12 @@ Record = dict[str, Any]
 Data = tuple[Vehicle, list[Run], list[Run]]
 
 
-def measured(case: Planned, *, peers: bool = True, keep: Path | None = None) -> tuple[Record, Outcome]:
+def measured(
+    case: Planned, *, peers: bool = True, keep: Path | None = None
+) -> tuple[Record, DiagnosisResult]:
     """Simulate, diagnose and grade one case.
 
-    Parameters
-    ----------
-    case : Planned
-        The case.
-    peers : bool
-        Whether the other methods get the same data.
-    keep : Path, optional
-        Folder for the files of the case; a temporary one by default.
-
-    Returns
-    -------
-    (dict, Outcome)
-        What is written as one line of JSON, and the whole diagnosis.
+    What is written as one line of JSON, and the whole diagnosis.
     """
     made = simulated(sized(case))
     data = _data(made, keep)
@@ -78,34 +68,38 @@ def _data(made: Case, keep: Path | None) -> Data:
 
 
 def _said(found: Diagnosis) -> Record:
-    sets = [list(group.effects) for group in found.indistinguishable]
-    order = [entry.effect for entry in found.ranking]
     return {
-        "answer": Answer(found.verdict, list(found.effects), sets, order).as_dict(),
+        "answer": answer_of(found).as_dict(),
         "headline": found.headline,
         "warnings": list(found.warnings),
         "steps": [[*step.added, round(step.error, 4)] for step in found.steps],
     }
 
 
-def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: Outcome) -> Record:
+def answer_of(found: Diagnosis) -> Answer:
+    """What counts of a diagnosis."""
+    sets = [list(group.effects) for group in found.indistinguishable]
+    return Answer(found.verdict, list(found.effects), sets, [entry.effect for entry in found.ranking])
+
+
+def _graded(case: Planned, made: Case, record: Record, data: Data, outcome: DiagnosisResult) -> Record:
     """Ratio and grade, and the errors they come from, in units of one noise model.
 
-    What no catalogue knows has no told refit: it is held against the same vehicle with nothing hidden.
+    What no catalogue knows has no oracle refit: it is held against the same vehicle with nothing hidden.
     """
     began = time.perf_counter()
     if case.kind == "complete":
         return {}
     if record["known"]:
-        truth = told(*data, record["truth"], record["values"])
-        found = _against_told(truth, outcome)
+        truth = oracle_refit(*data, record["truth"], record["values"])
+        found = _against_oracle(truth, outcome)
     else:
         found = _against_nothing_hidden(case, data)
     ratio = found["ratio"]
     return found | {"grade": grade_of(ratio), "grading_seconds": time.perf_counter() - began}
 
 
-def _against_told(truth: Told, outcome: Outcome) -> Record:
+def _against_oracle(truth: OracleRefit, outcome: DiagnosisResult) -> Record:
     return {
         "ratio": truth.ratio,
         "before": truth.before,

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Method = Callable[[Terms], Answer]
 #: Level of the F test, over the number of candidates.
 LEVEL = 0.01
-#: Share of the kept-aside mean square that a further effect has to take away.
+#: Share of the validation mean square that a further effect has to take away.
 WORTH = 0.02
 MOST = 3
 #: Thresholds of STLSQ, in units of what a column of that coefficient does to the rms of all that is left.
@@ -31,7 +31,7 @@ _AS_GOOD = 1.02
 
 
 def stepwise(terms: Terms) -> Answer:
-    """Forward selection by the F test of each effect's columns, guarded by the error on kept-aside data."""
+    """Forward selection by the F test of each effect's columns, guarded by the error on validation data."""
     chosen: list[str] = []
     first: list[str] = []
     while len(chosen) < MOST:
@@ -75,7 +75,7 @@ def _left(terms: Terms, effects: Sequence[str]) -> float:
 
 
 def sindy(terms: Terms) -> Answer:
-    """STLSQ of PySINDy; of all thresholds the sparsest model that predicts the kept-aside data as well."""
+    """STLSQ of PySINDy; of all thresholds the sparsest model that predicts the validation data as well."""
     from pysindy.optimizers import STLSQ  # type: ignore[import-untyped]
 
     tried = []

@@ -37,7 +37,7 @@ def page(records: Iterable[Record]) -> str:
         _by_grade(kept),
         "## Complete models\n",
         _complete(kept),
-        "## Outsiders and pairs\n",
+        "## Effects outside the catalogue and pairs\n",
         _outsiders(cases),
         _pairs(kept),
         "## Every effect\n",
@@ -121,8 +121,8 @@ def _outsiders(cases: Sequence[Scored]) -> str:
         both = str(share(pairs, lambda c: c.reported))
         exact = str(share(pairs, lambda c: c.only))
         rows.append([grade, said, claims, both, exact])
-    head = ("grade", "outsiders: verdicts", "outsiders: an effect claimed", "pairs: both found",
-            "pairs: both and nothing else")  # fmt: skip
+    outside, pairs_head = "outside the catalogue", ("pairs: both found", "pairs: both and nothing else")
+    head = ("grade", f"{outside}: verdicts", f"{outside}: an effect claimed", *pairs_head)
     return table(head, rows, left=2)
 
 

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 #: Seconds after which a case is given up and recorded as failed.
 LIMIT = 1800.0
 Work = Callable[[Planned], Record]
-Tell = Callable[[Record, int], None]
+Progress = Callable[[Record, int], None]
 
 
 @dataclass(frozen=True)
@@ -43,36 +43,10 @@ def run(
     jobs: int = 1,
     minutes: float | None = None,
     limit: float = LIMIT,
-    tell: Tell = lambda record, left: None,
+    report: Progress = lambda record, left: None,
     engine: Engine | None = None,
 ) -> int:
-    """Measure cases that are not yet in a file, and append each as one line when it is done.
-
-    Parameters
-    ----------
-    cases : sequence of Planned
-        In the order in which they are begun.
-    out : Path
-        JSON lines; what stands there is kept, and its cases are not run again.
-    work : callable
-        Makes the record of a case.
-    jobs : int
-        Cases at a time.
-    minutes : float, optional
-        After so long no case is begun.
-    limit : float
-        Seconds that a case may take.
-    tell : callable
-        Told each record, and how many cases are left.
-    engine : Engine, optional
-        Who does the work instead of processes of this machine, a cluster of Dask for instance; `jobs` and
-        `limit` are its own affair then.
-
-    Returns
-    -------
-    int
-        How many cases failed to run at all.
-    """
+    """Measure cases that are not yet in a file, and append each as one line when it is done."""
     todo = [case for case in cases if case.id not in {r["id"] for r in records(out)}]
     end = time.monotonic() + 60 * minutes if minutes is not None else float("inf")
     failed, left = 0, len(todo)
@@ -82,7 +56,7 @@ def run(
         left -= 1
         append(out, record | {"commit": commit})
         failed += "failure" in record
-        tell(record, left)
+        report(record, left)
     return failed
 
 

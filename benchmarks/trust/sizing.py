@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from .cases import Planned
-from .grade import addable, told
+from .grade import addable, oracle_refit
 from .material import simulated, written_to_memory
 
 #: Looks at a case while its strength is chosen; relative deviation that is good enough.
@@ -54,4 +54,4 @@ def _worth(case: Planned) -> float:
     if not all(addable(vehicle, effect) for effect in truth):
         return case.aim
     values = {k: v for name in case.hidden for k, v in made.truth["values"][name].items()}
-    return told(vehicle, train, test, truth, values).ratio
+    return oracle_refit(vehicle, train, test, truth, values).ratio

@@ -57,12 +57,8 @@ def share(cases: Iterable[Scored], right: Callable[[Scored], bool]) -> Share:
 class Scored:
     """A record with the answer of one method.
 
-    Attributes
-    ----------
-    record : dict
-        One line of the file.
-    answer : Answer
-        What the method said.
+    record: one line of the file.
+    answer: what the method said.
     """
 
     record: Record
@@ -70,7 +66,7 @@ class Scored:
 
     @property
     def kind(self) -> str:
-        """`complete`, `single`, `pair` or `outsider`; what no catalogue lists is an outsider."""
+        """`complete`, `single`, `pair` or `outsider`; `outsider`: no catalogue lists it."""
         kind = str(self.record["kind"])
         return kind if kind == "complete" or self.record["known"] else "outsider"
 
@@ -119,7 +115,7 @@ class Scored:
 
     @property
     def cost(self) -> float:
-        """Error after adding what is named, over that of the told refit; NaN where there is no such."""
+        """Error after adding what is named, over that of the oracle refit; NaN where there is no such."""
         r = self.record
         return float(r["after"] / r["told"]) if "after" in r else float("nan")
 

@@ -37,18 +37,11 @@ _STEPS = 3
 class Terms:
     """The regression that all other methods face: y = base @ a + columns @ b, one row per sample and motion.
 
-    Attributes
-    ----------
-    columns : (m, k) array
-        Candidate terms, without the part that the parameters of the model can make up for.
-    y : (m,) array
-        What the model leaves, without that part, too; every motion in units of its own rms.
-    aside_columns, aside_y : arrays
-        The same on kept-aside data, with the coefficients of the fit.
-    effect : tuple of str
-        Effect that each column belongs to.
-    base : int
-        Number of parameters of the model.
+    columns: (m, k), candidate terms, without the part that the parameters of the model can make up for.
+    y: (m,), what the model leaves, without that part, too; every motion in units of its own rms.
+    aside_columns, aside_y: the same on validation data, with the coefficients of the fit.
+    effect: effect that each column belongs to.
+    base: number of parameters of the model.
     """
 
     columns: Array
@@ -68,20 +61,12 @@ class Terms:
         return [i for i, e in enumerate(self.effect) if e in effects]
 
     def aside(self, coefficients: Array) -> float:
-        """Mean square that is left on the kept-aside data."""
+        """Mean square that is left on the validation data."""
         return float(np.mean((self.aside_y - self.aside_columns @ coefficients) ** 2))
 
 
 def make_terms(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> Terms:
-    """Smooth the logs, differentiate, and evaluate every candidate that is linear in its parameters.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The incomplete model.
-    train, test : sequence of Run
-        Data to fit to and data kept aside.
-    """
+    """Smooth the logs, differentiate, and evaluate every candidate that is linear in its parameters."""
     usable = [c for c in candidates(vehicle, catalogue()) if _expressible(c)]
     full, owner = _with_all(vehicle, usable)
     regression = _Regression(full, free_parameters(vehicle), list(owner))

@@ -13,16 +13,10 @@ NAMING = ("missing_effect", "indistinguishable", "not_identifiable")
 class Answer:
     """What a diagnosis said.
 
-    Attributes
-    ----------
-    verdict : str
-        Its verdict.
-    named : list of str
-        Effects that it says are missing.
-    sets : list of list of str
-        Effects that it says cannot be told apart.
-    ranking : list of str
-        Its candidates, best first.
+    verdict: its verdict.
+    named: effects that it says are missing.
+    sets: effects that it says cannot be told apart.
+    ranking: its candidates, best first.
     """
 
     verdict: str
@@ -59,15 +53,6 @@ def accepted(effect: str, motions: Sequence[str], parameters: Collection[str] = 
     Without roll and pitch the body's z axis is that of NED: net buoyancy is a constant heave force. There,
     and in still water, water in the hull (m_w at x_w) is the same inertia and Coriolis force as added mass
     with the coupling Y_rdot = -m_w x_w, once X_udot, Y_vdot, Z_wdot and N_rdot are refitted.
-
-    Parameters
-    ----------
-    effect : str
-        Id of what is hidden.
-    motions : sequence of str
-        Degrees of freedom of the vehicle.
-    parameters : collection of str
-        Names of the values that were hidden.
     """
     level = not {"roll", "pitch"} & set(motions)
     if level and effect == "entrained_water":
@@ -87,13 +72,6 @@ def holding(effect: str, motions: Sequence[str]) -> set[str]:
 
     Water in the hull has a symmetric inertia matrix and the Coriolis force that goes with it, in still water
     as added mass has: its diagonal is that of X_udot and the like, the rest that of `added_mass_coupling`.
-
-    Parameters
-    ----------
-    effect : str
-        Id of what is hidden.
-    motions : sequence of str
-        Degrees of freedom of the vehicle.
     """
     coupled = {"sway", "yaw"} <= set(motions)
     return {"added_mass_coupling"} if coupled and effect == "entrained_water" else set()

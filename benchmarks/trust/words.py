@@ -21,9 +21,9 @@ The same, only effects that the other methods have terms for:
 """
 FAILURES = """\
 Every answer that is not what it should be: a strong or medium effect that is not named alone, a weak one
-that is not in the reported set, an effect claimed for a complete model, an outsider that is not called
-unexplained, a pair of which one is missed, and anything that is named although the truth is hidden in the
-noise and is something else. One command repeats a case with all that is known of it:
+that is not in the reported set, an effect claimed for a complete model, an effect outside the catalogue
+that is not called unexplained, a pair of which one is missed, and anything that is named although the truth
+is hidden in the noise and is something else. One command repeats a case with all that is known of it:
 
     python -m benchmarks.trust one CASE
 """
@@ -32,18 +32,18 @@ DEFINITIONS = """\
 
 - *Error*: rms of the residual of the weak form on the run kept aside, over all equations (forces and pose
   rates), in units of the noise that the sensors make.
-- *Told the truth*: the model with the hidden effects added by hand, all their parameters free, the search
+- *Oracle refit*: the model with the hidden effects added by hand, all their parameters free, the search
   begun at the true values, refitted to the same logs as the diagnosis refits what it names: weak form, then
   output error where that simulates the run kept aside no worse.
 - *Ratio*: error of the refitted incomplete model (by weak form or output error, whichever is less) over that
-  of the told one. Strong: 3 and more; medium: 1.5 to 3; weak: 1.1 to 1.5; below that the effect is hidden in
-  the noise, and the cases are counted apart. For two effects: what the less visible of them is worth when the
-  other is there. For what no catalogue lists: error of the refitted model over that of the same vehicle,
-  commands and noise with nothing hidden.
+  of the oracle refit. Strong: 3 and more; medium: 1.5 to 3; weak: 1.1 to 1.5; below that the effect is
+  hidden in the noise, and the cases are counted apart. For two effects: what the less visible of them is
+  worth when the other is there. For what no catalogue lists: error of the refitted model over that of the
+  same vehicle, commands and noise with nothing hidden.
 - *Faint*: sizes as drawn make strong effects nearly always. So each effect comes a second time, with its size
   chosen for a ratio drawn between 1.1 and 3 (`r` in a case's name; `x` is a factor on the drawn size). The
-  choice looks at the told refit, never at the diagnosis. No size is more than ten times the drawn one: a ship
-  that hardly sways would need the cross-flow drag of a thousand ships.
+  choice looks at the oracle refit, never at the diagnosis. No size is more than ten times the drawn one: a
+  ship that hardly sways would need the cross-flow drag of a thousand ships.
 - *Reported set*: all effects that the answer names, alone or as a set that the data cannot tell apart.
 - *Named and nothing else*: the reported set is the truth. Net buoyancy and a constant heave force are the
   same equations for a vehicle without roll and pitch, and so are, in still water, water in the hull and
@@ -103,16 +103,17 @@ mass, of which it is a special case, counts as named and nothing else, also with
 What the page said before, each time on seeds that were new then: base seeds 730029, 883311 and 440917,
 commits 1e58c41 to 8e0a94b, 128 cases, the program being mended between the three: one wrong name
 (tether_drag, by a cable of eleven kilometres, for square drag; mended); strong 41 of 43 first, medium 29 of
-32, weak 10 of 10, pairs 6 of 6, no false alarm in 23 complete models, 9 of 9 outsiders unexplained. Of its
+32, weak 10 of 10, pairs 6 of 6, no false alarm in 23 complete models, 9 of 9 effects outside
+the catalogue unexplained. Of its
 seven failures four are mended (the last of them, a sea bed that the run kept aside comes nearer to than the
 others, by letting parameters move within their errors before what is left counts as more than noise); a
 rise of the drag by 6 % at three times the noise is still missed, and twice a set of two holds the truth and
 one that these data cannot tell from it. Base seeds 20261122, 50261123 and 60261124, commits d3e1e81 to
 5facd27: 276 cases, none wrong; strong 71 of 74 first and 72 named alone, medium 63 of 66 both, weak 18 of
-20 first and as many in the set, pairs 15 of 15, no false alarm in 69 complete models, 18 of 18 outsiders
-unexplained. Before that: base seed 918273, commit b435ccf, 104 cases, one wrong name (thruster_lag for a
-dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none wrong; base seed
-52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
+20 first and as many in the set, pairs 15 of 15, no false alarm in 69 complete models, 18 of 18 effects
+outside the catalogue unexplained. Before that: base seed 918273, commit b435ccf, 104 cases, one wrong name
+(thruster_lag for a dead time of a quarter of a sample); base seed 862077, commit 405aa3f, 119 cases, none
+wrong; base seed 52711, 45 cases, none wrong; base seeds 4711 and 4712, 90 cases, none wrong.
 
 Seconds are those of the diagnosis alone, without the simulation, with whatever else the machine did at the
 time.

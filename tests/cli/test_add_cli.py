@@ -1,4 +1,4 @@
-"""`undertow add`: one effect into a vehicle file, judged on kept-aside data."""
+"""`undertow add`: one effect into a vehicle file, judged on validation data."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
     out, err = capsys.readouterr()
     assert "dry_friction does not help" in out
     assert err.splitlines() == [
-        "dry_friction does not lower the error on kept-aside data: nothing was written; --force writes it"
+        "dry_friction does not lower the error on validation data: nothing was written; --force writes it"
     ]
     assert contents(case) == before
 

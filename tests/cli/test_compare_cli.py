@@ -198,7 +198,7 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
     assert told["command"] == 'undertow fit --method weak --equal "Y_vdot = 1.5 X_udot" --dissipative'
     assert "Y_vdot" not in told["covariance"]["parameters"]
     assert main(["fit", *LOG, "--equal", "Y_vdot = 1.5 Q_x"]) == 2
-    assert "'Q_x' is no parameter in the equations of 'usv'" in capsys.readouterr().err
+    assert "'Q_x' is not a parameter in the equations of 'usv'" in capsys.readouterr().err
 
 
 def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from tests.quick import first_quick
-from undertow.cli.demo import DATA
 from undertow.cli.main import main
+from undertow.demo import DATA
 
 AUV = ("diagnosis.json", "error-map.png", "falling-error.png", "measured-vs-simulated.png")
 WRITTEN = {

@@ -25,7 +25,7 @@ from undertow.identification.diagnosis.result import (
     RunInfo,
     Spectrum,
 )
-from undertow.identification.diagnosis.trial import noise_ratio, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.trial import noise_ratio, open_bench, screen, try_candidate
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.identification.report.scaffold import effect_file, suggested
@@ -124,7 +124,7 @@ def test_a_suggestion_takes_the_error_away(undertow: Undertow, tmp_path: Path) -
     assert "all checks passed" in out
 
     candidate = Candidate(_effect(tmp_path / "two_forces.py"), vehicle)
-    trial = try_candidate(candidate, bench, scout(candidate, bench).values)
+    trial = try_candidate(candidate, bench, screen(candidate, bench)[0].values)
     truth = case.truth["values"]
     assert trial.fit.values["X_absr_u"] == pytest.approx(-truth["turning_drag"]["k"], rel=0.1)
     period = 2 * np.pi / trial.fit.values["omega_Y"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from undertow.identification.diagnosis.candidates import beat
+from undertow.identification.diagnosis.candidates import dominant_frequency
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.logs.run import Run
 from undertow.model.effects.rigid_body import RigidBody
@@ -39,7 +39,7 @@ def swinging(data: WeakData, frequency: float, size: float) -> NDArray[np.float6
 @pytest.mark.parametrize("frequency", [0.7, 1.9, 4.2])
 def test_a_swing_over_ground_is_found_although_the_vessel_turns(frequency: float) -> None:
     data = turning(100.0)
-    found = beat(swinging(data, frequency, 0.4), data)
+    found = dominant_frequency(swinging(data, frequency, 0.4), data)
     assert found is not None
     assert found[0] < frequency < found[1]
     assert found[1] - found[0] == pytest.approx(4 * np.pi / 100, rel=0.02)
@@ -48,18 +48,18 @@ def test_a_swing_over_ground_is_found_although_the_vessel_turns(frequency: float
 def test_a_force_that_turns_with_the_vessel_is_no_swing() -> None:
     data = turning(100.0)
     r = swinging(data, 1.9, 0.4) + 3.0 * np.repeat(data.time.reshape(-1, len(data.rows))[:, 0] / 100, 6)
-    found = beat(r, data)
+    found = dominant_frequency(r, data)
     assert found is not None
     assert found[0] < 1.9 < found[1]
 
 
 def test_short_runs_have_no_frequency() -> None:
     data = turning(8.0)
-    assert beat(np.ones(len(data.time)), data) is None
+    assert dominant_frequency(np.ones(len(data.time)), data) is None
 
 
 def test_waves_begin_where_something_swings() -> None:
-    starts = Waves.starts_near({"x": (0.0, 1.0), "beat": (1.0, 1.2)})
+    starts = Waves.starts_near({"x": (0.0, 1.0), "dominant_frequency": (1.0, 1.2)})
     assert sorted({s["wave_frequency"] for s in starts}) == pytest.approx([1.05, 1.1, 1.15])
     assert len(starts) == 12
     assert Waves.starts_near({"x": (0.0, 1.0)}) == []
@@ -76,6 +76,6 @@ def test_a_stretch_with_a_single_test_function_hides_no_swing(gap: float) -> Non
     channels = {n: 0.01 * rng.standard_normal(len(t)) for n in ("x", "y", "u", "v", "r")} | {"psi": 0.3 * t}
     data = prepare([Run("torn", t[~lost], {n: c[~lost] for n, c in channels.items()})], VESSEL)
     assert 1 in [s.functions.count for s in data.segments]
-    found = beat(swinging(data, 1.9, 0.8), data)
+    found = dominant_frequency(swinging(data, 1.9, 0.8), data)
     assert found is not None
     assert found[0] < 1.9 < found[1]

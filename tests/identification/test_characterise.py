@@ -25,7 +25,7 @@ from undertow.identification.diagnosis.associations import (
 )
 from undertow.identification.diagnosis.residual import ForceRows, how, remaining, sentence
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
-from undertow.identification.diagnosis.validation import keep_blocks_aside
+from undertow.identification.diagnosis.validation import split_into_pieces
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -396,4 +396,4 @@ def test_velocities_from_pose() -> None:
 
 def test_stretches_kept_aside() -> None:
     _, vehicle, runs = _simulated(HEADING, 1)
-    assert _turning(*_refitted(vehicle, *keep_blocks_aside(runs))).term == "sin and cos of 2 psi"
+    assert _turning(*_refitted(vehicle, *split_into_pieces(runs))).term == "sin and cos of 2 psi"

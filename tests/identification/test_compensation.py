@@ -10,7 +10,7 @@ import pytest
 
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.trial import Bench, open_bench, scout, try_candidate
+from undertow.identification.diagnosis.trial import Bench, open_bench, screen, try_candidate
 from undertow.identification.diagnosis.verdict import Relief, absorbing
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
@@ -79,7 +79,7 @@ def _bench() -> Bench:
 
 def _relief(effect: str) -> tuple[Relief, float]:
     candidate = Candidate(catalogue()[effect], _float())
-    trial = try_candidate(candidate, _bench(), scout(candidate, _bench()).values)
+    trial = try_candidate(candidate, _bench(), screen(candidate, _bench())[0].values)
     chance = compare_scores(_bench().base_score, trial.score, _bench().test).p_value
     return Relief((effect,), trial.fit.values, trial.score.error), chance
 

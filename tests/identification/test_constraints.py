@@ -243,9 +243,9 @@ def test_equalities_are_read_in_the_signs_of_the_file() -> None:
     assert read_equalities(["X_u=2*X_uabsu"], vehicle) == {"X_u": ("X_uabsu", 2.0)}
     assert read_equalities(["m = X_udot"], vehicle) == {"m": ("X_udot", -1.0)}
     for text, said in (
-        ("X_u", "is no equality"),
-        ("X_u = Y_v", "'Y_v' is no parameter in the equations of 'surge'"),
-        ("X_u = 1.2.3 X_uabsu", "is no number"),
+        ("X_u", "is not an equality"),
+        ("X_u = Y_v", "'Y_v' is not a parameter in the equations of 'surge'"),
+        ("X_u = 1.2.3 X_uabsu", "is not a number"),
         ("X_u = 1e999 X_uabsu", "the factor is inf"),
         ("X_u = -1e999 X_uabsu", "the factor is -inf"),
         ("X_u = 0 X_uabsu", "the factor is 0"),

@@ -13,11 +13,11 @@ import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
 from undertow.errors import UndertowError
-from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import compare_scores, explained
 from undertow.identification.diagnosis.trial import Score, open_bench, try_candidate
-from undertow.identification.diagnosis.validation import keep_blocks_aside
+from undertow.identification.diagnosis.validation import split_into_pieces
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
@@ -36,7 +36,7 @@ def _loaded(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **o
     return case, model, [read_log(folder / f"{n}.csv", channels=model.command_names) for n in names]
 
 
-def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options) -> Outcome:
+def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options) -> DiagnosisResult:
     _, model, runs = _loaded(folder, vehicle, effects, seed, **options)
     return diagnose(model, runs[:3], runs[3:])
 
@@ -120,7 +120,7 @@ def test_blocks_are_kept_aside_where_no_run_is_given(tmp_path: Path) -> None:
 
 def test_blocks_cover_a_third_and_leave_gaps() -> None:
     t = np.arange(0.0, 60.0, 0.1)
-    train, test = keep_blocks_aside([Run("a", t, {"u": np.sin(t)})])
+    train, test = split_into_pieces([Run("a", t, {"u": np.sin(t)})])
     assert len(train) == 4
     assert len(test) == 2
     assert sum(len(r.t) for r in test) / len(t) == pytest.approx(1 / 3, abs=0.05)
@@ -131,7 +131,7 @@ def test_blocks_cover_a_third_and_leave_gaps() -> None:
 def test_a_run_too_short_to_be_cut_is_refused() -> None:
     t = np.arange(0.0, 0.55, 0.1)
     with pytest.raises(UndertowError, match=r"run 'a' has 6 samples, too few .* --holdout"):
-        keep_blocks_aside([Run("a", t, {"u": np.sin(t)})])
+        split_into_pieces([Run("a", t, {"u": np.sin(t)})])
 
 
 def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.evidence import Blocks, Linear, best_by_chance, inclusion, p_value
-from undertow.identification.diagnosis.trial import open_bench, told_apart
-from undertow.identification.diagnosis.validation import clearly_worse, repeats
+from undertow.identification.diagnosis.evidence import Blocks, Linear, inclusion, null_distribution, p_value
+from undertow.identification.diagnosis.trial import comparable_mean_squares, open_bench
+from undertow.identification.diagnosis.validation import repeats, worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
@@ -46,7 +46,7 @@ def _observed(candidate: Linear) -> float:
 
 def _best_p(rng: np.random.Generator, sizes: list[float]) -> float:
     found = _candidates(rng, sizes)
-    return p_value(max(_observed(c) for c in found), best_by_chance(found))
+    return p_value(max(_observed(c) for c in found), null_distribution(found))
 
 
 def test_tables_of_blocks_give_what_the_columns_give() -> None:
@@ -84,20 +84,20 @@ def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:
     squares = 1.0 + 0.1 * rng.standard_normal(20)
     one_bad = squares.copy()
     one_bad[3] += 5.0
-    assert not clearly_worse(one_bad, squares)
-    assert clearly_worse(squares + 0.5, squares)
-    assert clearly_worse(np.full(20, np.inf), squares)
-    assert not clearly_worse(squares, squares)
+    assert not worse_by_rank_test(one_bad, squares)
+    assert worse_by_rank_test(squares + 0.5, squares)
+    assert worse_by_rank_test(np.full(20, np.inf), squares)
+    assert not worse_by_rank_test(squares, squares)
 
 
 @pytest.mark.parametrize(("windows", "worse"), [(4, False), (5, True), (6, True), (7, True)])
 def test_a_few_windows_have_to_say_all_the_same(windows: int, worse: bool) -> None:
     """No rank test of six windows gives one per cent, however gross the difference."""
     squares = 10.0 + np.arange(windows)
-    assert clearly_worse(3.0 * squares, squares) is worse
+    assert worse_by_rank_test(3.0 * squares, squares) is worse
     but_one = 3.0 * squares
     but_one[0] = 9.0
-    assert not clearly_worse(but_one, squares)
+    assert not worse_by_rank_test(but_one, squares)
 
 
 def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surge_and_sway() -> None:
@@ -171,7 +171,7 @@ def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
         np.testing.assert_allclose(felt.T @ here, 0.0, atol=1e-8 * size)
 
     # What is left of both models without it is what each leaves when the first states are projected out.
-    before, after = told_apart(bench.base_score, bench.judge(slow), bench.test)
+    before, after = comparable_mean_squares(bench.base_score, bench.judge(slow), bench.test)
     alone = whitened(slow.model.linearise(bench.test, slow.p), bench.test_whitening).r
     np.testing.assert_allclose(after, mean_square(alone, bench.test), rtol=1e-9)
     assert np.nansum(before) < np.nansum(bench.base_score.mean_square)

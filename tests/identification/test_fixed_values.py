@@ -9,12 +9,14 @@ from functools import cache
 
 import pytest
 
+import undertow as ut
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from tests.quick import first_quick
 from undertow.errors import UndertowError
-from undertow.identification.diagnose import Outcome, diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.rounds import Round, other_values, try_all
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.page import render_report
@@ -42,7 +44,7 @@ def _fixed(case: Case, factors: dict[str, float]) -> Vehicle:
 
 
 @cache
-def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) -> Outcome:
+def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) -> DiagnosisResult:
     case = _case(*hidden)
     runs = runs_of(case)
     known = {i: catalogue()[i] for i in KNOWN}
@@ -146,11 +148,11 @@ def test_evidence_is_held_to_the_rate_of_false_alarms_that_is_asked_for(rate: fl
     evidence = _round().findings[0].evidence
     among = round(0.02 / evidence.p_value)
     assert among * evidence.p_value == pytest.approx(0.02, rel=0.05)
-    assert evidence.beyond_chance(rate, among) is enough
+    assert evidence.beyond_chance(Settings(false_alarm_rate=rate), among) is enough
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.001, 0.5, float("nan")])
 def test_a_rate_of_false_alarms_that_cannot_be_held_to_is_refused(rate: float) -> None:
     case = _case()
     with pytest.raises(UndertowError, match=r"choose one between 0.005 and 0.2"):
-        diagnose(vehicle_of(case), runs_of(case), false_alarms=rate)
+        ut.diagnose(vehicle_of(case), runs_of(case), false_alarms=rate)

@@ -1,4 +1,4 @@
-"""The end of a diagnosis: what is scouted, the last fit of a model, and the last word by simulation."""
+"""The end of a diagnosis: what is screened, the last fit of a model, and the last word by simulation."""
 
 from __future__ import annotations
 
@@ -12,17 +12,22 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.evidence import Chain
+from undertow.identification.diagnosis.evidence import EffectSet
 from undertow.identification.diagnosis.search import last_fit
 from undertow.identification.diagnosis.trial import (
     Bench,
-    Scouted,
+    Screened,
     noise_ratio,
     open_bench,
-    scout,
+    screen,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import Referee
+from undertow.identification.diagnosis.validation import (
+    Contender,
+    SimulationValidator,
+    significantly_worse_in_windows,
+    worse_by_rank_test,
+)
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak
@@ -49,9 +54,9 @@ def _candidate(effect: str) -> Candidate:
     return Candidate(catalogue()[effect], _case()[0])
 
 
-def _referee() -> Referee:
+def _validator() -> SimulationValidator:
     vehicle, runs, _ = _case()
-    return Referee(vehicle, runs[:-1], runs[-1:], _bench().train.sigma)
+    return SimulationValidator(vehicle, runs[:-1], runs[-1:], _bench().train.sigma)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +68,7 @@ def test_own_columns_beside_those_known_are_the_whole_linearised_model(
     effect: str, start: dict[str, float]
 ) -> None:
     candidate, bench = _candidate(effect), _bench()
-    found = Scouted(candidate, bench, start)
+    found = Screened(candidate, bench, start)
     model = candidate.model()
     for at, data, noise, beside in (
         (found.start.at, bench.train, bench.train_whitening, None),
@@ -90,20 +95,20 @@ def test_a_last_fit_drops_nothing_and_takes_back_what_is_more_likely_there() -> 
 
 
 def test_the_model_with_the_truth_outdoes_the_one_without_and_not_the_other_way_round() -> None:
-    referee, base = _referee(), _bench().base
+    validator, base = _validator(), _bench().base
     truth = last_fit(try_candidate(_candidate("quadratic_damping"), _bench(), {}).fit, [])
-    assert referee.outdone(base, truth)
-    assert not referee.outdone(truth, base)
-    assert not referee.outdone(truth, truth)
+    assert validator.significantly_worse(base, truth)
+    assert not validator.significantly_worse(truth, base)
+    assert not validator.significantly_worse(truth, truth)
 
 
 def test_output_error_has_the_last_word_and_its_errors_are_honest() -> None:
     candidate = _candidate("quadratic_damping")
     weak = last_fit(try_candidate(candidate, _bench(), {}).fit, [candidate])
-    referee = _referee()
-    fit, squares = referee.refined(weak)
+    validator = _validator()
+    fit, squares = validator.refined(weak)
     assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.06)
-    assert np.mean(squares) <= 1.01 * np.mean(referee.squares(weak))
+    assert np.mean(squares) <= 1.01 * np.mean(validator.squares(weak))
     truth = _case()[2]
     off = [(fit.values[n] - truth[n]) / fit.standard_errors[n] for n in fit.values if n in truth]
     assert len(off) >= 2
@@ -114,22 +119,64 @@ def test_a_model_that_is_far_off_is_not_fitted_by_simulation() -> None:
     vehicle = _case()[0]
     heavy = vehicle.with_values({n: Value(-500.0, estimate=True) for n in ("X_udot", "N_rdot")})
     model = fit_weak(heavy, _bench().train, (), max_iterations=0)
-    fit, squares = _referee().refined(model)
+    fit, squares = _validator().refined(model)
     assert fit is model
     assert np.mean(squares) > 100
 
 
+def _spread(total: float, windows: int) -> np.ndarray:
+    return np.full(windows, total / windows)
+
+
+@pytest.mark.parametrize(
+    ("short", "long", "significantly_worse"),
+    [
+        (_spread(20.0, 20), _spread(3.0, 5), True),
+        (_spread(3.0, 20), _spread(20.0, 5), True),
+        (_spread(10.0, 20), _spread(10.0, 5), False),
+        (_spread(-90.0, 20), _spread(110.0, 5), False),
+        (np.eye(20)[3] * 500.0, np.eye(5)[2] * 900.0, False),
+        (np.append(np.inf, np.zeros(19)), _spread(3.0, 5), False),
+        (np.append([np.inf, np.inf], np.zeros(18)), _spread(3.0, 5), True),
+    ],
+)
+def test_windows_that_contradict_each_other_or_a_single_one_decide_nothing(
+    short: np.ndarray, long: np.ndarray, significantly_worse: bool
+) -> None:
+    """Short and long windows each give twice a log-likelihood ratio; one that says the opposite is heard."""
+    least = [_spread(5e3, 20), _spread(5e3, 5)]
+    costs = [least[0] + short, least[1] + long]
+    assert significantly_worse_in_windows(costs, least, [1.0, 1.0]) is significantly_worse
+    # The same where eight times the noise is left: it passes for noise.
+    diverged = not (np.isfinite(short).all() and np.isfinite(long).all())
+    assert significantly_worse_in_windows(costs, least, [8.0, 8.0]) is (significantly_worse and diverged)
+
+
+@pytest.mark.parametrize(("times", "stands"), [(1.004, True), (1.2, False)])
+def test_a_regular_gap_of_little_tells_nothing_where_more_than_noise_is_left(
+    times: float, stands: bool
+) -> None:
+    """As on a roll decay: a trim error and a compass that is off bend alike to what neither explains."""
+    bench, validator = _bench(), _validator()
+    left = np.full(20, 3.4)
+    effect_sets = [EffectSet((), replace(bench.base), bench.base_score) for _ in range(2)]
+    pairs = zip(effect_sets, (1.0, times), strict=True)
+    contenders = [Contender(c, c.fit, left * level) for c, level in pairs]
+    assert worse_by_rank_test(left * times, left)
+    assert [id(c) for c in validator.surviving(contenders)] == [id(c) for c in effect_sets[: 1 + stands]]
+
+
 def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
     """A force in each of three directions and one up only: where one up is enough, that is what it is."""
-    bench, referee = _bench(), _referee()
+    bench, validator = _bench(), _validator()
     fit = try_candidate(_candidate("quadratic_damping"), bench, {}).fit
     candidates = [SimpleNamespace(parameters=range(n)) for n in (6, 1)]
     free, plain = (
-        Chain((SimpleNamespace(trial=SimpleNamespace(candidate=c)),), replace(fit), bench.judge(fit))
+        EffectSet((SimpleNamespace(trial=SimpleNamespace(candidate=c)),), replace(fit), bench.judge(fit))
         for c in candidates
     )
-    worse = Chain((), bench.base, bench.base_score)
-    assert referee.standing([free, worse, plain]) == [plain, free]
+    worse = EffectSet((), bench.base, bench.base_score)
+    assert validator.surviving([validator.contender(c) for c in (free, worse, plain)]) == [plain, free]
 
 
 @pytest.mark.slow
@@ -142,7 +189,7 @@ def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:
     train = prepare(runs[:-1], vehicle)
     bench = open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
     candidate = Candidate(catalogue()["boundary_proximity"], vehicle)
-    found = try_candidate(candidate, bench, scout(candidate, bench).values)
+    found = try_candidate(candidate, bench, screen(candidate, bench)[0].values)
     away = found.fit.values["fade_0"] / found.fit.values["fade_E"]
     assert away == pytest.approx(case.truth["values"]["boundary_proximity"]["y_w"], abs=0.5)
     assert np.nanmax(noise_ratio(bench.base, bench.test)) > 4.0

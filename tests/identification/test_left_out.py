@@ -11,7 +11,7 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.trial import Trial, begun, open_bench, scout, scouts, try_candidate
+from undertow.identification.diagnosis.trial import Trial, best_start, open_bench, screen, try_candidate
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Effect, Wrench
@@ -34,7 +34,7 @@ def _of(effect: type[Effect], case: Case) -> Trial:
     vehicle = vehicle_of(case)
     bench = open_bench(vehicle, *_parts(case, vehicle))
     candidate = Candidate(effect, vehicle)
-    first = try_candidate(candidate, bench, scout(candidate, bench).values)
+    first = try_candidate(candidate, bench, screen(candidate, bench)[0].values)
     return try_candidate(candidate, bench.sharpened(first.full), first.full.values)
 
 
@@ -97,7 +97,7 @@ def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
     vehicle = vehicle_of(case)
     bench = open_bench(vehicle, *_parts(case, vehicle))
     candidate = Candidate(catalogue()["tether_drag"], vehicle)
-    starts = [look.values for look in scouts(candidate, bench)]
+    starts = [look.values for look in screen(candidate, bench)]
     heights = [bench.fit(candidate.model(), start=start).values["z_winch"] for start in starts]
     assert max(heights) > 5.0, "one of them ends below"
-    assert begun(candidate, bench, starts)["z_winch"] == pytest.approx(0.0, abs=0.5)
+    assert best_start(candidate, bench, starts)["z_winch"] == pytest.approx(0.0, abs=0.5)

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.hidden_effects import make_case, write_case
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import diagnose
-from undertow.identification.diagnosis.parallel import aside, jobs, mapped
+from undertow.identification.diagnosis.parallel import in_background, jobs, mapped
 from undertow.identification.logs.reading import read_log
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -36,7 +36,7 @@ def test_results_come_in_order_from_other_processes(two: None) -> None:
 def test_one_job_is_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERTOW_JOBS", "1")
     assert list(mapped(lambda i: os.getpid(), 3)) == [os.getpid()] * 3
-    with aside(os.getpid) as found:
+    with in_background(os.getpid) as found:
         assert found() == os.getpid()
 
 
@@ -60,13 +60,13 @@ def test_an_error_is_the_error_of_the_work(two: None) -> None:
 
     with pytest.raises(UndertowError, match="no 0"):
         list(mapped(work, 2))
-    with aside(lambda: work(7)) as found, pytest.raises(UndertowError, match="no 7"):
+    with in_background(lambda: work(7)) as found, pytest.raises(UndertowError, match="no 7"):
         found()
 
 
 @shared_memory
 def test_something_is_done_aside_while_other_work_uses_all_cores(two: None) -> None:
-    with aside(os.getpid) as found:
+    with in_background(os.getpid) as found:
         others = set(mapped(lambda i: os.getpid(), 4))
         assert found() not in {os.getpid(), *others}
 

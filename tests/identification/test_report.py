@@ -13,6 +13,7 @@ import pytest
 
 from undertow.cli.diagnose import _content  # words for verdicts that no log here has
 from undertow.errors import UndertowError
+from undertow.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.diagnose import _with_doctor  # for findings that no log here has
 from undertow.identification.diagnosis.result import (
     Diagnosis,
@@ -26,7 +27,6 @@ from undertow.identification.diagnosis.result import (
 )
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.doctor.findings import Finding as Found
-from undertow.identification.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.report.data import (
     Budget,
     ErrorMap,
@@ -266,7 +266,8 @@ def test_numbers_have_their_units() -> None:
 
 def test_the_record_tells_files_hashes_roles_notes_settings_and_versions() -> None:
     words = _words(render_report(_diagnosis(role="blocks"), _data()))
-    for text in ("/logs/mini-auv.csv", "ab" * 32, "fitting, with blocks kept aside", "3 outliers dropped"):
+    roles = "fitting, with blocks for validation"
+    for text in ("/logs/mini-auv.csv", "ab" * 32, roles, "3 outliers dropped"):
         assert text in words
     for text in ("a setting run1", "numpy 2.0", "undertow 0.1.0", "12.3 s"):
         assert text in words

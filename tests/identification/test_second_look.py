@@ -9,7 +9,11 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification.diagnosis.evidence import explains_all, hidden_by_disturbance
+from undertow.identification.diagnosis.evidence import (
+    a_little_more_than_noise,
+    explains_all,
+    hidden_by_disturbance,
+)
 from undertow.identification.diagnosis.search import search
 from undertow.identification.diagnosis.trial import Bench, only_noise, open_bench
 from undertow.identification.estimation.data import prepare
@@ -53,9 +57,9 @@ def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> Non
 
 def test_the_steady_force_is_found_at_its_size() -> None:
     vehicle, bench, truth = _bench()
-    found = search(vehicle, bench.train, bench.test, _FORCES, quiet=only_noise)
+    found = search(vehicle, bench.train, bench.test, _FORCES, residual_is_noise=only_noise)
     assert [f.id for f in found.winners] == ["net_buoyancy"]
-    fit = found.chain.fit
+    fit = found.effect_set.fit
     error = fit.values["B_net"] - truth
     spread = float(np.sqrt(fit.covariance[(k := fit.model.free.index("B_net")), k]))
     assert abs(error) < 3.5 * spread < 0.1 * abs(truth)
@@ -66,7 +70,7 @@ def test_what_does_not_explain_all_is_not_found_by_the_second_look() -> None:
     """Without the truth among the candidates none may take its place."""
     vehicle, bench, _ = _bench()
     others = {n: e for n, e in _FORCES.items() if n in ("cubic_damping", "radiation_memory")}
-    assert search(vehicle, bench.train, bench.test, others, quiet=only_noise).winners == []
+    assert search(vehicle, bench.train, bench.test, others, residual_is_noise=only_noise).winners == []
 
 
 def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
@@ -76,3 +80,13 @@ def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
     right = fit_weak(grown, bare.train, start={"B_net": truth})
     assert explains_all(bare, right, only_noise)
     assert not explains_all(bare, bare.base, only_noise)
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "left", "expected"),
+    [(0.0, 5.0, False), (1.0, 1.1, False), (1.0, 5.0, True), (1.0, 5000.0, False)],
+)
+def test_when_it_is_worth_a_second_look(disturbance: float, left: float, expected: bool) -> None:
+    """Not without a disturbance, not where noise is all there is, not where the model is far off."""
+    ratio, rows = np.array([1.0, left]), np.array([400, 400])
+    assert a_little_more_than_noise(np.array([disturbance]), ratio, rows) is expected

@@ -38,7 +38,7 @@ def _sizes(begin: float, seed: int) -> Sizes:
 def test_a_steady_force_has_one_size(seed: int) -> None:
     found = _sizes(0.0, seed)
     assert np.all(np.abs(found.value - 1.0) < 5.0 * found.error + 0.01)
-    assert found.change == ""
+    assert found.change() == ""
 
 
 @pytest.mark.parametrize("seed", first_quick(range(4)))
@@ -47,17 +47,17 @@ def test_a_force_that_begins_later_has_none_before(seed: int) -> None:
     before, after = found.value[0], found.value[-3:]
     assert before == pytest.approx(0.0, abs=0.15)
     assert np.all(after > 1.1)
-    assert "its size would have to go from" in found.change
+    assert "its size would have to go from" in found.change()
 
 
 def test_what_says_nothing_about_the_size_has_no_say() -> None:
     values, errors = np.array([1.0, 5.0, 1.02, 0.97]), np.array([0.01, 0.5, 0.02, 0.01])
-    assert Sizes(values, errors, 0.9).change == ""
-    assert Sizes(values, np.full(4, 0.01), 0.9).change.endswith("from 97% to 500% of the fitted one")
+    assert Sizes(values, errors, 0.9).change() == ""
+    assert Sizes(values, np.full(4, 0.01), 0.9).change().endswith("from 97% to 500% of the fitted one")
 
 
 def test_a_change_that_explains_little_of_what_is_left_is_none() -> None:
-    assert Sizes(np.array([0.0, 1.0, 1.5]), np.full(3, 0.01), 0.4).change == ""
+    assert Sizes(np.array([0.0, 1.0, 1.5]), np.full(3, 0.01), 0.4).change() == ""
 
 
 def test_an_effect_without_a_linear_parameter_has_no_size() -> None:
@@ -70,4 +70,4 @@ def test_an_effect_without_a_linear_parameter_has_no_size() -> None:
     found = sizes(fit, own, data, fit.model.whitening(data, fit.p))
     assert own
     assert found.value.size == 0
-    assert found.change == ""
+    assert found.change() == ""

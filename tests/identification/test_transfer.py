@@ -9,7 +9,12 @@ import pytest
 
 from tests.identification.long_surge import simulated, steps
 from tests.identification.surge import surge_vehicle
-from undertow.identification.diagnosis.validation import THOROUGH, Referee, simulates_to_noise, within_errors
+from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.diagnosis.validation import (
+    SimulationValidator,
+    simulates_to_noise,
+    within_errors,
+)
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
 from undertow.identification.estimation.shooting import Shooting
@@ -33,12 +38,12 @@ def _sigma() -> np.ndarray:
 
 @cache
 def _fit() -> OutputErrorFit:
-    return fit_output_error(surge_vehicle(), [_run(SLOW, 1)], horizon=THOROUGH)
+    return fit_output_error(surge_vehicle(), [_run(SLOW, 1)], horizon=DEFAULT.long_windows)
 
 
 def _fast(more_drag: float) -> tuple[Shooting, np.ndarray]:
     fit = _fit()
-    windows = cut([_run(FAST, 2, more_drag)], surge_vehicle(), THOROUGH, sigma=_sigma())
+    windows = cut([_run(FAST, 2, more_drag)], surge_vehicle(), DEFAULT.long_windows, sigma=_sigma())
     shooting = Shooting(fit.model.functions, windows, fit.model.free, channel_weights(windows))
     return shooting, shooting.fitted_starts(fit.p)
 
@@ -50,7 +55,7 @@ def test_parameters_move_to_where_both_data_together_have_them() -> None:
     found = within_errors(fit, shooting, starts)
     assert found is not None
     assert simulates_to_noise(shooting, *found)
-    both = fit_output_error(surge_vehicle(), [_run(SLOW, 1), _run(FAST, 2)], horizon=THOROUGH)
+    both = fit_output_error(surge_vehicle(), [_run(SLOW, 1), _run(FAST, 2)], horizon=DEFAULT.long_windows)
     moved, together = (np.array([p[i] for i in fit.model.places]) for p in (found[0], both.p))
     errors = np.array(list(both.standard_errors.values()))
     # The noise of a channel is estimated, by a few per cent otherwise for each set of runs.
@@ -69,4 +74,4 @@ def test_faster_runs_kept_aside_speak_against_a_model_only_beyond_its_errors(
 ) -> None:
     train, test = [_run(SLOW, 1)], [_run(FAST, 2, more_drag)]
     weak = fit_weak(surge_vehicle(), prepare(train, surge_vehicle()))
-    assert Referee(surge_vehicle(), train, test, _sigma()).leaves_only_noise(weak) is noise
+    assert SimulationValidator(surge_vehicle(), train, test, _sigma()).leaves_only_noise(weak) is noise

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
+from undertow.identification.diagnosis.settings import DEFAULT
 
 # Private: by its input each of these rules would take a search of its own.
-from undertow.identification.diagnosis.verdict import NAMED_SHARE, Left, _doubt, _named
+from undertow.identification.diagnosis.verdict import Remainder, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
 TWICE = ["thruster_gain", "thruster_gain"]
@@ -19,8 +20,8 @@ TWICE = ["thruster_gain", "thruster_gain"]
     ("ids", "share", "quiet", "confirmed", "doubt"),
     [
         (ONE, 0.5, True, True, ""),
-        (ONE, NAMED_SHARE + 0.01, False, True, ""),
-        (ONE, NAMED_SHARE - 0.01, False, True, "too little to be named"),
+        (ONE, DEFAULT.named_share + 0.01, False, True, ""),
+        (ONE, DEFAULT.named_share - 0.01, False, True, "too little to be named"),
         (ONE, 0.99, True, False, "simulation"),
         (TWO, 0.99, True, True, ""),
         (TWO, 0.99, False, True, "several effects are named only where next to nothing else is left"),
@@ -32,22 +33,30 @@ def test_what_stands_against_naming(
 ) -> None:
     """A second effect can make up for a first one that is wrong, so two have to explain all."""
     winners = [SimpleNamespace(id=i) for i in ids]
-    said = _doubt(winners, share, Left(quiet=quiet, confirmed=confirmed))
+    said = _doubt(winners, share, Remainder(residual_is_noise=quiet, confirmed=confirmed), DEFAULT)
     assert doubt in said
     assert bool(said) is bool(doubt)
 
 
 def test_a_size_that_changes_stands_against_naming_unless_only_noise_is_left() -> None:
     winners, words = [SimpleNamespace(id="net_buoyancy")], "its size would have to go from 0% to 120%"
-    assert words in _doubt(winners, 0.93, Left(quiet=False, confirmed=True, change=words))
-    assert _doubt(winners, 0.93, Left(quiet=True, confirmed=True, change=words)) == ""
+    assert words in _doubt(
+        winners, 0.93, Remainder(residual_is_noise=False, confirmed=True, change=words), DEFAULT
+    )
+    assert (
+        _doubt(winners, 0.93, Remainder(residual_is_noise=True, confirmed=True, change=words), DEFAULT) == ""
+    )
 
 
 def test_several_effects_that_leave_next_to_nothing_are_named() -> None:
     """The weak form leaves a little even of the truth where a force changes quickly between two samples."""
     winners = [SimpleNamespace(id=i) for i in TWO]
-    assert _doubt(winners, 0.96, Left(quiet=False, confirmed=True, nearly=True)) == ""
-    assert "too little" in _doubt(winners, 0.7, Left(quiet=False, confirmed=True, nearly=True))
+    assert (
+        _doubt(winners, 0.96, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT) == ""
+    )
+    assert "too little" in _doubt(
+        winners, 0.7, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT
+    )
 
 
 def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
@@ -76,5 +85,5 @@ def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
 
 def test_no_share_below_zero_is_told() -> None:
     winners = [SimpleNamespace(id="lift")]
-    doubt = _doubt(winners, -0.21, Left(quiet=False, confirmed=True))
+    doubt = _doubt(winners, -0.21, Remainder(residual_is_noise=False, confirmed=True), DEFAULT)
     assert doubt == "explains none of what exceeds the noise, too little to be named as what is missing"

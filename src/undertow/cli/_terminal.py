@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock, Timer
 from types import FrameType
 from typing import Any
@@ -112,14 +113,10 @@ _NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
 
 @dataclass(frozen=True)
 class Layout:
-    """When a table that is too wide keeps its columns.
+    """When a table that is too wide keeps its columns, in letters; chosen for the tables of the commands.
 
-    Attributes
-    ----------
-    prose : int
-        A column that is wider holds sentences, which may be wrapped; numbers are shorter.
-    least : int
-        Into fewer columns than this no sentence is wrapped: the cells of a row then stand below each other.
+    A column wider than `prose` holds sentences, which may be wrapped (numbers are shorter), but not into less
+    than `least`: the cells of a row then stand below each other.
     """
 
     prose: int = 30
@@ -143,15 +140,7 @@ class Printer:
         self._console = Console(highlight=False)
 
     def print(self, content: Any = "", *, soft_wrap: bool = False) -> None:
-        """Print text, or a table.
-
-        Parameters
-        ----------
-        content
-            What `text` or `table` made, or something that rich can print.
-        soft_wrap
-            Whether the text stays one line in files.
-        """
+        """Print what `text` or `table` made; with `soft_wrap` a text stays one line in files."""
         from rich.text import Text
 
         if isinstance(content, Text) and (self._console.is_terminal or not soft_wrap):
@@ -211,6 +200,23 @@ def _joined(lines: Iterable[Any]) -> Any:
     return Text("\n").join(lines)
 
 
+def say(line: str, style: str = "") -> None:
+    """Print a line that the terminal may wrap, and files may not."""
+    console().print(text(line, style), soft_wrap=True)
+
+
+def write_files(*files: tuple[Path | None, Callable[[Path], object]]) -> None:
+    """Write files that are asked for (a path, and what writes it), all or none, and say where they are."""
+    from undertow.files import together
+
+    wanted = [(path, write) for path, write in files if path is not None]
+    with together():
+        for path, write in wanted:
+            write(path)
+    for path, _ in wanted:
+        console().print(text(f"wrote {path}"))
+
+
 def section(title: str, content: Any = None) -> None:
     """Print a heading, and what stands below it."""
     out = console()
@@ -224,16 +230,8 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], indent: int = 2
     """A table without lines; without a head where all columns are nameless.
 
     Where it is wider than the terminal, a column of sentences is wrapped; if that is not enough, the cells of
-    each row stand below each other, each with its head.
-
-    Parameters
-    ----------
-    columns
-        Heads of the columns.
-    rows
-        Cells, as strings (taken as they stand) or as `text`.
-    indent
-        Blanks at the left.
+    each row stand below each other, each with its head. Cells are strings, taken as they stand, or `text`;
+    `indent` is the number of blanks at the left.
     """
     cells = [[text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     return _Table(columns, cells, indent)
@@ -330,30 +328,16 @@ def _indented(line: Any, by: int) -> Any:
     return Text.assemble(" " * by, line)
 
 
-Report = Callable[[float, str], None]
-"""What library code calls: how much is done (0 to `total`), and a few words on what is being done now."""
-
 DELAY = 2.0
 """Seconds before a bar appears."""
 
 
 @contextmanager
-def progress(description: str, total: float = 1.0) -> Iterator[Report]:
+def progress(description: str, total: float = 1.0) -> Iterator[Callable[[float, str], None]]:
     """Show a bar on the terminal while the block runs, if that takes more than two seconds.
 
     Nothing is printed for shorter work or when stderr is not a terminal. The bar disappears at the end.
-
-    Parameters
-    ----------
-    description
-        What is being done; shown until the first report.
-    total
-        The value reported when all is done.
-
-    Yields
-    ------
-    Callable[[float, str], None]
-        To be handed to library code as its progress callback.
+    What is yielded is the `undertow.typing.Progress` of library code; `total` is reported when all is done.
     """
     if not sys.stderr.isatty():
         yield _ignore

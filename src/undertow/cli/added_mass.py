@@ -1,4 +1,4 @@
-"""Say how much water moves with a body: simple bodies in closed form, boxes by table, hulls by panels.
+"""Compute the added mass of a body: simple bodies in closed form, boxes by table, hulls by panels.
 
 What is printed is the positive added mass, minus the SNAME derivatives: about the centre of the body (of a
 mesh: about its origin), or about the vehicle's origin with --at and --turn. With --into it is written into a
@@ -16,41 +16,27 @@ deviation of a prior is therefore never less than --sigma.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from inspect import Signature, signature
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._vehicle_and_logs import InPlaceOption, OutOption
+from undertow.errors import UndertowError
 
-from .vehicle import (
-    Asked,
-    AtOption,
-    CreaseOption,
-    DensityOption,
-    FrameOption,
-    IntoOption,
-    JsonOption,
-    PanelsOption,
-    SigmaOption,
-    Target,
-    TurnOption,
-    UnitOption,
-    place_of,
-    read,
-    tell,
-)
+from ._options import InPlaceOption, JsonOption, OutOption, bundled, target_of
+from ._terminal import console, print_json, progress, say, section, table
+from .vehicle import CreaseOption, FrameOption, PanelsOption, UnitOption, read, three
 
 if TYPE_CHECKING:
+    from undertow.model.vehicle import Vehicle
     from undertow.shape.bodies import AddedMass
-    from undertow.shape.panels import PanelResult
+    from undertow.shape.panels import PanelResult, Radiation
+    from undertow.typing import Array
 
     Body = Callable[[float], AddedMass | PanelResult]
-else:
-    Body = Callable[[float], object]
 
 app = typer.Typer(add_completion=False)
 
@@ -67,108 +53,173 @@ def _metres(name: str, help: str) -> typer.models.OptionInfo:
 _LENGTH = _metres("--length", "Along x.")
 _DIAMETER = _metres("--diameter", "Across.")
 _MESH = typer.Argument(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
-_DEPTH = _metres("--depth", "Depth of the centre of volume under the surface; endless without it.")
+_DEPTH = _metres("--depth", "Depth of the centre of volume under the surface; unbounded water without it.")
 _OMEGA = typer.Option("--omega", metavar="RAD/S", help="Radiation damping there; may be repeated.")
 
 
-def _asked(
-    density: DensityOption = None,
-    at: AtOption = "0,0,0",
-    turn: TurnOption = "0,0,0",
-    json: JsonOption = False,
-    into: IntoOption = None,
-    out: OutOption = None,
-    in_place: InPlaceOption = False,
-    sigma: SigmaOption = 0.1,
-) -> Asked:
-    """What every body takes."""
-    return Asked(density, place_of(at, turn), json, Target(into, out, in_place), sigma)
+_DENSITY = typer.Option(
+    "--density", metavar="KG/M3", help="Of the water.", show_default="that of --into VEHICLE, or 1000"
+)
+_AT = typer.Option(
+    "--at", metavar="X,Y,Z", help="Where its centre (of a mesh: the origin) lies in the vehicle's axes, m."
+)
+_TURN = typer.Option(
+    "--turn", metavar="ROLL,PITCH,YAW", help="How it is turned against the vehicle's axes, degrees."
+)
+_INTO = typer.Option("--into", metavar="VEHICLE", help="Vehicle file that gets the added mass as priors.")
+_SIGMA = typer.Option("--sigma", metavar="SHARE", help="Least standard deviation of the priors, as a share.")
 
 
-def _command(body: Callable[..., Body]) -> Callable[..., Body]:
-    """Make a command from a function of a body's sizes; the options that all bodies have are added."""
-    own, shared = (signature(f, eval_str=True).parameters for f in (body, _asked))
+@dataclass(frozen=True)
+class BodyOptions:
+    """What is to be done with the added mass of a body: density, place and turn, printing, writing."""
 
-    def command(**given: Any) -> None:
-        asked = _asked(**{name: given.pop(name) for name in shared})
-        tell(body(**given), asked, [value for value in given.values() if isinstance(value, Path)])
+    density: Annotated[float | None, _DENSITY] = None
+    at: Annotated[str, _AT] = "0,0,0"
+    turn: Annotated[str, _TURN] = "0,0,0"
+    json: JsonOption = False
+    into: Annotated[str | None, _INTO] = None
+    out: OutOption = None
+    in_place: InPlaceOption = False
+    sigma: Annotated[float, _SIGMA] = 0.1
 
-    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own.values(), *shared.values())]
-    command.__name__, command.__doc__ = body.__name__, body.__doc__
-    command.__annotations__ = {p.name: p.annotation for p in parameters}
-    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    app.command()(command)
-    return body
+    def report(self, body: Body, inputs: Sequence[Path] = ()) -> None:
+        """Print the added mass of a body, and write it where that is wanted.
+
+        `body` gives the added mass about the body's own origin for a density of the water; nothing is written
+        over `inputs`, the files that it is from.
+        """
+        from undertow.model.loading import load_vehicle
+        from undertow.shape.bodies import AddedMass
+        from undertow.shape.first import sigma_of
+
+        place = self._place()
+        target = self._target(inputs)
+        vehicle = None if self.into is None else load_vehicle(self.into)
+        density = self.density
+        if density is None:
+            density = 1000.0 if vehicle is None else vehicle.environment["rho"]
+        found = body(density).placed(*place)
+        added, radiation = (found, ()) if isinstance(found, AddedMass) else (found.added, found.radiation)
+        spread = sigma_of(added, self.sigma)
+        if self.json:
+            print_json(_content(added, spread, radiation))
+        else:
+            show(added, spread, radiation)
+        if vehicle is not None:
+            self._write(vehicle, added, radiation, target)
+
+    def _place(self) -> tuple[Array, tuple[float, float, float]]:
+        """Rotation and place of the body in the vehicle."""
+        import numpy as np
+        from scipy.spatial.transform import Rotation
+
+        roll, pitch, yaw = three(self.turn, "--turn")
+        rotation = Rotation.from_euler("ZYX", np.array([yaw, pitch, roll]), degrees=True).as_matrix()
+        return rotation, three(self.at, "--at")
+
+    def _target(self, inputs: Sequence[Path]) -> Path | None:
+        """The vehicle file to be written; what could not be done after the work is refused before it."""
+        from undertow.files import check_writable
+
+        if self.into is None and (self.out is not None or self.in_place):
+            raise UndertowError("--out and --in-place are for --into VEHICLE: name the vehicle file")
+        if not 0 < self.sigma < float("inf"):
+            raise UndertowError(f"--sigma {self.sigma:g} is no share: give a number above 0, such as 0.1")
+        target = None if self.into is None else target_of(self.into, self.out, self.in_place)
+        check_writable(target, inputs=inputs)
+        return target
+
+    def _write(
+        self, vehicle: Vehicle, added: AddedMass, radiation: Sequence[Radiation], target: Path | None
+    ) -> None:
+        from undertow.model.saving import save_vehicle
+        from undertow.shape.first import with_added_mass, with_radiation
+
+        if target is None:
+            typer.echo("no vehicle file was written: --out NEW.toml or --in-place does that", err=True)
+            return
+        vehicle = with_added_mass(vehicle, added, floor=self.sigma)
+        # Of several frequencies the first is taken: a linear damping has none.
+        vehicle = with_radiation(vehicle, radiation[0], added.source) if radiation else vehicle
+        history = {"command": "undertow added-mass", "date": date.today().isoformat(), "shape": added.source}
+        save_vehicle(vehicle, str(self.into), target, history=history)
+        typer.echo(f"wrote {target}", err=True)
 
 
-@_command
+@app.command()
+@bundled
 def ellipsoid(
     a: Annotated[float, _metres("--a", "Semi-axis along x.")],
     b: Annotated[float, _metres("--b", "Semi-axis along y.")],
     c: Annotated[float, _metres("--c", "Semi-axis along z.")],
-) -> Body:
+    options: BodyOptions,
+) -> None:
     """An ellipsoid with three semi-axes (Lamb): exact in ideal fluid."""
     from undertow.shape.bodies import ellipsoid as body
 
-    return lambda rho: body(a, b, c, rho)
+    options.report(lambda rho: body(a, b, c, rho))
 
 
-@_command
-def sphere(
-    diameter: Annotated[float, _DIAMETER],
-) -> Body:
+@app.command()
+@bundled
+def sphere(diameter: Annotated[float, _DIAMETER], options: BodyOptions) -> None:
     """A sphere: half of what it displaces, in every direction."""
     from undertow.shape.bodies import positive
     from undertow.shape.bodies import sphere as body
 
     positive(diameter=diameter)
-    return lambda rho: body(diameter / 2, rho)
+    options.report(lambda rho: body(diameter / 2, rho))
 
 
-@_command
+@app.command()
+@bundled
 def spheroid(
-    length: Annotated[float, _LENGTH],
-    diameter: Annotated[float, _DIAMETER],
-) -> Body:
+    length: Annotated[float, _LENGTH], diameter: Annotated[float, _DIAMETER], options: BodyOptions
+) -> None:
     """A spheroid about x, such as the hull of a torpedo-shaped vehicle (Lamb): exact in ideal fluid."""
     from undertow.shape.bodies import prolate_spheroid as body
 
-    return lambda rho: body(length, diameter, rho)
+    options.report(lambda rho: body(length, diameter, rho))
 
 
-@_command
+@app.command()
+@bundled
 def cylinder(
-    length: Annotated[float, _LENGTH],
-    diameter: Annotated[float, _DIAMETER],
-) -> Body:
+    length: Annotated[float, _LENGTH], diameter: Annotated[float, _DIAMETER], options: BodyOptions
+) -> None:
     """A slender circular cylinder along x (--turn for other directions), by strips."""
     from undertow.shape.bodies import cylinder as body
 
-    return lambda rho: body(length, diameter, rho)
+    options.report(lambda rho: body(length, diameter, rho))
 
 
-@_command
+@app.command()
+@bundled
 def box(
     length: Annotated[float, _LENGTH],
     beam: Annotated[float, _metres("--beam", "Along y.")],
     height: Annotated[float, _metres("--height", "Along z.")],
-) -> Body:
+    options: BodyOptions,
+) -> None:
     """A rectangular box, from a table of panel computations; no side more than 5.6 times the next one."""
     from undertow.shape.bodies import box as body
 
-    return lambda rho: body(length, beam, height, rho)
+    options.report(lambda rho: body(length, beam, height, rho))
 
 
-@_command
+@app.command()
+@bundled
 def mesh(
     hull: Annotated[Path, _MESH],
+    options: BodyOptions,
     unit: UnitOption = None,
     frame: FrameOption = "FRD",
     depth: Annotated[float | None, _DEPTH] = None,
     omega: Annotated[list[float] | None, _OMEGA] = None,
     panels: PanelsOption = 3200,
     crease: CreaseOption = 30.0,
-) -> Body:
+) -> None:
     """Any closed hull, by panels of three sizes, extrapolated; needs the extra undertow[bem].
 
     With --depth there is a free surface: the added mass is that of high frequency, and each --omega gives the
@@ -176,18 +227,58 @@ def mesh(
     """
     from undertow.shape.panels import added_mass_of_hull
 
-    from ._terminal import progress
-
     surface = read(hull, unit, frame).mesh
 
     def found(rho: float) -> PanelResult:
         with progress("panels") as report:
-            return added_mass_of_hull(
+            result = added_mass_of_hull(
                 surface, rho, depth=depth, omegas=omega or [], finest=panels, crease=crease, report=report
             )
-
-    def named(rho: float) -> PanelResult:
-        result = found(rho)
         return replace(result, added=replace(result.added, source=f"{hull.name}; {result.added.source}"))
 
-    return named
+    options.report(found, [hull])
+
+
+# --- printing -------------------------------------------------------------------------------------
+_UNITS = (("kg", "kg m"), ("kg m", "kg m^2"))
+
+
+def _content(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()) -> dict[str, Any]:
+    """What is known of an added mass, as plain data."""
+    return {
+        "matrix": added.matrix.tolist(),
+        "error": added.error.tolist(),
+        "sigma": sigma.tolist(),
+        "source": added.source,
+        "limits": added.limits,
+        "radiation": [
+            {"omega": r.omega, "damping": r.damping.tolist(), "error": r.error.tolist()} for r in radiation
+        ],
+    }
+
+
+def show(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()) -> None:
+    """Print an added mass: what matters of its matrix, where it is from, how far to trust it."""
+    from undertow.model.symbols import FORCE, VELOCITY
+    from undertow.shape.first import coupled, derivative
+
+    places = [*((i, i) for i in range(6)), *coupled(added.matrix)]
+    rows = [
+        (
+            f"-{derivative(i, j)}",
+            f"{added.matrix[i, j] + 0.0:.4g}",
+            f"{added.error[i, j]:.2g}",
+            f"{sigma[i, j]:.2g}",
+            _UNITS[i > 2][j > 2],
+        )
+        for i, j in places
+    ]
+    console().print(table(("", "added mass", "error", "sigma", ""), rows, indent=0))
+    for r in radiation:
+        own = [
+            (f"-{FORCE[i]}_{VELOCITY[i]}", f"{r.damping[i, i] + 0.0:.3g}", f"{r.error[i, i]:.1g}")
+            for i in range(6)
+        ]
+        section(f"radiation damping at {r.omega:g} rad/s", table(("", "SI", "error"), own))
+    say(f"source: {added.source}")
+    say(f"limits: {added.limits}")

@@ -21,26 +21,24 @@ from typing import Annotated
 
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption
+from ._options import EffectsOption, JsonOption
+from ._terminal import print_json, say, section
 
 _VEHICLE = typer.Argument(
     metavar="VEHICLE",
     help="Vehicle file (TOML), or the name of a bundled vehicle; the paper's equations without one.",
 )
-_JSON = typer.Option("--json", help="Print JSON instead of text.")
 
 
 def audit(
     vehicle: Annotated[str | None, _VEHICLE] = None,
-    json: Annotated[bool, _JSON] = False,
+    json: JsonOption = False,
     effects: EffectsOption = None,
 ) -> int:
     from dataclasses import asdict
 
     from undertow.model.loading import load_vehicle
     from undertow.paper.equations import audit_paper, audit_vehicle
-
-    from ._terminal import console, print_json, section, text
 
     found = audit_vehicle(load_vehicle(vehicle, effect_files=effects or [])) if vehicle else audit_paper()
     wrong = sum(finding.kind == "wrong" for finding in found)
@@ -52,8 +50,8 @@ def audit(
         if own:
             section(title)
         for finding in own:
-            console().print(text(f"  {finding.where}: {finding.text}"), soft_wrap=True)
-            console().print(text(f"    {finding.evidence}", "dim"), soft_wrap=True)
+            say(f"  {finding.where}: {finding.text}")
+            say(f"    {finding.evidence}", "dim")
     what = vehicle or "the equations of the paper (its tables: undertow audit-tables)"
-    console().print(text(f"{wrong} wrong, {len(found) - wrong} open in {what}"), soft_wrap=True)
+    say(f"{wrong} wrong, {len(found) - wrong} open in {what}")
     return int(wrong > 0)

@@ -1,4 +1,4 @@
-"""Check the paper's printed tables of estimates for numbers that cannot stand together.
+"""Check the paper's printed tables of estimates for numbers that contradict each other.
 
 Tables A1 to A6 of the paper on the mini-AUV come with undertow as they were printed, with what its Table 4
 took from them. Found are repeated rows, values that change their sign on the way, values far from the trend
@@ -10,19 +10,14 @@ The exit code is 1 where something is found, as that of audit is, so that a pipe
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
-_JSON = typer.Option("--json", help="Print JSON instead of text.")
+from ._options import JsonOption
+from ._terminal import console, print_json, say, section, text
 
 
-def audit_tables(json: Annotated[bool, _JSON] = False) -> int:
+def audit_tables(json: JsonOption = False) -> int:
     from dataclasses import asdict
 
     from undertow.paper.tables import KINDS, appendix, audit
-
-    from ._terminal import console, print_json, section, text
 
     found = audit(appendix())
     if json:
@@ -33,6 +28,6 @@ def audit_tables(json: Annotated[bool, _JSON] = False) -> int:
         if own:
             section(meaning)
             for remark in own:
-                console().print(text(f"  {remark.where}: {remark.text}"), soft_wrap=True)
+                say(f"  {remark.where}: {remark.text}")
     console().print(text(f"{len(found)} remarks on {len(appendix().tables)} tables"))
     return int(bool(found))

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
+from ._options import EffectsOption, VehicleArgument
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Export, Report

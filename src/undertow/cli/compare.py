@@ -15,52 +15,34 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._vehicle_and_logs import (
-    EffectsOption,
-    FillOption,
-    FromOption,
-    LogsArgument,
-    MapOption,
-    ToOption,
-    TrustOption,
-    VehicleArgument,
-    load,
-)
-
+from ._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled
 from ._terminal import progress
 
 if TYPE_CHECKING:
-    from undertow.identification.compare.comparison import Comparison, ComparisonResult
+    from undertow.identification.compare.comparison import ComparisonResult
 
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="How far ahead is predicted.", min=0.001)
-_JSON = typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
 _PLOTS = typer.Option("--plots", metavar="FOLDER", help="Write pictures (PNG) into this folder.")
 
 
+@bundled
 def compare(
     vehicle: VehicleArgument,
     logs: LogsArgument,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    from_: FromOption = None,
-    to: ToOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
+    options: LogOptions,
     horizon: Annotated[float, _HORIZON] = 5.0,
-    json: Annotated[Path | None, _JSON] = None,
+    json: JsonFileOption = None,
     plots: Annotated[Path | None, _PLOTS] = None,
 ) -> None:
     from undertow.files import check_folder, check_writable, together, write_whole
     from undertow.identification.compare.comparison import compare as compared
 
-    check_writable(json, inputs=[vehicle, *logs, *(effects or []), *([map] if map else [])])
+    check_writable(json, inputs=[vehicle, *logs, *options.files])
     if plots is not None:
         check_folder(plots)
-    loaded = load(vehicle, logs, map=map, effects=effects, window=(from_, to), fill=fill)
+    model, runs, _ = options.load(vehicle, logs)
     with progress("comparing") as report:
-        comparison = compared(
-            loaded.vehicle, loaded.train, horizon=horizon, progress=report, trust_log=trust_log
-        )
+        comparison = compared(model, runs, horizon=horizon, progress=report, trust_log=options.trust_log)
     _show(comparison.result)
     drawn = 0
     with together():
@@ -72,7 +54,6 @@ def compare(
         typer.echo(f"{drawn} pictures in {plots}")
 
 
-# --- tables -----------------------------------------------------------------------------------
 def _show(result: ComparisonResult) -> None:
     from rich.console import Console
     from rich.text import Text
@@ -154,31 +135,14 @@ def _number(value: float | None, style: str = ".3g") -> str:
     return "" if value is None else format(value, style)
 
 
-# --- pictures ---------------------------------------------------------------------------------
-def _draw(comparison: Comparison, folder: Path) -> int:
+def _draw(comparison: Any, folder: Path) -> int:
+    """Write the pictures into a folder; their number."""
+    from undertow.figures import save_png
     from undertow.files import make_folder
-    from undertow.identification.figures import save_png
+    from undertow.identification.report.tables import comparison_pictures
 
     make_folder(folder)
-    drawn = list(_pictures(comparison))
-    for name, picture in drawn:
+    drawn = comparison_pictures(comparison)
+    for name, picture in drawn.items():
         save_png(picture, folder / f"{name}.png")
     return len(drawn)
-
-
-def _pictures(comparison: Comparison) -> Any:
-    from undertow.identification.report import pictures, tables
-
-    names = (comparison.result.vehicle, "")
-    yield "error_map", pictures.error_map(tables.error_map(comparison), names)
-    yield "force_budget", pictures.force_budget(tables.budgets(comparison))
-    found = tables.curves(comparison)
-    for dof in comparison.result.degrees_of_freedom:
-        yield f"residual_{dof}", pictures.residual_against(tables.leading(found, dof), names)
-    for kind, free in (("ahead", False), ("free_run", True)):
-        for i, run in enumerate(tables.traces(comparison, free=free), start=1):
-            yield f"{kind}_{i}_{_safe(run.run)}", pictures.measured_vs_simulated(run, names)
-
-
-def _safe(name: str) -> str:
-    return "".join(c if (c.isalnum() and c.isascii()) or c in "-_." else "_" for c in name)[:60]

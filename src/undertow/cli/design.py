@@ -14,24 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import tomlkit
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
-from undertow.control.conditions.check import check, derived_conditions_hold
-from undertow.control.linear.design import Design, lqr
-from undertow.model.symbols import DOFS, FORCE_UNITS, POSE
+from ._options import EffectsOption, VehicleArgument, in_si, names_and_values
+from ._terminal import console, say, section, table, text
+from .linearize import DIRECTION, directions, show_modes
 
-from ._terminal import console, section, table, text
-from .linearize import Wish, pairs, show_modes, si
+if TYPE_CHECKING:
+    from undertow.control.linear.design import Design
 
 _ERROR = typer.Option("--error", metavar="NAME=VALUE", help="Acceptable error of x, z, psi ..., m and rad.")
 _FORCE = typer.Option("--force", metavar="NAME=VALUE", help="Available force in surge, heave ..., N and N m.")
-_DIRECTION = typer.Option(
-    "--direction", metavar="NAME=1|-1", help="Whose parameters hold at rest.", show_default="1"
-)
 _NAME = typer.Option("--name", metavar="NAME", help="Of the gain set.")
 _OUT = typer.Option("--out", metavar="NEW.toml", help="Write the gain file.")
 
@@ -41,66 +36,68 @@ def design(
     error: Annotated[list[str], _ERROR],
     force: Annotated[list[str], _FORCE],
     law: Annotated[Literal["pd", "pid"], typer.Option("--law", help="Law of the gain file.")] = "pd",
-    direction: Annotated[list[str] | None, _DIRECTION] = None,
+    direction: Annotated[list[str] | None, DIRECTION] = None,
     name: Annotated[str, _NAME] = "lqr",
     out: Annotated[Path | None, _OUT] = None,
     effects: EffectsOption = None,
 ) -> None:
+    from undertow.control.conditions.check import derived_conditions_hold
+    from undertow.control.linear.design import lqr
     from undertow.control.linear.numeric import as_input_error
+    from undertow.control.linear.trim import find_trim
     from undertow.files import check_writable, write_whole
+    from undertow.model.loading import load_vehicle
+    from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, POSE_UNITS
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
     with as_input_error():
-        done = designed(vehicle, error, force, law, direction or [], name, effects or [])
+        model = load_vehicle(vehicle, effect_files=effects or [])
+        done = lqr(
+            model,
+            _values("--error", error, POSE, POSE_UNITS),
+            _values("--force", force, DOFS, FORCE_UNITS),
+            law=law,
+            trim=find_trim(model, direction=directions(direction or [])),
+            conditions=derived_conditions_hold,
+            name=name,
+        )
     show(done)
     if out is None:
         typer.echo("nothing was written: --out NEW.toml writes the gain file")
     else:
-        write_whole(out, gain_file(done, error, force))
+        source = f"undertow design: --error {','.join(error)} --force {','.join(force)}"
+        write_whole(out, done.to_toml(source))
         typer.echo(f"wrote {out}")
 
 
-_POSE_UNITS = dict(zip(POSE, (*("m",) * 3, *("rad",) * 3), strict=True))
-_UNITS_OF_FORCE = dict(zip(DOFS, FORCE_UNITS, strict=True))
-
-
-def designed(
-    vehicle: str,
-    error: Sequence[str],
-    force: Sequence[str],
-    law: str,
-    direction: Sequence[str],
-    name: str,
-    effects: Sequence[Path],
-) -> Design:
-    """The design that is asked for."""
-    wish = Wish(vehicle, [], [], None, list(direction), effects=effects)
-    model = wish.model()
-    errors = {n: si(f"--error {n}", v, _POSE_UNITS.get(n, "1")) for n, v in pairs("--error", error)}
-    forces = {n: si(f"--force {n}", v, _UNITS_OF_FORCE.get(n, "1")) for n, v in pairs("--force", force)}
-    return lqr(
-        model, errors, forces, law=law, trim=wish.trim(model), conditions=derived_conditions_hold, name=name
-    )
+def _values(
+    option: str, texts: Sequence[str], names: Sequence[str], units: Sequence[str]
+) -> dict[str, float]:
+    """Values in SI by name."""
+    unit_of = dict(zip(names, units, strict=True))
+    pairs = names_and_values(option, texts, "u=0.5")
+    return {n: in_si(f"{option} {n}", value, unit_of.get(n, "1")) for n, value in pairs}
 
 
 def show(done: Design) -> None:
     """Print gains, poles and margins."""
-    section(f"Gains of law {done.gains.law.id}", table(("", *_coordinates(done)), _rows(done)))
-    out = console()
+    section(f"Gains of law {done.gains.law.id}", table(("", *done.coordinates), _rows(done)))
     share = f"{100 * done.coupling:.3g} %"
-    out.print(text(f"  coupling that the diagonal law leaves out: up to {share} of the optimal gain"))
-    for line in _told(done):
-        out.print(text(f"  {line}"), soft_wrap=True)
+    console().print(text(f"  coupling that the diagonal law leaves out: up to {share} of the optimal gain"))
+    for line in _on_conditions(done):
+        say(f"  {line}")
     if done.slowed:
-        out.print(text(f"  the integral was given twice the time {done.slowed} times until they held"))
+        console().print(text(f"  the integral was given twice the time {done.slowed} times until they held"))
     show_modes("Poles of the loop", done.modes)
 
 
 _VERDICTS = {True: "all hold", False: "not all hold"}
 
 
-def _told(done: Design) -> Iterator[str]:
+def _on_conditions(done: Design) -> Iterator[str]:
     """What the conditions say, with everything for which undertow gains would say no."""
+    from undertow.control.conditions.check import check
+
     report = check(done.gains)
     yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}"
     if report.alone:
@@ -109,35 +106,8 @@ def _told(done: Design) -> Iterator[str]:
         yield "the conditions in their printed form do not all hold: undertow gains shows which"
 
 
-def _coordinates(done: Design) -> list[str]:
-    gain = type(done.gains.law).gains[0]
-    return [c for c in done.gains.signals.coordinates if done.gains.values[str(gain.symbol(c))]]
-
-
 def _rows(done: Design) -> list[tuple[str, ...]]:
     return [
-        (g.name, *(f"{done.gains.values[str(g.symbol(c))]:.6g} {g.unit(c)}" for c in _coordinates(done)))
+        (g.name, *(f"{done.gains.values[str(g.symbol(c))]:.6g} {g.unit(c)}" for c in done.coordinates))
         for g in type(done.gains.law).gains
     ]
-
-
-def gain_file(done: Design, error: Sequence[str], force: Sequence[str]) -> str:
-    """Text of the gain file."""
-    gains, document = done.gains, tomlkit.document()
-    document.add(tomlkit.comment("Linear-quadratic design at hover with the diagonal of the optimal gain."))
-    document["schema"] = "undertow/gains/1"
-    document["name"] = gains.name
-    vehicle = gains.plant.vehicle.name
-    document["description"] = f"{gains.law.id} for {vehicle}"
-    document["source"] = f"undertow design: --error {','.join(error)} --force {','.join(force)}"
-    document["law"] = gains.law.id
-    if gains.unactuated:
-        document["unactuated"] = list(gains.unactuated)
-    tables: Any = tomlkit.table()
-    for gain in type(gains.law).gains:
-        row = tomlkit.inline_table()
-        for c in _coordinates(done):
-            row[c] = f"{gains.values[str(gain.symbol(c))]:.6g} {gain.unit(c)}"
-        tables[gain.name] = row
-    document["gains"] = tables
-    return tomlkit.dumps(document)

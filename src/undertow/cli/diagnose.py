@@ -1,9 +1,9 @@
 """Find out which physical effect a model lacks, and write it into a new vehicle file.
 
 Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on
-data that was kept aside: the logs given with --holdout, or stretches of the logs where none is given. The
-answer is one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that
-these data cannot tell apart, or unexplained.
+validation data: the logs given with --holdout, or stretches of the logs where none is given. The answer is
+one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that these data
+cannot tell apart, or unexplained.
 
 Values that the vehicle file holds fixed (all that are not marked estimate = true) are tried as well: where
 others explain more than any effect, the answer names them, and what is written has them fitted. What is
@@ -18,103 +18,92 @@ one.
 
 from __future__ import annotations
 
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from undertow.cli._vehicle_and_logs import (
-    EffectsOption,
-    FillOption,
-    FromOption,
+from ._options import (
     HoldoutOption,
+    JsonFileOption,
+    LogOptions,
     LogsArgument,
-    MapOption,
-    ToOption,
-    TrustOption,
     VehicleArgument,
+    bundled,
 )
-
+from ._terminal import console, progress, text
 from .doctor import show_finding
 
 if TYPE_CHECKING:
-    from undertow.identification.api import Diagnosed
-    from undertow.identification.diagnose import Outcome
+    from rich.table import Table
+
+    from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
+_FALSE_ALARMS = typer.Option(
+    metavar="CHANCE", help="Chance of naming an effect where nothing is missing, 0.005 to 0.2."
+)
+_REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
+_APPLY = typer.Option(
+    metavar="OUT.toml",
+    help="Write a vehicle file with the effects that were found, or with refitted values only.",
+)
 
+
+@bundled
 def diagnose(
     vehicle: VehicleArgument,
     logs: LogsArgument,
+    options: LogOptions,
     holdout: HoldoutOption = None,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    since: FromOption = None,
-    until: ToOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
-    false_alarms: Annotated[
-        float,
-        typer.Option(
-            metavar="CHANCE",
-            help="Chance of naming an effect where nothing is missing, 0.005 to 0.2.",
-        ),
-    ] = 0.01,
-    json: Annotated[Path | None, typer.Option(metavar="OUT", help="Write the whole result as JSON.")] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
-    ] = None,
-    apply: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OUT.toml",
-            help="Write a vehicle file with the effects that were found, or with refitted values only.",
-        ),
-    ] = None,
+    false_alarms: Annotated[float, _FALSE_ALARMS] = 0.01,
+    json: JsonFileOption = None,
+    report: Annotated[Path | None, _REPORT] = None,
+    apply: Annotated[Path | None, _APPLY] = None,
 ) -> None:
-    from undertow.cli._vehicle_and_logs import load
-    from undertow.files import check_writable
-    from undertow.identification.api import diagnose as run
-    from undertow.identification.diagnose import check_false_alarms
-    from undertow.model.catalogue import catalogue, load_effects, merge
+    from undertow.files import check_writable, together, write_whole
+    from undertow.identification.api import save_diagnosis
+    from undertow.identification.diagnose import diagnose as run
+    from undertow.identification.diagnosis.settings import Settings
 
-    from ._terminal import progress
-
-    read: list[str | Path] = [vehicle, *logs, *(holdout or []), *(effects or []), *([map] if map else [])]
-    check_false_alarms(false_alarms)
-    check_writable(json, report, apply, inputs=read)
-    loaded = load(
-        vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
-    )
-    known = merge(catalogue(), [cls for file in effects or [] for cls in load_effects(file)])
-    with progress("looking for what is missing") as tell:
+    settings = Settings(false_alarm_rate=false_alarms)
+    check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
+    model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
+    with progress("looking for what is missing") as bar:
         outcome = run(
-            loaded.vehicle,
-            loaded.train,
-            loaded.holdout,
-            known=known,
-            report=tell,
-            false_alarms=false_alarms,
-            trust_log=trust_log,
+            model,
+            train,
+            test,
+            known=options.known,
+            report=bar,
+            settings=settings,
+            trust_log=options.trust_log,
         )
     show(outcome)
-    write_outcome(outcome, loaded.path, json=json, report=report, apply=apply)
+    with together():
+        if json is not None:
+            write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
+        if report is not None:
+            outcome.report(report)
+        if apply is not None:
+            save_diagnosis(outcome, vehicle, apply)
+    for path in filter(None, (json, report, apply)):
+        about = f": {_content(outcome.diagnosis)}" if path == apply else ""
+        console().print(text(f"wrote {path}{about}"))
 
 
 _SHOWN = 6
 
 
-def show(outcome: Outcome, console: Console | None = None) -> None:
+def show(outcome: DiagnosisResult) -> None:
     """Print verdict, ranking, the falling error and warnings."""
-    console = console or Console()
-    diagnosis = outcome.diagnosis
+    from rich.console import Console
+    from rich.markup import escape
+
+    console, diagnosis = Console(), outcome.diagnosis
     for finding in diagnosis.doctor:
         if finding.severity == "mistake":
-            show_finding(finding, None, console)
+            show_finding(finding, None)
     console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
@@ -134,12 +123,15 @@ def show(outcome: Outcome, console: Console | None = None) -> None:
 
 
 def _ranking(diagnosis: Diagnosis) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
     from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     model = "model with other values" if diagnosis.freed else "model as it is"
     table = Table(
-        title=f"Candidates on kept-aside data (error of the {model} {before:.3g}, noise 1)",
+        title=f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)",
         title_justify="left",
         caption_justify="left",
     )
@@ -175,9 +167,11 @@ def _value(p: Estimate) -> str:
 
 
 def _steps(diagnosis: Diagnosis) -> Table:
+    from rich.table import Table
+
     horizons = list(dict.fromkeys(h for step in diagnosis.steps for h in step.ahead))
     table = Table(
-        title="Error on kept-aside data against effects added (noise floor 1); error of predicted velocities",
+        title="Error on validation data against effects added (noise floor 1); error of predicted velocities",
         title_justify="left",
     )
     table.add_column("model")
@@ -188,24 +182,6 @@ def _steps(diagnosis: Diagnosis) -> Table:
         ahead = [f"{step.ahead[h]:.1%}" if h in step.ahead else "diverges" for h in horizons]
         table.add_row(" + ".join(["model", *step.changes]), f"{step.error:.3g}", simulated, *ahead)
     return table
-
-
-def write_outcome(
-    outcome: Diagnosed, template: Path, *, json: Path | None, report: Path | None, apply: Path | None
-) -> None:
-    """Write what was asked for, each file whole, and say where it is."""
-    from undertow.files import together, write_whole
-
-    with together():
-        if json is not None:
-            write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
-        if report is not None:
-            outcome.report(report)
-        if apply is not None:
-            write_vehicle(outcome, template, apply, "undertow diagnose")
-    for written in filter(None, (json, report, apply)):
-        about = f": {_content(outcome.diagnosis)}" if written == apply else ""
-        Console().print(f"wrote {escape(str(written))}{about}", highlight=False)
 
 
 def _content(diagnosis: Diagnosis) -> str:
@@ -220,21 +196,3 @@ def _content(diagnosis: Diagnosis) -> str:
         if chosen and others:
             said += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
     return said
-
-
-def write_vehicle(outcome: Outcome, template: Path, out: Path, command: str) -> None:
-    """Write the vehicle file with what was found, and how it came about."""
-    from undertow.model.saving import save_vehicle
-
-    d = outcome.diagnosis
-    free = outcome.fit.model.free
-    history = {
-        "command": command,
-        "date": date.today().isoformat(),
-        "added": d.effects,
-        "logs": [{"name": r.name, "sha256": r.sha256, "role": r.role} for r in d.runs],
-        "error_before": d.steps[0].error,
-        "error_after": d.last_step.error,
-        "covariance": {"parameters": list(free), "matrix": outcome.fit.covariance.tolist()},
-    }
-    save_vehicle(outcome.after, template, out, history=history)

@@ -5,9 +5,9 @@ against the commands. Where they disagree, the usual mistakes are undone one aft
 radians, mm/s, knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis,
 velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or
 a thousand times too large, the dry mass. Where pose and velocity are wrong alike, or one of them is missing,
-the force that the motion needs and the size of the vehicle tell. A mistake is told only where undoing it
-explains the log; with it comes the line for the mapping file that mends it. What could not be looked at, for
-want of velocities or of a pose, is noted.
+the force that the motion needs and the size of the vehicle decide. A mistake is reported only where undoing
+it explains the log, with the line for the mapping file that corrects it. What could not be examined, for lack
+of velocities or of a pose, is listed.
 
     undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml
 
@@ -31,65 +31,55 @@ The exit code is 0 when no mistake was found, 1 when there are mistakes.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from undertow.cli._vehicle_and_logs import (
-    EffectsOption,
-    FillOption,
-    FromOption,
-    LogsArgument,
-    MapOption,
-    ToOption,
-    VehicleArgument,
-)
-
-from ._terminal import console, section, table, text
+from ._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled
+from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.doctor.examine import Examined
     from undertow.identification.doctor.findings import DofExcitation, Examination, Finding
-    from undertow.model.vehicle import Vehicle
 
-
-_JSON = typer.Option("--json", metavar="OUT", help="Write the whole result as JSON.")
 _PLOT = typer.Option(
     "--plot", metavar="OUT.png", help="Draw pose rates against velocities, as given and mended."
 )
 _MEND = typer.Option("--mend", metavar="OUT.toml", help="Write the mapping file with the mistakes mended.")
 
 
+@bundled
 def doctor(
     vehicle: VehicleArgument,
     logs: LogsArgument,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    since: FromOption = None,
-    until: ToOption = None,
-    fill: FillOption = None,
-    json: Annotated[Path | None, _JSON] = None,
+    options: ReadOptions,
+    json: JsonFileOption = None,
     plot: Annotated[Path | None, _PLOT] = None,
     mend: Annotated[Path | None, _MEND] = None,
 ) -> int:
-    from undertow.cli._vehicle_and_logs import load
-    from undertow.files import check_writable
+    from undertow.files import check_writable, write_whole
     from undertow.identification.doctor.examine import examine
-    from undertow.identification.logs.mapping import LogMapping, read_mapping
 
-    from ._terminal import progress
+    check_writable(json, plot, mend, inputs=[vehicle, *logs, *options.files])
+    mapping = options.mapping
+    model, runs, _ = options.load(vehicle, logs, in_any_order=True)
+    with progress("examining") as report:
+        examined = examine(model, runs, mapping=mapping, report=report)
+    result = examined.result
+    show(result, options.map)
 
-    read: list[str | Path] = [vehicle, *logs, *(effects or []), *([map] if map else [])]
-    check_writable(json, plot, mend, inputs=read)
-    mapping = LogMapping() if map is None else read_mapping(map)
-    loaded = load(
-        vehicle, logs, map=map, effects=effects, window=(since, until), fill=fill, in_any_order=True
+    def draw(path: Path) -> None:
+        from undertow.figures import save_png
+        from undertow.identification.report.pictures import rates_picture
+
+        save_png(rates_picture(examined, model), path)
+
+    write_files(
+        (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),
+        (mend, lambda path: write_whole(path, mended_mapping(examined, options.map))),
+        (plot, draw),
     )
-    with progress("examining") as tell:
-        examined = examine(loaded.vehicle, loaded.train, mapping=mapping, report=tell)
-    show(examined.result, map)
-    write(examined, loaded.vehicle, map, json=json, plot=plot, mend=mend)
-    return 1 if examined.result.mistakes else 0
+    return 1 if result.mistakes else 0
 
 
 _STYLES = {"mistake": "bold red", "warning": "yellow", "note": "dim"}
@@ -97,30 +87,29 @@ _INDENT = "    "
 
 
 def show(result: Examination, map: Path | None) -> None:
-    """Print findings, the most serious first, then excitation, then what it comes to."""
+    """Print findings, the most serious first, then excitation, then the conclusion."""
     for finding in result.findings:
         show_finding(finding, map)
     section("Excitation", table(_HEAD, [_row(e) for e in result.excitation]))
     console().print()
-    console().print(text(verdict(result), "bold"), soft_wrap=True)
+    say(verdict(result), "bold")
 
 
-def show_finding(finding: Finding, map: Path | None, out: Any = None) -> None:
+def show_finding(finding: Finding, map: Path | None) -> None:
     """Print one finding with what mends it; `map` is the mapping file in use."""
-    out = out or console()
     line = text(f"{finding.severity}: ", _STYLES[finding.severity])
     line.append(finding.text)
-    out.print(line, soft_wrap=True)
+    console().print(line, soft_wrap=True)
     if finding.mapping:
         where = f"in {map}" if map else "in a mapping file (--map; undertow doctor --mend writes it)"
-        out.print(text(f"{_INDENT}{where}:", "green"), soft_wrap=True)
+        say(f"{_INDENT}{where}:", "green")
         for row in finding.mapping.splitlines():
-            out.print(text(f"{2 * _INDENT}{row}"), soft_wrap=True)
+            say(f"{2 * _INDENT}{row}")
     if finding.vehicle:
         either = "or in" if finding.mapping else "in"
-        out.print(text(f"{_INDENT}{either} the vehicle file: {finding.vehicle}", "green"), soft_wrap=True)
+        say(f"{_INDENT}{either} the vehicle file: {finding.vehicle}", "green")
     for other in finding.alternatives:
-        out.print(text(f"{_INDENT}not excluded: {other}"), soft_wrap=True)
+        say(f"{_INDENT}not excluded: {other}")
 
 
 def verdict(result: Examination) -> str:
@@ -140,39 +129,7 @@ _HEAD = ("motion", "rms", "noise", "moving", "one way", "reversals", "command ra
 def _row(e: DofExcitation) -> tuple[str, ...]:
     span = "" if e.command_range is None else f"{e.command_range:.0%}"
     numbers = (f"{e.rms:.3g} {e.unit}", f"{e.noise:.2g}", f"{e.moving:.0%}", f"{e.positive:.0%}")
-    return (
-        f"{e.degree_of_freedom} ({e.velocity})",
-        *numbers,
-        str(e.reversals),
-        span,
-    )
-
-
-# --- files ------------------------------------------------------------------------------------
-def write(
-    examined: Examined,
-    vehicle: Vehicle,
-    map: Path | None,
-    *,
-    json: Path | None,
-    plot: Path | None,
-    mend: Path | None,
-) -> None:
-    """Write what was asked for, each file whole, and say where it is."""
-    from undertow.files import together, write_whole
-
-    texts: dict[Path, Any] = {}
-    if json is not None:
-        texts[json] = examined.result.model_dump_json(indent=1) + "\n"
-    if mend is not None:
-        texts[mend] = mended_mapping(examined, map)
-    with together():
-        for path, content in texts.items():
-            write_whole(path, content)
-        if plot is not None:
-            _draw(examined, vehicle, plot)
-    for written in filter(None, (json, mend, plot)):
-        console().print(text(f"wrote {written}"))
+    return f"{e.degree_of_freedom} ({e.velocity})", *numbers, str(e.reversals), span
 
 
 def mended_mapping(examined: Examined, map: Path | None) -> str:
@@ -183,10 +140,3 @@ def mended_mapping(examined: Examined, map: Path | None) -> str:
     if map is None:
         return as_toml(examined.edits, whole=True) + "\n"
     return into_file(read_text(map, "mapping file"), examined.edits)
-
-
-def _draw(examined: Examined, vehicle: Vehicle, path: Path) -> None:
-    from undertow.identification.doctor.examine import rates_picture
-    from undertow.identification.figures import save_png
-
-    save_png(rates_picture(examined, vehicle), path)

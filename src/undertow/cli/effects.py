@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption
-
-from ._terminal import console, print_json, section, table, text
+from ._options import EffectsOption, JsonOption, NewForceOption, known_effects, new_file
+from ._terminal import console, print_json, say, section, table, text
 
 if TYPE_CHECKING:
     from undertow.model.contract import ContractCheck
@@ -33,18 +32,14 @@ _FILE = typer.Argument(metavar="FILE", help="Python file with effects of your ow
 _NEW_ID = typer.Argument(metavar="ID", help="Id of the new effect, such as turning_drag.")
 _FROM = typer.Option("--from", metavar="DIAGNOSIS.json", help="What 'undertow diagnose --json' wrote.")
 _OUT = typer.Option("--out", metavar="FILE", help="Where to write it.", show_default="ID.py")
-_FORCE = typer.Option("--force", help="Replace the file if it exists.")
-_JSON = typer.Option("--json", help="Print JSON instead of text.")
 _FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "measurement", "memory")
 
 
 @app.callback(invoke_without_command=True)
-def effects(
-    context: typer.Context, json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
-) -> None:
+def effects(context: typer.Context, json: JsonOption = False, effects: EffectsOption = None) -> None:
     if context.invoked_subcommand is not None:
         return
-    known = _known(effects)
+    known = known_effects(effects)
     if json:
         print_json([_summary(cls) for cls in known.values()])
     else:
@@ -52,14 +47,12 @@ def effects(
 
 
 @app.command()
-def show(
-    id: Annotated[str, _ID], json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
-) -> None:
+def show(id: Annotated[str, _ID], json: JsonOption = False, effects: EffectsOption = None) -> None:
     """Show meaning, equations, parameters and reference of an effect, and what in a log gives it away."""
     from undertow.model.catalogue import lookup
     from undertow.model.describe import describe
 
-    known = _known(effects)
+    known = known_effects(effects)
     description = describe(lookup(id, known), known)
     if json:
         print_json(description.as_dict())
@@ -93,7 +86,7 @@ def new(
     id: Annotated[str, _NEW_ID],
     diagnosis: Annotated[Path | None, _FROM] = None,
     out: Annotated[Path | None, _OUT] = None,
-    force: Annotated[bool, _FORCE] = False,
+    force: NewForceOption = False,
 ) -> None:
     """Write a file with an effect of your own, to be edited: from a diagnosis, or with one example term.
 
@@ -102,7 +95,7 @@ def new(
     catalogue. What makes the force, and a reference, are for you to say.
     """
     from undertow.errors import UndertowError
-    from undertow.files import check_writable, write_whole
+    from undertow.files import write_whole
     from undertow.identification.report.scaffold import (
         check_id,
         effect_file,
@@ -113,26 +106,17 @@ def new(
 
     check_id(id)
     target = out or Path(f"{id}.py")
-    check_writable(target, inputs=[diagnosis] if diagnosis else [])
-    replaced = target.exists()
     if target.suffix != ".py":
         raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
-    if replaced and not force:
-        raise UndertowError(f"'{target}' exists already: name another file with --out, or give --force")
+    replaced = target.exists()
+    new_file(target, force, [diagnosis] if diagnosis else [])
     found = suggested(read_diagnosis(diagnosis), diagnosis.name) if diagnosis else example()
     write_whole(target, effect_file(id, target.name, found))
-    out_ = console()
-    out_.print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
+    console().print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
     for term in found.terms:
-        out_.print(text(f"  {term.name}: {term.about}"))
+        console().print(text(f"  {term.name}: {term.about}"))
     for line in found.left_out:
-        out_.print(text(f"left out: {line}"))
-
-
-def _known(files: list[Path] | None) -> Mapping[str, type[Effect]]:
-    from undertow.model.catalogue import catalogue, load_effects, merge
-
-    return merge(catalogue(), [cls for file in files or [] for cls in load_effects(file)])
+        console().print(text(f"left out: {line}"))
 
 
 # --- the list -----------------------------------------------------------------------------------
@@ -172,7 +156,7 @@ def _print_description(d: Description) -> None:
     section("where", table(("",) * 2, d.legend.items()) if d.legend else None)
     section("LaTeX")
     for equation in d.equations:
-        out.print(text(f"  {equation.latex}"), soft_wrap=True)
+        say(f"  {equation.latex}")
     _print_parameters(d)
     section("In a log", text(f"  {d.signature}"))
     section("Reference", text(f"  {d.reference}"))

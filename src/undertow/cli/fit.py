@@ -1,4 +1,4 @@
-"""Refit the parameters that a vehicle file marks as estimated, and judge the result on data kept aside.
+"""Refit the parameters that a vehicle file marks as estimated, and judge the result on validation data.
 
 By the weak form (quick, needs no simulation; integral is its simplest kind), by output error: simulation of
 many windows with the start of each estimated, too (the final word), or by prediction error where something
@@ -20,38 +20,32 @@ as wide, hold what logs leave open.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
-Without --holdout, stretches of the logs are kept aside. Without --out and --in-place nothing is written.
+Without --holdout, stretches of the logs are used for validation. Without --out and --in-place nothing is
+written.
 """
 
 from __future__ import annotations
 
-from datetime import date
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import typer
 
-from undertow.cli._vehicle_and_logs import (
-    EffectsOption,
-    FillOption,
-    FromOption,
+from ._options import (
     HoldoutOption,
     InPlaceOption,
+    LogOptions,
     LogsArgument,
-    MapOption,
     OutOption,
-    ToOption,
-    TrustOption,
     VehicleArgument,
+    bundled,
+    target_of,
 )
-from undertow.identification.api import Estimator, Refit
-from undertow.identification.estimation.fitted import Fitted, base_parameters, correlation, remarks, verdicts
-from undertow.identification.estimation.prediction_error import PredictionErrorFit
-from undertow.identification.estimation.step import follower_errors, followers, written
-from undertow.model.parameter import printed
+from ._terminal import console, progress, say, section, table, text
 
-from ._terminal import console, section, table, text
+if TYPE_CHECKING:
+    from undertow.identification.api import Refit
+    from undertow.identification.estimation.fitted import Fitted
 
 _METHOD = typer.Option("--method", help="Weak form, or simulation without or with a disturbance.")
 _LOSS = typer.Option("--loss", help="How much an error counts: squares, or less for outliers.")
@@ -65,9 +59,11 @@ _CORRELATION = typer.Option("--correlation", help="Print how the errors of the p
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
 
 
+@bundled
 def fit(
     vehicle: VehicleArgument,
     logs: LogsArgument,
+    options: LogOptions,
     holdout: HoldoutOption = None,
     method: Annotated[
         Literal["weak", "integral", "instrumental", "output-error", "prediction-error"], _METHOD
@@ -79,38 +75,26 @@ def fit(
     correlation: Annotated[bool, _CORRELATION] = False,
     out: OutOption = None,
     in_place: InPlaceOption = False,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    since: FromOption = None,
-    until: ToOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
 ) -> None:
-    from undertow.cli._vehicle_and_logs import load
     from undertow.files import check_writable
     from undertow.identification.api import fit as refit
 
-    from ._terminal import progress
-    from .add import target_of
-
     target = target_of(vehicle, out, in_place)
-    read: list[str | Path] = [*logs, *(holdout or []), *(effects or []), *([map] if map else [])]
+    read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, inputs=[*read, *([] if in_place else [vehicle])])
-    loaded = load(
-        vehicle, logs, holdout, map=map, effects=effects, window=(since, until), fill=fill, to_fit=True
-    )
-    with progress("fitting") as tell:
+    model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
+    with progress("fitting") as report:
         done = refit(
-            loaded.vehicle,
-            loaded.train,
-            loaded.holdout,
+            model,
+            train,
+            test,
             method=method,
             horizon=horizon,
             loss=loss,
             equal=equal or [],
             dissipative=dissipative,
-            report=tell,
-            trust_log=trust_log,
+            report=report,
+            trust_log=options.trust_log,
         )
     show(done)
     if correlation:
@@ -118,29 +102,35 @@ def fit(
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
     else:
-        write(done, loaded.path, target)
+        done.save(vehicle, target)
+        console().print(text(f"wrote {target}"))
 
 
 def show(done: Refit) -> None:
     """Print parameters, how far they can be trusted, and the error before and after."""
-    out = console()
+    from undertow.identification.estimation.fitted import remarks
+
     section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
-    out.print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
-    for line in [*_tied(done), *done.fit.active, *_disturbed(done.fit)]:
-        out.print(text(f"  {line}"), soft_wrap=True)
+    console().print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
+    for line in [*_tied(done), *done.fit.active, *_process_noise(done.fit)]:
+        say(f"  {line}")
     for line in _combined(done.fit):
-        out.print(text(f"  {line}", "yellow"), soft_wrap=True)
+        say(f"  {line}", "yellow")
     for name, said in remarks(done.fit, done.stated).items():
         if said:
-            out.print(text(f"  {name}: {'; '.join(said)}", "yellow"), soft_wrap=True)
+            say(f"  {name}: {'; '.join(said)}", "yellow")
     horizon = done.before.windows.horizon
-    section(f"Velocity error {horizon:.3g} s ahead on kept-aside data, % of the motion", _errors(done))
+    section(f"Velocity error {horizon:.3g} s ahead on validation data, % of the motion", _errors(done))
     if not done.errors[1] <= done.errors[0]:
-        out.print(text("the refitted model predicts kept-aside data worse than the model as given", "yellow"))
+        console().print(
+            text("the refitted model predicts validation data worse than the model as given", "yellow")
+        )
 
 
 def show_correlation(fit: Fitted) -> None:
     """Print the correlation matrix of the errors of the estimates."""
+    from undertow.identification.estimation.fitted import correlation
+
     names = fit.model.free
     rows = [(n, *(f"{c:.2f}" for c in row)) for n, row in zip(names, correlation(fit), strict=True)]
     section("Correlation of the errors", table(("", *names), rows))
@@ -177,6 +167,9 @@ def _parameters(done: Refit) -> object:
 
 def _tied(done: Refit) -> list[str]:
     """Parameters that were asked to be a multiple of another one."""
+    from undertow.identification.estimation.step import follower_errors, followers
+    from undertow.model.parameter import printed
+
     fit, vehicle = done.fit, done.stated
     values, errors = followers(fit.model, fit.values), follower_errors(fit.model, fit.standard_errors)
     lines = []
@@ -188,20 +181,26 @@ def _tied(done: Refit) -> list[str]:
     return lines
 
 
-def _disturbed(fit: Fitted) -> list[str]:
+def _process_noise(fit: Fitted) -> list[str]:
     """What prediction error found to push the vehicle beside its model."""
+    import numpy as np
+
+    from undertow.identification.estimation.prediction_error import PredictionErrorFit
+
     if not isinstance(fit, PredictionErrorFit):
         return []
-    told = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
+    quick = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
     slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.wander.items())
     return [
-        f"a disturbance changes velocities by {told} in a second (SI); its slow part wanders by {slow} in "
+        f"a disturbance changes velocities by {quick} in a second (SI); its slow part wanders by {slow} in "
         "acceleration"
     ]
 
 
 def _combined(fit: Fitted) -> list[str]:
     """What is known only in sums, and which run would tell more."""
+    from undertow.identification.estimation.fitted import base_parameters, verdicts
+
     sums = base_parameters(fit.gram, fit.model.free)
     lines = [f"only these sums can be identified: {', '.join(map(str, sums))}"] if sums else []
     lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
@@ -221,39 +220,3 @@ def _errors(done: Refit) -> object:
 
 def _percent(share: float) -> str:
     return "diverged" if share == float("inf") else f"{100 * share:.3g}"
-
-
-def history(done: Refit) -> dict[str, object]:
-    """How the values came about, for the vehicle file."""
-    roles = [("train", r) for r in done.train] + [("holdout", r) for r in done.test]
-    before, after = done.errors
-    return {
-        "command": " ".join(["undertow fit", *_options(done)]),
-        "date": date.today().isoformat(),
-        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in roles],
-        "error_before": before,
-        "error_after": after,
-        "covariance": {"parameters": list(done.fit.model.free), "matrix": done.fit.covariance.tolist()},
-    }
-
-
-def _options(done: Refit) -> list[str]:
-    e = done.estimator
-    tied = [f'--equal "{text}"' for text in written(e.constraints.equal, done.stated)]
-    loss = [] if e.loss == "gaussian" else [f"--loss {e.loss}"]
-    ahead = [] if e.horizon in (None, Estimator.horizon) else [f"--horizon {e.horizon:.9g}"]
-    return [
-        f"--method {e.method}",
-        *loss,
-        *ahead,
-        *tied,
-        *(["--dissipative"] if e.constraints.dissipative else []),
-    ]
-
-
-def write(done: Refit, template: Path, target: Path) -> None:
-    """Write the vehicle file with the fitted values."""
-    from undertow.model.saving import save_vehicle
-
-    save_vehicle(done.fit.vehicle, template, target, history=history(done))
-    console().print(text(f"wrote {target}"))

@@ -8,28 +8,25 @@ pip install "undertow[fleet]".
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption, FillOption, MapOption, TrustOption
 from undertow.errors import UndertowError
-from undertow.files import check_writable, together, write_whole
-from undertow.fleet.diagnose import PLACE, Store
-from undertow.fleet.diagnose import diagnose as diagnose_fleet
-from undertow.fleet.engine import Engine
-from undertow.fleet.reduction import DAILY, Job
-from undertow.fleet.rollouts import Band, RolloutJob
-from undertow.fleet.rollouts import rollouts as roll_out
-from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
 
-from ._terminal import console, progress, section, table, text
-from ._vehicle_and_logs import Fill
+from ._options import EffectsOption, FillOption, LogsArgument, MapOption, TrustOption, bundled
+from ._terminal import console, progress, say, section, table, text
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from undertow.fleet.engine import Engine
+    from undertow.fleet.rollouts import Band
+    from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
+    from undertow.identification.logs.mapping import LogMapping
 
 app = typer.Typer(add_completion=False)
 
@@ -39,9 +36,12 @@ _SCHEDULER = typer.Option(
     help="Dask scheduler such as tcp://10.0.0.1:8786; it must see the same paths.",
 )
 _WORKERS = typer.Option(
-    "--workers", metavar="N", min=0, help="Processes on this machine; 0: in this process, without Dask.",
+    "--workers",
+    metavar="N",
+    min=0,
+    help="Processes on this machine; 0: in this process, without Dask.",
     show_default="one for each processor",
-)  # fmt: skip
+)
 _PATIENCE = typer.Option(
     "--patience", metavar="SECONDS", min=1.0, help="Give up what is left when no worker answers for so long."
 )
@@ -51,10 +51,6 @@ _LISTEN = typer.Option(
     help="Address of this machine that its cluster listens on; whoever reaches it can run code here.",
     show_default="127.0.0.1, for this machine alone",
 )
-SchedulerOption = Annotated[str | None, _SCHEDULER]
-WorkersOption = Annotated[int | None, _WORKERS]
-PatienceOption = Annotated[float, _PATIENCE]
-ListenOption = Annotated[str | None, _LISTEN]
 _FLEET_VEHICLE = typer.Argument(
     metavar="VEHICLE", help="Vehicle file or bundled vehicle; {vehicle} in a path stands for each name."
 )
@@ -71,26 +67,52 @@ _PASSES = typer.Option(
 )
 
 
+@dataclass(frozen=True)
+class FleetOptions:
+    """Where the work is done, and how the logs are read."""
+
+    scheduler: Annotated[str | None, _SCHEDULER] = None
+    workers: Annotated[int | None, _WORKERS] = None
+    patience: Annotated[float, _PATIENCE] = 900.0
+    listen: Annotated[str | None, _LISTEN] = None
+    map: MapOption = None
+    effects: EffectsOption = None
+    fill: FillOption = None
+    trust_log: TrustOption = False
+
+    def engine(self) -> AbstractContextManager[Engine]:
+        """What does the work."""
+        from undertow.fleet.engine import engine
+
+        return engine(self.scheduler, self.workers, self.patience, self.listen)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Files with effects as workers see them."""
+        return tuple(str(f.absolute()) for f in self.effects or ())
+
+    @property
+    def mapping(self) -> LogMapping:
+        """What the columns of the logs mean."""
+        from undertow.identification.logs.mapping import LogMapping, read_mapping
+
+        return LogMapping() if self.map is None else read_mapping(self.map)
+
+
 @app.callback()
 def _fleet() -> None:
     pass
 
 
 @app.command()
+@bundled
 def diagnose(
     vehicle: Annotated[str, _FLEET_VEHICLE],
     logs: Annotated[list[str], _PATTERNS],
+    options: FleetOptions,
     out: Annotated[Path, _OUT] = Path("fleet-results"),
-    scheduler: SchedulerOption = None,
-    workers: WorkersOption = None,
     daily: Annotated[list[str] | None, _DAILY] = None,
     passes: Annotated[int, _PASSES] = 1,
-    patience: PatienceOption = 900.0,
-    listen: ListenOption = None,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
 ) -> int:
     """A table for each vehicle and month: parameters, and which effect grew (fouling, thruster wear).
 
@@ -109,18 +131,65 @@ def diagnose(
 
     Exit code 0: all files count; 1: some could not be used, and are named; 2: a mistake in the input.
     """
-    from undertow.fleet.engine import engine
+    import json
 
-    with engine(scheduler, workers, patience, listen) as doing:
-        return diagnosed(doing, vehicle, logs, out, daily, passes, map, effects, fill, trust_log)
+    from undertow.files import together, write_whole
+    from undertow.fleet.diagnose import Store
+    from undertow.fleet.diagnose import diagnose as diagnose_fleet
+    from undertow.fleet.reduction import DAILY, Job
+    from undertow.model.loading import load_vehicle
+
+    with options.engine() as engine:
+        seen = _seen(vehicle)
+        if seen is not None:
+            load_vehicle(vehicle, effect_files=[Path(f) for f in options.files])  # before any log is opened
+        job = Job(
+            seen or str(Path(vehicle).absolute()),
+            options.files,
+            _readable_in_parts(options).model_dump_json(),
+            daily=DAILY if daily is None else tuple(daily),
+            fill=options.fill,
+            trust_log=options.trust_log,
+        )
+        store = Store(out)
+        with progress("looking at files") as report:
+            found = diagnose_fleet(logs, job, engine, store, report, passes=passes)
+        show(found)
+        with together():
+            write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
+            write_whole(out / "report.md", page(found))
+        console().print(text(f"wrote {out / 'report.md'} and report.json"))
+        return 0 if found.whole else 1
+
+
+def _seen(vehicle: str) -> str | None:
+    """A vehicle as workers see it; None where each vehicle has a file of its own."""
+    from undertow.fleet.diagnose import PLACE
+
+    if PLACE in vehicle:
+        return None
+    return str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
+
+
+def _readable_in_parts(options: FleetOptions) -> LogMapping:
+    """The mapping, if logs can be read in parts with it."""
+    mapping = options.mapping
+    if mapping.time.unit == "iso" or mapping.time.every > 1 or any(c.fresh for c in mapping.columns.values()):
+        raise UndertowError(
+            f"mapping {options.map}: dates in words, `every` and `fresh` need whole logs, which a fleet does "
+            "not read: give the time as a number, and leave out the others"
+        )
+    return mapping
 
 
 @app.command()
+@bundled
 def rollouts(
     vehicle: Annotated[
         str, typer.Argument(metavar="VEHICLE_FIT", help="Vehicle file that a fit has written.")
     ],
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG", help="Logs: CSV, CSV.gz or Parquet.")],
+    logs: LogsArgument,
+    options: FleetOptions,
     count: Annotated[
         int, typer.Option("--count", metavar="N", min=10, help="Rollouts of each window.")
     ] = 500,
@@ -134,14 +203,6 @@ def rollouts(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.parquet", help="Write the bands of all channels.")
     ] = None,
-    scheduler: SchedulerOption = None,
-    workers: WorkersOption = None,
-    patience: PatienceOption = 900.0,
-    listen: ListenOption = None,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
 ) -> int:
     """Simulate logs many times with parameters drawn from what a fit left open, and hold them to the bands.
 
@@ -157,69 +218,71 @@ def rollouts(
     Exit code 0: all rollouts count; 1: some diverged or some logs could not be used, and are named; 2: a
     mistake in the input.
     """
-    from undertow.fleet.engine import engine
+    from undertow.files import check_writable, write_whole
+    from undertow.fleet.rollouts import RolloutJob, to_parquet
+    from undertow.fleet.rollouts import rollouts as roll_out
 
-    with engine(scheduler, workers, patience, listen) as doing:
-        return rolled(
-            doing, vehicle, logs, count, horizon, coverage, seed, out, map, effects, fill, trust_log
+    with options.engine() as engine:
+        check_writable(out, inputs=[*logs, vehicle, *options.files])
+        missing = next((log for log in logs if not log.is_file()), None)
+        if missing is not None:
+            raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
+        seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
+        mapping = options.mapping.model_dump_json()
+        job = RolloutJob(
+            seen, options.files, mapping, options.fill, horizon, coverage, seed, options.trust_log
         )
+        with progress("rolling out") as report:
+            paths = [str(p.absolute()) for p in logs]
+            bands, failed, source = roll_out(job, paths, count, engine, report)
+        diverged = _show_bands(bands, count, horizon, coverage, source)
+        for place, words in failed.items():
+            say(f"left out: {words if place.partition(',')[0] in words else f'{place}: {words}'}", "yellow")
+        if out is not None:
+            write_whole(out, to_parquet(bands))
+            console().print(text(f"wrote {out}"))
+        return 1 if failed or diverged else 0
 
 
-_INCOMPLETE = 1
+def _show_bands(bands: Sequence[Band], count: int, horizon: float, coverage: float, source: str) -> int:
+    """Print how the logs lie in the bands; how many rollouts diverged."""
+    from undertow.fleet.rollouts import shares_within
+
+    heads = ("channel", "within the band, %", "half width at the end", "half width in noise")
+    title = f"{count} rollouts of {len(bands)} windows of {horizon:g} s; {source}"
+    section(title, table(heads, _band_rows(bands)))
+    diverged = sum(b.diverged for b in bands)
+    if diverged:
+        of = count * len(bands)
+        say(
+            f"  {diverged} of {of} rollouts diverged and are left out: the bands are too narrow without them",
+            "yellow",
+        )
+    low = [name for name, share in shares_within(bands).items() if share < 1 - 3 * (1 - coverage)]
+    if low:
+        say(
+            f"  {', '.join(low)}: the logs leave the band of {coverage:.0%} more than three times as "
+            "often as they should: the model lacks more than its parameters say (undertow diagnose)",
+            "yellow",
+        )
+    return diverged
+
+
+def _band_rows(bands: Sequence[Band]) -> Iterator[tuple[str, ...]]:
+    import numpy as np
+
+    from undertow.fleet.rollouts import shares_within
+
+    for name, share in shares_within(bands).items():
+        i = bands[0].names.index(name)
+        end = float(np.mean([b.high[-1, i] - b.low[-1, i] for b in bands])) / 2
+        first = float(np.mean([b.high[0, i] - b.low[0, i] for b in bands])) / 2
+        yield name, f"{100 * share:.3g}", f"{end:.3g}", f"{end / max(first, 1e-300):.3g}"
+
+
 _SHOWN = 20
 # Months that a terminal has room for; report.md has all.
 _MONTHS = 4
-
-
-def diagnosed(
-    engine: Engine,
-    vehicle: str,
-    logs: Sequence[str],
-    out: Path,
-    daily: Sequence[str] | None,
-    passes: int,
-    map: Path | None,
-    effects: Sequence[Path] | None,
-    fill: Fill | None,
-    trust_log: bool,
-) -> int:
-    """Diagnose a fleet, print and write the report; 1 where files are missing in it."""
-    job = _job(vehicle, daily, map, effects, fill, trust_log)
-    store = Store(out)
-    with progress("looking at files") as tell:
-        found = diagnose_fleet(logs, job, engine, store, tell, passes=passes)
-    show(found)
-    with together():
-        write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
-        write_whole(out / "report.md", page(found))
-    console().print(text(f"wrote {out / 'report.md'} and report.json"))
-    return 0 if found.whole else _INCOMPLETE
-
-
-def _job(
-    vehicle: str,
-    daily: Sequence[str] | None,
-    map: Path | None,
-    effects: Sequence[Path] | None,
-    fill: Fill | None,
-    trust_log: bool,
-) -> Job:
-    from undertow.identification.logs.mapping import LogMapping, read_mapping
-    from undertow.model.loading import load_vehicle
-
-    files = tuple(str(f.absolute()) for f in effects or ())
-    if PLACE not in vehicle:
-        load_vehicle(vehicle, effect_files=[Path(f) for f in files])  # before any log is opened
-    path = Path(vehicle)
-    seen = str(path.absolute()) if PLACE in vehicle or path.is_file() else vehicle
-    mapping = LogMapping() if map is None else read_mapping(map)
-    if mapping.time.unit == "iso" or mapping.time.every > 1 or any(c.fresh for c in mapping.columns.values()):
-        raise UndertowError(
-            f"mapping {map}: dates in words, `every` and `fresh` need whole logs, which a fleet does not "
-            "read: give the time as a number, and leave out the others"
-        )
-    chosen = DAILY if daily is None else tuple(daily)
-    return Job(seen, files, mapping.model_dump_json(), daily=chosen, fill=fill, trust_log=trust_log)
 
 
 def show(found: FleetReport) -> None:
@@ -229,18 +292,16 @@ def show(found: FleetReport) -> None:
         section(of.vehicle, table(("parameter", *_heads(of)), _estimates(of)))
         out.print(table(("month", "days", "hours", "misfit", "", "against the first month"), _rows(of)))
         for line in _lines(of):
-            out.print(text(f"  {line}"), soft_wrap=True)
+            say(f"  {line}")
     out.print()
     worked = f"{found.worked} worked out now, {found.done - found.worked} known before"
     out.print(text(f"{found.done} of {found.found} files count ({worked})"))
     for path, words in [*found.failed.items()][:_SHOWN]:
-        out.print(
-            text(f"left out: {words if path in words else f'{path}: {words}'}", "yellow"), soft_wrap=True
-        )
+        say(f"left out: {_failed(path, words)}", "yellow")
     if len(found.failed) > _SHOWN:
         out.print(text(f"and {len(found.failed) - _SHOWN} more, all in report.json", "yellow"))
     for path, other in found.twins.items():
-        out.print(text(f"left out: {path} has the content of {other}", "yellow"), soft_wrap=True)
+        say(f"left out: {path} has the content of {other}", "yellow")
 
 
 def _failed(path: str, words: str) -> str:
@@ -278,8 +339,8 @@ def _lines(of: VehicleReport) -> Iterator[str]:
     yield from of.remarks
     likely = [s for s in of.scores if s.p_value < 0.01]
     if likely:
-        told = ", ".join(f"{s.effect} ({s.share:.0%} of what is left)" for s in likely)
-        yield f"the model may lack {told}: undertow diagnose on some days tells"
+        names = ", ".join(f"{s.effect} ({s.share:.0%} of what is left)" for s in likely)
+        yield f"the model may lack {names}: run undertow diagnose on some days"
 
 
 def page(found: FleetReport) -> str:
@@ -295,11 +356,12 @@ def page(found: FleetReport) -> str:
 
 
 _HOW = """\
-A change is told where it stands out of the scatter from day to day (jackknife over days, Student's t, Holm's
-rule over all vehicles, months and effects: 1 % for a single false one in this report), and is named where no
-other cause that was tried explains all of it. Values are one linear step from those of the vehicle file, with
-thrust as the file states it: where a thruster wears, drag and added mass of a month make up for it. ± is one
-standard error by the scatter of the days, or by the noise where that is more; days count as independent.
+A change is reported where it stands out of the scatter from day to day (jackknife over days, Student's t,
+Holm's rule over all vehicles, months and effects: 1 % for a single false one in this report), and is named
+where no other cause that was tried explains all of it. Values are one linear step from those of the vehicle
+file, with thrust as the file states it: where a thruster wears, drag and added mass of a month make up for
+it. ± is one standard error by the scatter of the days, or by the noise where that is more; days count as
+independent.
 """
 
 
@@ -344,107 +406,3 @@ def _cell(parameter: Parameter) -> str:
 def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines: list[Any] = [heads, ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-
-
-_ROLLOUTS_INCOMPLETE = 1
-
-
-def rolled(
-    engine: Engine,
-    vehicle: str,
-    logs: Sequence[Path],
-    count: int,
-    horizon: float,
-    coverage: float,
-    seed: int,
-    out: Path | None,
-    map: Path | None,
-    effects: Sequence[Path] | None,
-    fill: Fill | None,
-    trust_log: bool,
-) -> int:
-    """Roll out, print how the logs lie in the bands, write the bands; 1 where something is missing."""
-    from undertow.identification.logs.mapping import LogMapping, read_mapping
-
-    files = tuple(str(f.absolute()) for f in effects or ())
-    check_writable(out, inputs=[*logs, vehicle, *files])
-    missing = next((log for log in logs if not log.is_file()), None)
-    if missing is not None:
-        raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
-    seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
-    mapping = (LogMapping() if map is None else read_mapping(map)).model_dump_json()
-    job = RolloutJob(seen, files, mapping, fill, horizon, coverage, seed, trust_log)
-    with progress("rolling out") as tell:
-        bands, failed, source = roll_out(job, [str(p.absolute()) for p in logs], count, engine, tell)
-    heads = ("channel", "within the band, %", "half width at the end", "half width in noise")
-    section(
-        f"{count} rollouts of {len(bands)} windows of {horizon:g} s; {source}",
-        table(heads, _band_rows(bands)),
-    )
-    diverged = sum(b.diverged for b in bands)
-    if diverged:
-        of = count * len(bands)
-        told = (
-            f"  {diverged} of {of} rollouts diverged and are left out: the bands are too narrow without them"
-        )
-        console().print(text(told, "yellow"), soft_wrap=True)
-    _warn(bands, coverage)
-    for place, words in failed.items():
-        told = words if place.partition(",")[0] in words else f"{place}: {words}"
-        console().print(text(f"left out: {told}", "yellow"), soft_wrap=True)
-    if out is not None:
-        write_whole(out, parquet(bands))
-        console().print(text(f"wrote {out}"))
-    return _ROLLOUTS_INCOMPLETE if failed or diverged else 0
-
-
-def shares(bands: Sequence[Band]) -> dict[str, float]:
-    """Share of the measurement that lies within the band, by channel that is measured."""
-    found = {}
-    for i, name in enumerate(bands[0].names):
-        inside = [(b.low[1:, i] <= m) & (m <= b.high[1:, i]) for b in bands if _there(m := b.measured[1:, i])]
-        if inside:
-            found[name] = float(np.mean(np.concatenate(inside)))
-    return found
-
-
-def _there(measured: np.ndarray) -> bool:
-    return bool(np.isfinite(measured).all())
-
-
-def _band_rows(bands: Sequence[Band]) -> Iterator[tuple[str, ...]]:
-    for name, share in shares(bands).items():
-        i = bands[0].names.index(name)
-        end = float(np.mean([b.high[-1, i] - b.low[-1, i] for b in bands])) / 2
-        first = float(np.mean([b.high[0, i] - b.low[0, i] for b in bands])) / 2
-        yield name, f"{100 * share:.3g}", f"{end:.3g}", f"{end / max(first, 1e-300):.3g}"
-
-
-def _warn(bands: Sequence[Band], coverage: float) -> None:
-    low = [name for name, share in shares(bands).items() if share < 1 - 3 * (1 - coverage)]
-    if low:
-        console().print(
-            text(
-                f"  {', '.join(low)}: the logs leave the band of {coverage:.0%} more than three times as "
-                "often as they should: the model lacks more than its parameters say (undertow diagnose)",
-                "yellow",
-            ),
-            soft_wrap=True,
-        )
-
-
-def parquet(bands: Sequence[Band]) -> bytes:
-    """Bands as a table: log, window, t, and for each channel the measurement, low, median and high."""
-    import polars as pl
-
-    parts = []
-    for b in bands:
-        columns = {"t": b.t}
-        for i, name in enumerate(b.names):
-            kinds = (("measured", b.measured), ("low", b.low), ("median", b.median), ("high", b.high))
-            columns |= {f"{name}_{kind}": values[:, i] for kind, values in kinds}
-        told = pl.DataFrame(columns)
-        parts.append(told.select(pl.lit(b.log).alias("log"), pl.lit(b.window).alias("window"), pl.all()))
-    stream = io.BytesIO()
-    pl.concat(parts).write_parquet(stream)
-    return stream.getvalue()

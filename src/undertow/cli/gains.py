@@ -13,8 +13,8 @@ The first line shows why the published PID gains do not work: their surge loop i
 prints everything for a program. --repair proposes the smallest change of the gains after which the literal
 (printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
 
-Then comes what makes a yes: the region from which every motion comes to rest with no command beyond the
-limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
+Then comes what the answer depends on: the region from which every motion comes to rest with no command beyond
+the limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
 sensors or such axes are outside the conditions, the whole loop, linearised at all headings and simulated.
 
 The exit code is 0 where all conditions hold, a region is certified (or the axes left alone come to rest) and
@@ -26,18 +26,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
 from undertow.errors import UndertowError
 
-from ._terminal import Report as Tell
-from ._terminal import console, print_json, section, table, text
+from ._options import EffectsOption, JsonOption, VehicleArgument
+from ._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
     from undertow.control.conditions.repair import Repair, SingleRepair
@@ -58,7 +56,6 @@ _TILT = typer.Option(
     "--tilt", metavar="DEGREES", min=1.0, max=85.0, help="Largest roll and pitch that the check covers."
 )
 _REPAIR = typer.Option("--repair", help="Propose the smallest change of the gains that satisfies these.")
-_JSON = typer.Option("--json", help="Print JSON instead of text.")
 
 
 def gains(
@@ -69,48 +66,13 @@ def gains(
     confidence: Annotated[float, _CONFIDENCE] = 0.95,
     tilt: Annotated[float, _TILT] = 60.0,
     repair: Annotated[Literal["literal", "lyapunov", "routh"] | None, _REPAIR] = None,
-    json: Annotated[bool, _JSON] = False,
+    json: JsonOption = False,
     effects: EffectsOption = None,
 ) -> int:
-    from ._terminal import progress
-
-    with progress("checking the gains") as tell:
-        judged = judge(
-            vehicle, gains, [form] if form else [], iota, confidence, tilt, repair, effects or [], tell
-        )
-    (show_json if json else show)(judged)
-    return 0 if judged.report.ok else 1
-
-
-SCHEMA = "undertow/gain-report/1"
-"""Of what --json prints; docs/gains.md documents it."""
-_GREEN, _RED = "green", "red"
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A report with the repairs that were asked for."""
-
-    report: Report
-    singles: list[SingleRepair]
-    repair: Repair | None
-
-
-def judge(
-    vehicle: str,
-    gains: str,
-    forms: Sequence[str],
-    iota: float | None,
-    confidence: float,
-    tilt: float,
-    kind: str | None,
-    effects: Sequence[Path],
-    tell: Tell,
-) -> Judged:
-    """Read both files and check them."""
-    from undertow.control.conditions.problem import Problem, Uncertainty
-    from undertow.control.conditions.repair import repair, single_repairs
-    from undertow.control.conditions.whole import certify
+    from undertow.control.api import check_gains
+    from undertow.control.conditions.problem import Problem
+    from undertow.control.conditions.repair import repair as repaired
+    from undertow.control.conditions.repair import single_repairs
     from undertow.control.gains import load_gains
     from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
     from undertow.model.saving import last_covariance
@@ -119,25 +81,39 @@ def judge(
         raise UndertowError(
             f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
         )
-    loaded = load_vehicle(vehicle, effect_files=effects)
-    history = read_vehicle_table(resolve_vehicle(vehicle)).history
-    chosen = load_gains(gains, loaded)
-    uncertainty = Uncertainty(loaded, confidence, last_covariance(history, loaded))
-    options = {"forms": forms, "iota": iota, "tilt": math.radians(tilt)}
-    found = certify(chosen, uncertainty, progress=tell, **options)
-    problem = Problem(chosen, math.radians(tilt))
-    return Judged(found, single_repairs(problem), repair(problem, kind) if kind else None)
+    with progress("checking the gains") as report:
+        model = load_vehicle(vehicle, effect_files=effects or [])
+        covariance = last_covariance(read_vehicle_table(resolve_vehicle(vehicle)).history, model)
+        chosen = load_gains(gains, model)
+        found = check_gains(
+            model,
+            chosen,
+            confidence=confidence,
+            covariance=covariance,
+            forms=[form] if form else [],
+            iota=iota,
+            tilt=tilt,
+            progress=report,
+        )
+        problem = Problem(chosen, math.radians(tilt))
+        alone, together = single_repairs(problem), repaired(problem, repair) if repair else None
+    (_show_json if json else show)(found, alone, together)
+    return 0 if found.ok else 1
 
 
-# --- JSON -----------------------------------------------------------------------------------------
-def show_json(judged: Judged) -> None:
+SCHEMA = "undertow/gain-report/1"
+"""Of what --json prints; docs/gains.md documents it."""
+_GREEN, _RED = "green", "red"
+
+
+def _show_json(report: Report, singles: Sequence[SingleRepair], repair: Repair | None) -> None:
     """Everything as JSON; roots as [real, imaginary], what has no end as null."""
     content = {
         "schema": SCHEMA,
-        "ok": judged.report.ok,
-        **asdict(judged.report),
-        "single_repairs": [asdict(s) for s in judged.singles],
-        "repair": asdict(judged.repair) if judged.repair else None,
+        "ok": report.ok,
+        **asdict(report),
+        "single_repairs": [asdict(s) for s in singles],
+        "repair": asdict(repair) if repair else None,
     }
     print_json(_plain(content))
 
@@ -152,12 +128,10 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-# --- text -----------------------------------------------------------------------------------------
-def show(judged: Judged) -> None:
-    """Print the report."""
+def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | None = None) -> None:
+    """Print the report, with the repairs that were asked for."""
     from undertow.control.conditions.by_law import FORMS
 
-    report = judged.report
     say(f"{report.gains} ({report.law}) on {report.vehicle}: {_headline(report)}")
     for form in dict.fromkeys(r.form for r in report.rows):
         own = [r for r in report.rows if r.form == form]
@@ -165,14 +139,14 @@ def show(judged: Judged) -> None:
         _show_matrices([r for r in own if r.scope == "matrices"])
         _show_channels([r for r in own if r.scope != "matrices"])
         for agreement in (a for a in report.agreements if a.form == form):
-            told = f"{_bounds(agreement.iota)} 1/s" if agreement.iota else "there is none"
-            say(f"  one ι for all of them, in every set of parameters: {told}")
+            span = f"{_bounds(agreement.iota)} 1/s" if agreement.iota else "there is none"
+            say(f"  one ι for all of them, in every set of parameters: {span}")
         _explain(own)
     _show_routh(report)
     _show_lyapunov(report)
     _show_region(report)
     _show_uncertain(report)
-    _show_repairs(judged)
+    _show_repairs(singles, repair)
     _show_rest(report)
 
 
@@ -193,11 +167,6 @@ def _headline(report: Report) -> str:
     if report.whole is not None and not report.whole.stable:
         but.append(f"the whole loop is {report.whole.verdict}")
     return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
-
-
-def say(line: str, style: str = "") -> None:
-    """Print a line that the terminal may wrap, and files may not."""
-    console().print(text(line, style), soft_wrap=True)
 
 
 def _show_matrices(rows: list[Row]) -> None:
@@ -316,14 +285,14 @@ def _roots(roots: Sequence[complex]) -> str:
 
 def _show_lyapunov(report: Report) -> None:
     section("Lyapunov function")
-    told = report.lyapunov
+    found = report.lyapunov
     rows = [
-        ("V", told.V),
-        ("V_dot", told.V_dot),
-        ("in the paper", told.equation),
-        ("checked", told.identity),
-        ("V_dot = 0", told.zero_set),
-        ("largest invariant subset", told.invariant),
+        ("V", found.V),
+        ("V_dot", found.V_dot),
+        ("in the paper", found.equation),
+        ("checked", found.identity),
+        ("V_dot = 0", found.zero_set),
+        ("largest invariant subset", found.invariant),
     ]
     console().print(table(("", ""), rows))
 
@@ -359,23 +328,22 @@ def _with_unit(name: str, value: float) -> str:
 
 def _show_uncertain(report: Report) -> None:
     section(f"Over the uncertainty of the parameters ({report.uncertainty})")
-    told = list(_uncertain(report.rows))
-    settled = [r for r in report.rows if r.box is not None]
-    if not settled:
+    open_rows = list(_uncertain(report.rows))
+    uncertain = [r for r in report.rows if r.box is not None]
+    if not uncertain:
         say("  no condition contains a parameter with a standard deviation")
         return
-    sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in settled)  # type: ignore[union-attr]
-    failing = sum(r.verdict == "fails" for r in settled)
-    without = sum(r.verdict == "no iota" for r in settled)
+    sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in uncertain)  # type: ignore[union-attr]
+    failing = sum(r.verdict == "fails" for r in uncertain)
+    without = sum(r.verdict == "no iota" for r in uncertain)
     say(
-        f"  of {len(settled)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
-        f"the values of the file, {without} have no ι there, {len(settled) - sure - failing - without} in "
+        f"  of {len(uncertain)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
+        f"the values of the file, {without} have no ι there, {len(uncertain) - sure - failing - without} in "
         "between:"
     )
-    if told:
-        console().print(
-            table(("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at"), told)
-        )
+    if open_rows:
+        heads = ("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at")
+        console().print(table(heads, open_rows))
 
 
 def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
@@ -397,30 +365,29 @@ def _iota(row: Row, verdict: str) -> str:
     return f"{verdict} at ι = {row.at_iota:.4g}" if row.at_iota is not None else verdict
 
 
-# --- repairs --------------------------------------------------------------------------------------
-def _show_repairs(judged: Judged) -> None:
-    if judged.singles:
+def _show_repairs(singles: Sequence[SingleRepair], repair: Repair | None) -> None:
+    if singles:
         section("Repairs by one gain alone")
-        rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_wanted(s)}") for s in judged.singles)
+        rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_wanted(s)}") for s in singles)
         console().print(table(("to satisfy", "parameters", "one of"), rows))
-    if judged.repair is None:
+    if repair is None:
         return
-    section(f"Smallest change of all gains together ({judged.repair.kind})")
-    if not judged.repair.found:
+    section(f"Smallest change of all gains together ({repair.kind})")
+    if not repair.found:
         say("  none was found")
         return
     rows_of = [
-        (f"{name}_{c}", f"{value:.6g}", f"{judged.repair.factors[name][c]:.6g}")
-        for name, values in judged.repair.gains.items()
+        (f"{name}_{c}", f"{value:.6g}", f"{repair.factors[name][c]:.6g}")
+        for name, values in repair.gains.items()
         for c, value in values.items()
     ]
     if rows_of:
         console().print(table(("gain", "new value", "times the old one"), rows_of))
     else:
         say("  nothing has to change for these conditions")
-    if judged.repair.iota is not None:
-        say(f"  with ι = {judged.repair.iota:.6g} 1/s")
-    say(f"  {judged.repair.method}", "dim")
+    if repair.iota is not None:
+        say(f"  with ι = {repair.iota:.6g} 1/s")
+    say(f"  {repair.method}", "dim")
 
 
 def _wanted(single: SingleRepair) -> str:

@@ -16,97 +16,67 @@ Logs of any length are read in parts, in constant memory and with the same answe
 
     undertow identify mini-auv week.parquet --stream
 
-This is the baseline that others are held against: filtering the motion and not the force biases the
+This is the baseline that other methods are compared with: filtering the motion and not the force biases the
 estimates, and the errors that it states take smoothed samples as independent. `undertow fit` has neither
 fault.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import date
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from undertow.cli._vehicle_and_logs import (
-    EffectsOption,
-    FillOption,
-    FromOption,
+from ._options import (
     InPlaceOption,
+    JsonFileOption,
+    LogOptions,
     LogsArgument,
-    MapOption,
     OutOption,
-    ToOption,
-    TrustOption,
     VehicleArgument,
+    bundled,
+    target_of,
 )
-from undertow.errors import UndertowError
-from undertow.identification.estimation.fitted import SURE, t_value, t_values
-from undertow.identification.logs.chunks import LongLog
-from undertow.identification.logs.run import Run
-from undertow.model.parameter import printed
-from undertow.model.units import short_unit
-from undertow.model.vehicle import Vehicle
-from undertow.paper.least_squares import (
-    RULE,
-    Chosen,
-    Estimation,
-    Experiment,
-    chosen,
-    estimate,
-    estimate_streaming,
-    experiments,
-    selected,
-)
-from undertow.paper.regression import Edges, chosen_cases
+from ._terminal import console, progress, say, section, table, text
 
-from ._terminal import Report, console, section, table, text
+if TYPE_CHECKING:
+    from undertow.paper.least_squares import Estimation, Experiment, Identified
+    from undertow.paper.regression import Edges
 
 _METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squares.")
 _CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
 _EDGES = typer.Option("--edges", help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
 _STREAM = typer.Option("--stream", help="Read the logs in parts, however short they are.")
-_LONG = 200_000_000
-_JSON = typer.Option("--json", metavar="FILE.json", help="Write all numbers.")
+_LONG = 200_000_000  # bytes, unpacked; a week of one motion at 100 Hz
 
 
+@bundled
 def identify(
     vehicle: VehicleArgument,
     logs: LogsArgument,
+    options: LogOptions,
     method: Annotated[Literal["sg-ls"], _METHOD] = "sg-ls",
     cases: Annotated[str, _CASES] = "all",
     edges: Annotated[Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"], _EDGES] = "interp",
     stream: Annotated[bool, _STREAM] = False,
-    json: Annotated[Path | None, _JSON] = None,
+    json: JsonFileOption = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    since: FromOption = None,
-    until: ToOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
 ) -> None:
     from undertow.files import check_writable, together, write_whole
 
-    from .add import target_of
-
     target = target_of(vehicle, out, in_place)
-    read: list[str | Path] = [*logs, *(effects or []), *([map] if map else [])]
+    read: list[str | Path] = [*logs, *options.files]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
-    given: dict[str, Any] = {"map": map, "effects": effects, "window": (since, until), "fill": fill}
-    path, done = _estimated(vehicle, logs, cases, edges, stream, given, trust_log)
+    done = _identified(vehicle, logs, cases, edges, stream, options)
     show(done)
     with together():
         if json is not None:
-            write_whole(json, written(done))
+            write_whole(json, done.to_json())
         if target is not None:
-            write(done, path, target)
+            done.save(vehicle, target)
     typer.echo(
         "no vehicle file was written: --out NEW.toml or --in-place does that"
         if target is None
@@ -114,105 +84,39 @@ def identify(
     )
 
 
-def _estimated(
-    vehicle: str,
-    logs: list[Path],
-    cases: str,
-    edges: Edges,
-    stream: bool,
-    given: dict[str, Any],
-    trust_log: bool,
-) -> tuple[Path, Identified]:
-    """File of the vehicle and estimates; from parts of the logs where that is asked for or they are long."""
-    from undertow.cli._vehicle_and_logs import load, load_in_parts
+def _identified(
+    vehicle: str, logs: list[Path], cases: str, edges: Edges, stream: bool, options: LogOptions
+) -> Identified:
+    """Estimates; from parts of the logs where that is asked for or they are long."""
     from undertow.identification.logs.chunks import NeedsWhole, size_of
-
-    from ._terminal import progress
+    from undertow.paper.least_squares import identify, identify_in_parts
 
     if stream or sum(map(size_of, logs)) > _LONG:
-        model, path, long = load_in_parts(vehicle, logs, **given)
         try:
-            with progress("reading logs") as tell:
-                return path, identified_in_parts(model, long, cases, edges, tell, trust_log=trust_log)
+            with progress("reading logs") as report:
+                model, long = options.load_in_parts(vehicle, logs)
+                return identify_in_parts(
+                    model, long, cases, edges, progress=report, trust_log=options.trust_log
+                )
         except NeedsWhole:
             if stream:
                 raise
-    loaded = load(vehicle, logs, one_motion=True, **given)
-    return loaded.path, identified(loaded.vehicle, loaded.train, cases, edges, trust_log=trust_log)
-
-
-@dataclass(frozen=True)
-class Identified:
-    """Estimates of all motions.
-
-    Attributes
-    ----------
-    stated : Vehicle
-        The vehicle as given.
-    found : list of (Experiment, list of Estimation)
-        For each motion and direction its estimates, one for each case.
-    edges : str
-        What the filters did at the ends.
-    """
-
-    stated: Vehicle
-    found: list[tuple[Experiment, list[Estimation]]]
-    edges: str
-
-    @property
-    def taken(self) -> list[tuple[Experiment, Estimation]]:
-        """What the rule takes, motions without a physical case left out."""
-        picks = ((e, selected(estimations)) for e, estimations in self.found)
-        return [(e, pick) for e, pick in picks if pick is not None]
-
-    @cached_property
-    def chosen(self) -> Chosen | None:
-        """The values of the whole vehicle; None where no case of any motion is physical."""
-        return chosen(self.stated, self.taken) if self.taken else None
-
-
-def identified(
-    vehicle: Vehicle, runs: Sequence[Run], cases: str, edges: Edges, *, trust_log: bool = False
-) -> Identified:
-    """All chosen cases for every motion that the logs hold."""
-    wanted = chosen_cases(cases)
-    found = [
-        (e, [estimate(e, case, edges) for case in wanted])
-        for e in experiments(vehicle, runs, trust_log=trust_log)
-    ]
-    return Identified(vehicle, found, edges)
-
-
-def identified_in_parts(
-    vehicle: Vehicle,
-    logs: Sequence[LongLog],
-    cases: str,
-    edges: Edges,
-    tell: Report,
-    *,
-    trust_log: bool = False,
-) -> Identified:
-    """The same from logs that are read in parts."""
-    return Identified(
-        vehicle,
-        estimate_streaming(vehicle, logs, chosen_cases(cases), edges, progress=tell, trust_log=trust_log),
-        edges,
-    )
+    model, runs, _ = options.load(vehicle, logs, one_motion=True)
+    return identify(model, runs, cases, edges, trust_log=options.trust_log)
 
 
 def show(done: Identified) -> None:
     """Print a table for each motion, what the rule takes, and what speaks against it."""
-    out = console()
     for experiment, estimations in done.found:
         names = ", ".join(run.name for run in experiment.runs)
         section(f"{experiment.axis} ({names}; {estimations[0].samples} samples)")
-        out.print(_table(experiment, estimations))
-        out.print(text(f"  {_verdict(experiment, estimations)}"), soft_wrap=True)
+        console().print(_table(experiment, estimations))
+        say(f"  {_verdict(estimations)}")
         for line in _doubts(experiment, estimations):
-            out.print(text(f"  {line}", "yellow"), soft_wrap=True)
-    out.print(text("± is what (17) of the paper gives; it takes smoothed samples as independent"))
+            say(f"  {line}", "yellow")
+    console().print(text("± is what (17) of the paper gives; it takes smoothed samples as independent"))
     for line in done.chosen.contradictions if done.chosen else ():
-        out.print(text(line, "yellow"), soft_wrap=True)
+        say(line, "yellow")
 
 
 def _table(experiment: Experiment, estimations: Sequence[Estimation]) -> Any:
@@ -222,14 +126,18 @@ def _table(experiment: Experiment, estimations: Sequence[Estimation]) -> Any:
 
 
 def _head(experiment: Experiment, estimation: Estimation, name: str) -> str:
+    from undertow.model.units import short_unit
+
     unit = short_unit(experiment.axis.vehicle.declared_parameters[name].unit)
     return f"{experiment.axis.inertia if name in estimation.inertial else name}, {unit} (|t|)"
 
 
 def _row(experiment: Experiment, estimation: Estimation) -> list[str]:
+    from undertow.identification.estimation.fitted import t_value
+
     cells = []
     for name in estimation.names:
-        value, error = shown(experiment, estimation, name)
+        value, error = _printed(experiment, estimation, name)
         cells.append(f"{value:.6g} ± {error:.2g} ({t_value(value, error):.3g})")
     lacking = "yes" if estimation.valid else "no: " + ", ".join(_named(experiment, estimation))
     return [estimation.case.name, *cells, f"{estimation.residual_variance:.6g}", lacking]
@@ -239,11 +147,10 @@ def _named(experiment: Experiment, estimation: Estimation) -> list[str]:
     return [experiment.axis.inertia if n in estimation.inertial else n for n in estimation.impossible]
 
 
-def shown(experiment: Experiment, estimation: Estimation, name: str) -> tuple[float, float]:
-    """A value as the paper prints it, in the signs of the vehicle's file, and its standard error.
+def _printed(experiment: Experiment, estimation: Estimation, name: str) -> tuple[float, float]:
+    """A value (inertia: mass and added mass) in the signs of the vehicle file, and its standard error."""
+    from undertow.model.parameter import printed
 
-    The inertia is the sum of mass and added mass.
-    """
     if name in estimation.inertial and len(estimation.inertial) == 1:
         return estimation.inertia
     vehicle = experiment.axis.vehicle
@@ -251,7 +158,9 @@ def shown(experiment: Experiment, estimation: Estimation, name: str) -> tuple[fl
     return value, estimation.standard_errors[name]
 
 
-def _verdict(experiment: Experiment, estimations: Sequence[Estimation]) -> str:
+def _verdict(estimations: Sequence[Estimation]) -> str:
+    from undertow.paper.least_squares import RULE, selected
+
     pick = selected(estimations)
     if pick is None:
         return (
@@ -262,6 +171,9 @@ def _verdict(experiment: Experiment, estimations: Sequence[Estimation]) -> str:
 
 
 def _doubts(experiment: Experiment, estimations: Sequence[Estimation]) -> list[str]:
+    from undertow.identification.estimation.fitted import SURE, t_values
+    from undertow.paper.least_squares import selected
+
     lines = []
     pick = selected(estimations)
     for name, t in t_values(pick).items() if pick else ():
@@ -274,63 +186,3 @@ def _doubts(experiment: Experiment, estimations: Sequence[Estimation]) -> list[s
             f"{', '.join(lacking)}: no column {rate}; the velocity was differentiated (central differences)"
         )
     return lines
-
-
-def written(done: Identified) -> str:
-    """All numbers as JSON, SI and SNAME signs."""
-    content = {
-        "vehicle": done.stated.name,
-        "edges": done.edges,
-        "rule": RULE,
-        "motions": [
-            {
-                "motion": experiment.axis.motion,
-                "direction": experiment.axis.direction,
-                "logs": [{"name": r.name, "sha256": r.sha256} for r in experiment.runs],
-                "selected": pick.case.name if (pick := selected(estimations)) else None,
-                "cases": [_case(e) for e in estimations],
-            }
-            for experiment, estimations in done.found
-        ],
-    }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
-
-
-def _case(estimation: Estimation) -> dict[str, Any]:
-    return {
-        "case": estimation.case.name,
-        "estimates": estimation.values,
-        "standard_errors": estimation.standard_errors,
-        "covariance": estimation.covariance.tolist(),
-        "inertia": dict(zip(("value", "standard_error"), estimation.inertia, strict=True)),
-        "residual_variance": estimation.residual_variance,
-        "samples": estimation.samples,
-        "condition": estimation.condition,
-        "physical": estimation.valid,
-    }
-
-
-def write(done: Identified, template: Path, target: Path) -> None:
-    """Write the vehicle file with what the rule takes, and its covariance.
-
-    Raises
-    ------
-    UndertowError
-        If no case of any motion is physical.
-    """
-    from undertow.model.saving import save_vehicle
-
-    if done.chosen is None:
-        raise UndertowError(f"{target} is not written: no case of any motion is physical")
-    save_vehicle(done.chosen.vehicle(done.stated), template, target, history=_history(done, done.chosen))
-
-
-def _history(done: Identified, taken: Chosen) -> dict[str, object]:
-    cases = ", ".join(f"{e.axis}: case {pick.case.name}" for e, pick in done.taken)
-    runs = [run for experiment, _ in done.taken for run in experiment.runs]
-    return {
-        "command": f"undertow identify --method sg-ls --edges {done.edges} ({cases})",
-        "date": date.today().isoformat(),
-        "logs": [{"name": r.name, "sha256": r.sha256, "role": "train"} for r in runs],
-        "covariance": {"parameters": list(taken.names), "matrix": taken.covariance.tolist()},
-    }

@@ -126,7 +126,7 @@ def run(action: Callable[[], object]) -> int:
     except BrokenPipeError:  # `undertow effects | head`: the reader has seen enough
         code = 1
     except (Exception, KeyboardInterrupt) as failure:
-        code = _tell(failure)
+        code = _report_failure(failure)
     _drop_unwritable_output()
     return code
 
@@ -138,7 +138,7 @@ def _code(answer: object) -> int:
     return code
 
 
-def _tell(failure: BaseException) -> int:
+def _report_failure(failure: BaseException) -> int:
     if isinstance(failure, KeyboardInterrupt | typer.Abort):
         return _line("interrupted", INTERRUPTED)
     if isinstance(failure, UndertowError):

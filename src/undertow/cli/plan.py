@@ -25,35 +25,21 @@ open loop from rest; each row is held until the next. The same --seed gives the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import inf, radians
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import degrees, exp, inf, log, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from undertow.cli._vehicle_and_logs import (
-    EffectsOption,
-    FillOption,
-    FromOption,
-    MapOption,
-    ToOption,
-    TrustOption,
-    VehicleArgument,
-)
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
-from undertow.identification.planning.manoeuvres import MotionLimits
-from undertow.identification.planning.parameters import Planned, plan_parameters
-from undertow.identification.planning.problem import PlanRequest
-from undertow.identification.planning.rivals import NONE, RivalSpec
-from undertow.identification.planning.separation import plan_separation
-from undertow.model.vehicle import Vehicle
 
-from ._terminal import Report, console, section, table, text
+from ._options import JsonFileOption, LogOptions, VehicleArgument, bundled, words
+from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
+    from undertow.identification.planning.parameters import Planned
     from undertow.identification.planning.result import Plan, PlannedParameter
 
 
@@ -92,8 +78,38 @@ _TRIES = typer.Option(
 )
 
 
+@dataclass(frozen=True)
+class MotionOptions:
+    """How large the predicted motion may be."""
+
+    max_speed: Annotated[float | None, typer.Option(metavar="M/S", help="Largest speed.")] = None
+    max_rate: Annotated[float, typer.Option(metavar="DEG/S", help="Largest angular rate.")] = 60.0
+    max_depth_change: Annotated[float, typer.Option(metavar="M", help="Largest change of depth.")] = 5.0
+    max_tilt: Annotated[float, typer.Option(metavar="DEG", help="Largest roll and pitch.")] = 45.0
+    max_distance: Annotated[
+        float | None, typer.Option(metavar="M", help="Largest horizontal distance from the start.")
+    ] = None
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Limits by what they limit, SI; one that leaves no motion is refused."""
+        largest = {
+            name.removeprefix("max_"): value for name, value in vars(self).items() if value is not None
+        }
+        for name, value in largest.items():
+            if not value > 0:
+                option = f"--max-{name.replace('_', '-')}"
+                raise UndertowError(f"{option} {value:g} leaves no motion: give a positive value")
+        largest["depth"] = largest.pop("depth_change")
+        return {name: radians(v) if name in _ANGULAR else v for name, v in largest.items()}
+
+
+@bundled
+@bundled
 def plan(
     vehicle: VehicleArgument,
+    motion: MotionOptions,
+    options: LogOptions,
     logs: Annotated[list[Path] | None, _LOGS] = None,
     goal: Annotated[Literal["parameters", "separate"] | None, _GOAL] = None,
     between: Annotated[list[str] | None, _BETWEEN] = None,
@@ -102,13 +118,6 @@ def plan(
     duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Length.")] = 60.0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Samples per second.")] = 20.0,
     limit: Annotated[list[str] | None, _LIMIT] = None,
-    max_speed: Annotated[float | None, typer.Option(metavar="M/S", help="Largest speed.")] = None,
-    max_rate: Annotated[float, typer.Option(metavar="DEG/S", help="Largest angular rate.")] = 60.0,
-    max_depth_change: Annotated[float, typer.Option(metavar="M", help="Largest change of depth.")] = 5.0,
-    max_tilt: Annotated[float, typer.Option(metavar="DEG", help="Largest roll and pitch.")] = 45.0,
-    max_distance: Annotated[
-        float | None, typer.Option(metavar="M", help="Largest horizontal distance from the start.")
-    ] = None,
     depth: Annotated[float | None, _DEPTH] = None,
     noise: Annotated[list[str] | None, _NOISE] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of the random search.", min=0)] = 0,
@@ -117,32 +126,61 @@ def plan(
     picture: Annotated[
         Path | None, typer.Option(metavar="OUT.png", help="Draw commands, motions and errors.")
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="OUT.json", help="Write the whole result.")] = None,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    since: FromOption = None,
-    until: ToOption = None,
-    fill: FillOption = None,
-    trust_log: TrustOption = False,
+    json: JsonFileOption = None,
 ) -> None:
-    from undertow.cli._vehicle_and_logs import load
-    from undertow.files import check_writable
+    from undertow.files import check_writable, write_whole
+    from undertow.identification.api import plan as planned_for
+    from undertow.identification.planning.manoeuvres import MotionLimits
+    from undertow.identification.planning.problem import PlanRequest
 
-    from ._terminal import progress
-
-    read: list[str | Path] = [vehicle, *(logs or []), *(effects or []), *filter(None, (map, diagnosis))]
-    check_writable(out, picture, json, inputs=read)
-    wish = Wish(goal, between or [], diagnosis, only or [], effects or [])
-    largest = {"speed": max_speed, "rate": max_rate, "tilt": max_tilt}
-    drift = {"depth": max_depth_change, "distance": max_distance}
-    request = asked_of(largest | drift, limit or [], noise or [], (duration, rate), (depth, seed, tries))
-    loaded = load(
-        vehicle, logs or [], map=map, effects=effects, window=(since, until), fill=fill, to_fit=bool(logs)
-    )
-    with progress("planning") as tell:
-        done = planned_for(wish, loaded.vehicle, loaded.train, request, tell, trust_log=trust_log)
+    logs = logs or []
+    check_writable(out, picture, json, inputs=[vehicle, *logs, *options.files, *filter(None, [diagnosis])])
+    _check_goal(goal, between or [], diagnosis, only or [])
+    limits = motion.limits
+    largest = _named("--limit", limit or [], whole=True)
+    sigma = _named("--noise", noise or [], whole=False)
+    model, runs, _ = options.load(vehicle, logs, to_fit=bool(logs))
+    with progress("planning") as report:
+        done = planned_for(
+            model,
+            runs,
+            PlanRequest(
+                duration=duration,
+                rate=rate,
+                motion=MotionLimits(**limits),
+                depth=depth,
+                seed=seed,
+                tries=tries,
+                report=report,
+                limits=largest,
+                noise=sigma,
+            ),
+            only=_listed(only or []),
+            between=_listed(between or []),
+            diagnosis=diagnosis,
+            known=options.known,
+            trust_log=options.trust_log,
+        )
     show(done)
-    write(done, out=out, picture=picture, json=json)
+
+    def draw(path: Path) -> None:
+        from undertow.figures import save_png
+        from undertow.identification.planning.picture import plan_picture
+
+        save_png(plan_picture(done), path)
+
+    def write_commands(path: Path) -> None:
+        from undertow.identification.planning.picture import command_csv
+
+        write_whole(path, command_csv(done))
+
+    write_files(
+        (out, write_commands),
+        (picture, draw),
+        (json, lambda path: write_whole(path, done.plan.model_dump_json(indent=1) + "\n")),
+    )
+    if out is None:
+        console().print(text("the commands were not written: --out OUT.csv does it"))
 
 
 _ANGULAR = ("rate", "tilt")
@@ -150,93 +188,31 @@ _FAMILIES = 2
 _UNITS = {"speed": "m/s", "distance": "m", "rate": "deg/s", "tilt": "deg", "depth": "m"}
 
 
-@dataclass(frozen=True)
-class Wish:
-    """What a plan is for.
-
-    Attributes
-    ----------
-    goal : str, optional
-        "parameters" or "separate"; by default what the other fields say.
-    between, only : sequence of str
-        Words of the options of these names.
-    diagnosis : Path, optional
-        A diagnosis with rivals.
-    effects : sequence of Path
-        Files with effects of the user.
-    """
-
-    goal: str | None
-    between: Sequence[str]
-    diagnosis: Path | None
-    only: Sequence[str]
-    effects: Sequence[Path]
-
-    @property
-    def separates(self) -> bool:
-        """Whether models are to be told apart.
-
-        Raises
-        ------
-        UndertowError
-            If options contradict each other, or nothing says which models.
-        """
-        given = [n for n, v in (("--between", self.between), ("--diagnosis", self.diagnosis)) if v]
-        if len(given) == 2:
-            raise UndertowError(
-                "both --between and --diagnosis name the effects to tell apart: give one of them"
-            )
-        if self.goal == "parameters" and given:
-            raise UndertowError(f"{given[0]} goes with --goal separate: leave one of the two out")
-        if self.goal == "separate" and not given:
-            raise UndertowError(
-                "--goal separate needs to know the effects: give --between ID,ID or --diagnosis FILE"
-            )
-        if given and self.only:
-            raise UndertowError(f"--only goes with --goal parameters: leave it or {given[0]} out")
-        return bool(given)
+def _check_goal(
+    goal: str | None, between: Sequence[str], diagnosis: Path | None, only: Sequence[str]
+) -> None:
+    """Refuse options that contradict each other, or leave open which models are to be told apart."""
+    given = [n for n, v in (("--between", between), ("--diagnosis", diagnosis)) if v]
+    if len(given) == 2:
+        raise UndertowError("both --between and --diagnosis name the effects to tell apart: give one of them")
+    if goal == "parameters" and given:
+        raise UndertowError(f"{given[0]} goes with --goal separate: leave one of the two out")
+    if goal == "separate" and not given:
+        raise UndertowError(
+            "--goal separate needs to know the effects: give --between ID,ID or --diagnosis FILE"
+        )
+    if given and only:
+        raise UndertowError(f"--only goes with --goal parameters: leave it or {given[0]} out")
 
 
-def asked_of(
-    largest: Mapping[str, float | None],
-    limit: Sequence[str],
-    noise: Sequence[str],
-    time: tuple[float, float],
-    rest: tuple[float | None, int, int | None],
-) -> PlanRequest:
-    """The request that options make; angles come in degrees.
-
-    Raises
-    ------
-    UndertowError
-        If a word is no number, or a limit is not positive.
-    """
-    for name, value in largest.items():
-        if value is not None and not value > 0:
-            option = "--max-depth-change" if name == "depth" else f"--max-{name}"
-            raise UndertowError(f"{option} {value:g} leaves no motion: give a positive value")
-    bounds = {n: radians(v) if n in _ANGULAR else v for n, v in largest.items() if v is not None}
-    depth, seed, tries = rest
-    return PlanRequest(
-        duration=time[0],
-        rate=time[1],
-        limits=_named("--limit", limit, whole=True),
-        noise=_named("--noise", noise, whole=False),
-        motion=MotionLimits(**bounds),
-        depth=depth,
-        seed=seed,
-        tries=tries,
-    )
-
-
-def _words(texts: Iterable[str]) -> list[str]:
-    return [word.strip() for one in texts for word in one.split(",") if word.strip()]
+def _listed(texts: Sequence[str]) -> list[str]:
+    return [word.strip() for word in words(texts) if word.strip()]
 
 
 def _named(option: str, texts: Sequence[str], *, whole: bool) -> dict[str, float]:
     """``NAME=VALUE``, or ``VALUE`` alone (named "") where `whole` allows it."""
     found: dict[str, float] = {}
-    for word in _words(texts):
+    for word in _listed(texts):
         name, mark, number = word.partition("=")
         if not mark and not whole:
             raise UndertowError(f"{option} {word}: write NAME=VALUE, for instance u=0.01")
@@ -250,47 +226,21 @@ def _number(option: str, word: str) -> float:
     try:
         value = float(word)
     except ValueError:
-        raise UndertowError(f"{option}: '{word}' is no number") from None
+        value = float("nan")
     if value != value:
         raise UndertowError(f"{option}: '{word}' is no number")
     return value
 
 
-def planned_for(
-    wish: Wish,
-    vehicle: Vehicle,
-    runs: Sequence[Run],
-    request: PlanRequest,
-    tell: Report,
-    *,
-    trust_log: bool = False,
-) -> Planned:
-    """Make the plan."""
-    from undertow.identification.planning.rivals import read_diagnosis, specs_of
-    from undertow.model.catalogue import catalogue, load_effects, merge
-
-    request = replace(request, report=tell)
-    if not wish.separates:
-        return plan_parameters(vehicle, runs, request, _words(wish.only), trust_log=trust_log)
-    known = merge(catalogue(), [cls for file in wish.effects for cls in load_effects(file)])
-    if wish.diagnosis is not None:
-        specs = specs_of(read_diagnosis(wish.diagnosis), vehicle, known)
-    else:
-        named = _words(wish.between)
-        specs = [RivalSpec(n, {}) for n in (named if len(named) > 1 else [*named, NONE])]
-    return plan_separation(vehicle, specs, runs, request, known=known, trust_log=trust_log)
-
-
-# --- what is printed --------------------------------------------------------------------------------------
-
-
 def show(done: Planned) -> None:
     """Print the manoeuvre, what it would bring, and what to mind."""
-    plan, out = done.plan, console()
-    out.print(text(f"{plan.vehicle}: {plan.manoeuvre}, {plan.duration:g} s at {plan.rate:g} Hz", "bold"))
-    out.print(text(f"  best of {plan.tries} manoeuvres (seed {plan.seed}); {_best(plan)}"), soft_wrap=True)
-    out.print(text(f"  predicted: {_extremes(plan)}"), soft_wrap=True)
-    out.print(text(f"  noise: {_noise(plan)}"), soft_wrap=True)
+    plan = done.plan
+    console().print(
+        text(f"{plan.vehicle}: {plan.manoeuvre}, {plan.duration:g} s at {plan.rate:g} Hz", "bold")
+    )
+    say(f"  best of {plan.tries} manoeuvres (seed {plan.seed}); {_best(plan)}")
+    say(f"  predicted: {_extremes(plan)}")
+    say(f"  noise: {_noise(plan)}")
     section("Commands", _commands(plan))
     if plan.parameters:
         section("Standard errors, expected if the model is right", _errors(plan))
@@ -298,7 +248,7 @@ def show(done: Planned) -> None:
         section("Models and their values", _rivals(plan))
         section("Distance of their predictions after refitting, standard deviations", _distances(plan))
     for line in [*_undetermined(plan), *plan.remarks]:
-        out.print(text(f"  {line}", "yellow"), soft_wrap=True)
+        say(f"  {line}", "yellow")
 
 
 def _best(plan: Plan) -> str:
@@ -311,8 +261,6 @@ def _best(plan: Plan) -> str:
 
 
 def _gain(plan: Plan, value: float) -> str:
-    from math import exp, log
-
     if plan.goal == "separate":
         return f"{value:.3g} standard deviations between the models on average"
     shares = [p.error_after / abs(p.value) for p in plan.parameters if p.error_after and p.value]
@@ -328,8 +276,6 @@ def _extremes(plan: Plan) -> str:
 
 
 def _extreme(plan: Plan, what: str, value: float) -> str:
-    from math import degrees
-
     name = {"depth": "change of depth", "distance": "distance", "rate": "angular rate"}.get(what, what)
     factor = degrees(1.0) if what in _ANGULAR else 1.0
     bound = plan.limits[what]
@@ -368,7 +314,7 @@ def _commands(plan: Plan) -> object:
 
 
 def _errors(plan: Plan) -> object:
-    from undertow.identification.figures import unit_text
+    from undertow.figures import unit_text
 
     rows = [
         (
@@ -424,27 +370,3 @@ def _undetermined(plan: Plan) -> list[str]:
         else f"only a combination of {', '.join(group)} is determined, whatever the manoeuvre"
         for group in plan.undetermined
     ]
-
-
-# --- what is written --------------------------------------------------------------------------------------
-
-
-def write(done: Planned, *, out: Path | None, picture: Path | None, json: Path | None) -> None:
-    """Write what was asked for, each file whole, and say where it is."""
-    from undertow.files import together, write_whole
-    from undertow.identification.planning.picture import command_csv
-
-    with together():
-        if picture is not None:
-            from undertow.identification.figures import save_png
-            from undertow.identification.planning.picture import plan_picture
-
-            save_png(plan_picture(done), picture)
-        if out is not None:
-            write_whole(out, command_csv(done))
-        if json is not None:
-            write_whole(json, done.plan.model_dump_json(indent=1) + "\n")
-    for path in filter(None, (out, picture, json)):
-        console().print(text(f"wrote {path}"))
-    if out is None:
-        console().print(text("the commands were not written: --out OUT.csv does it"))

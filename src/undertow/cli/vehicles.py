@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from undertow.cli._vehicle_and_logs import EffectsOption, VehicleArgument
-
+from ._options import EffectsOption, JsonOption, VehicleArgument
 from ._terminal import console, print_json, section, table, text
 
 if TYPE_CHECKING:
@@ -21,11 +20,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-_JSON = typer.Option("--json", help="Print JSON instead of text.")
-
 
 @app.callback(invoke_without_command=True)
-def vehicles(context: typer.Context, json: Annotated[bool, _JSON] = False) -> None:
+def vehicles(context: typer.Context, json: JsonOption = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from undertow.model.loading import bundled_vehicles
@@ -39,9 +36,7 @@ def vehicles(context: typer.Context, json: Annotated[bool, _JSON] = False) -> No
 
 
 @app.command()
-def show(
-    vehicle: VehicleArgument, json: Annotated[bool, _JSON] = False, effects: EffectsOption = None
-) -> None:
+def show(vehicle: VehicleArgument, json: JsonOption = False, effects: EffectsOption = None) -> None:
     """Show effects and parameters of a vehicle, where the numbers come from, and what is left open."""
     from undertow.model.loading import load_vehicle, resolve_vehicle
     from undertow.model.plausibility import hints

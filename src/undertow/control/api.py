@@ -1,22 +1,48 @@
-"""What `import undertow` gives of control."""
+"""What `import undertow` gives of control; the commands call the same functions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import radians
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import control as ct
-
+from undertow.codegen.export import Export
+from undertow.codegen.export import Report as Written
+from undertow.errors import UndertowError
+from undertow.files import check_folder, make_folder, read_json, together, write_whole
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Progress
 
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
-from .conditions.whole import certify
+from .conditions.whole import certify, verdicts
+from .controller import PICTURES, Controller, ControllerExport
 from .gains import GainSet, load_gains
-from .linear import systems
+
+if TYPE_CHECKING:
+    import control as ct
+    from matplotlib.figure import Figure
+
+    from .linear.report import Snapshot
+
+_log = logging.getLogger(__name__)
+_STATE, _OWN = "update.json", "vehicle"
 
 
-def check_gains(vehicle: Vehicle, gains: str | Path | GainSet, *, confidence: float = 0.95) -> Report:
+def check_gains(
+    vehicle: Vehicle,
+    gains: str | Path | GainSet,
+    *,
+    confidence: float = 0.95,
+    covariance: tuple[Sequence[str], Any] = ((), ()),
+    forms: Sequence[str] = (),
+    iota: float | None = None,
+    tilt: float = 60.0,
+    progress: Progress = lambda done, words: None,
+) -> Report:
     """Check the conditions on the gains of a control law, without simulating.
 
     Parameters
@@ -27,6 +53,16 @@ def check_gains(vehicle: Vehicle, gains: str | Path | GainSet, *, confidence: fl
         A gain file, or the name of a bundled one (paper-pd, paper-pid, paper-smc).
     confidence : float
         Probability of the interval of each parameter.
+    covariance : (names, matrix)
+        Covariance of parameters, as `undertow.model.saving.last_covariance` reads it from a vehicle file.
+    forms : sequence of str
+        Conditions to check: "printed", "units", "derived"; all by default.
+    iota : float, optional
+        The constant of the PID conditions, 1/s; searched for by default.
+    tilt : float
+        Largest roll and pitch that the check covers, degrees.
+    progress : callable
+        Told what share is done, and what is being done.
 
     Returns
     -------
@@ -45,7 +81,9 @@ def check_gains(vehicle: Vehicle, gains: str | Path | GainSet, *, confidence: fl
     False
     """
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
-    return certify(chosen, Uncertainty(vehicle, confidence))
+    uncertainty = Uncertainty(vehicle, confidence, covariance)
+    options = {"forms": forms, "iota": iota, "tilt": radians(tilt)}
+    return certify(chosen, uncertainty, progress=progress, **options)
 
 
 def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0) -> ct.StateSpace:
@@ -79,4 +117,129 @@ def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: 
     >>> system.input_labels == list(vehicle.command_names)
     True
     """
+    from .linear import systems  # brings python-control
+
     return systems.linearize(vehicle, {"u": 0.0, "v": 0.0, "w": 0.0} if at is None else at, pade=pade)
+
+
+# --- bringing up to date what follows from a vehicle ------------------------------------------------
+@dataclass(frozen=True)
+class Update:
+    """What an update has written: C code by folder, pictures, and the state before (if any) and now."""
+
+    old: Snapshot | None
+    new: Snapshot
+    written: list[Written]
+    pictures: list[Path]
+
+
+def last_update(vehicle: Vehicle, out: Path) -> Snapshot | None:
+    """What the last update of a vehicle left in its folder below `out`; None where there was none."""
+    from .linear.report import Snapshot
+
+    folder = out / Export(vehicle).folder_name
+    check_folder(folder)
+    path = folder / _STATE
+    if not path.is_file():
+        return None
+    try:
+        return Snapshot.from_json(read_json(path, "state file"))
+    except UndertowError as error:
+        _log.warning("%s counts as not there: %s", path, error)
+        return None
+
+
+def update(
+    vehicle: Vehicle,
+    out: Path,
+    gains: Sequence[str] = (),
+    at: Mapping[str, float] | None = None,
+    *,
+    at_words: Sequence[str] = (),
+    old: Snapshot | None = None,
+    progress: Progress = lambda done, words: None,
+) -> Update:
+    """Write everything that follows from a vehicle and its gain files: C code, controllers, pictures, state.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    out : Path
+        Folder that gets a folder for the vehicle and one for each controller.
+    gains : sequence of str
+        Gain files, or names of bundled ones.
+    at, at_words : mapping, sequence of str
+        A motion besides hovering whose eigenvalues are watched, SI, and the same in words.
+    old : Snapshot, optional
+        What `last_update` found.
+    progress : callable
+        Told what share is done, and what is being done.
+
+    Raises
+    ------
+    UndertowError
+        If something cannot be read, stated in C or written; nothing is written then.
+    """
+    from undertow.figures import save_png
+
+    from .linear.numeric import as_input_error
+    from .linear.report import snapshot
+
+    export = Export(vehicle)
+    with as_input_error():
+        sets = {name: load_gains(name, vehicle) for name in gains}
+        controllers = {name: ControllerExport(Controller(g)) for name, g in sets.items()}
+        _check_apart({name: one.folder.name for name, one in controllers.items()}, "folder", {})
+        _check_apart({n: Path(n).stem for n in sets}, "name of pictures", {_OWN: "the vehicle"})
+        exports: list[Export | ControllerExport] = [export, *controllers.values()]
+        for one in exports:
+            assert one.texts  # what cannot be stated in C is refused before anything is written
+        progress(0.3, "eigenvalues, margins and conditions")
+        new, loops = snapshot(vehicle, sets, at, at_words, verdicts)
+        progress(0.6, "pictures")
+        drawn = _pictures(vehicle, sets, at, loops)
+        with together():
+            written = [one.write(out) for one in exports]
+            folder = out / export.folder_name / PICTURES
+            make_folder(folder)
+            for name, picture in drawn.items():
+                save_png(picture, folder / f"{name}.png")
+            # Last, so that an interrupted update is made again.
+            write_whole(folder.parent / _STATE, new.to_json())
+        return Update(old, new, written, [folder / f"{name}.png" for name in drawn])
+
+
+def _check_apart(wanted: Mapping[str, str], what: str, taken: Mapping[str, str]) -> None:
+    """Refuse gain files of which one would be written over another, or over what is `taken`."""
+    owners = dict(taken)
+    for name, place in wanted.items():
+        owner = owners.setdefault(place.lower(), name)
+        if owner != name:
+            raise UndertowError(
+                f"gain file {name} would have the {what} '{place}', which is that of {owner}: give "
+                f"{'the set' if what == 'folder' else 'the file'} another name"
+            )
+
+
+def _pictures(
+    vehicle: Vehicle,
+    gains: Mapping[str, GainSet],
+    at: Mapping[str, float] | None,
+    loops: Mapping[str, object],
+) -> dict[str, Figure]:
+    """Pictures by file name, of what has a linear form."""
+    from .linear.pictures import picture
+    from .linear.report import Analysis
+    from .linear.trim import find_trim
+
+    own = Analysis(vehicle, find_trim(vehicle, at))
+    kinds = ("poles", "bode") if own.main_channels else ("poles",)
+    drawn = {f"{_OWN}-{kind}": picture(kind, own, own.main_channels) for kind in kinds}
+    hover = find_trim(vehicle)
+    for name, one in gains.items():
+        if any(loop.startswith(f"{name}, ") for loop in loops):
+            closed = Analysis(vehicle, hover, one)
+            for kind in ("poles", "bode", "step"):
+                drawn[f"{Path(name).stem}-{kind}"] = picture(kind, closed, closed.main_channels)
+    return drawn

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
@@ -230,3 +232,32 @@ def rollouts(
     if not bands:
         raise UndertowError(next(iter(failed.values())))
     return [bands[place] for place in sorted(bands)], failed, source
+
+
+def shares_within(bands: Sequence[Band]) -> dict[str, float]:
+    """Share of the measurement that lies within the band, by channel that is measured."""
+    found = {}
+    for i, name in enumerate(bands[0].names):
+        inside = [
+            (b.low[1:, i] <= m) & (m <= b.high[1:, i])
+            for b in bands
+            if np.isfinite(m := b.measured[1:, i]).all()
+        ]
+        if inside:
+            found[name] = float(np.mean(np.concatenate(inside)))
+    return found
+
+
+def to_parquet(bands: Sequence[Band]) -> bytes:
+    """Bands as a table: log, window, t, and for each channel the measurement, low, median and high."""
+    parts = []
+    for b in bands:
+        columns = {"t": b.t}
+        for i, name in enumerate(b.names):
+            kinds = (("measured", b.measured), ("low", b.low), ("median", b.median), ("high", b.high))
+            columns |= {f"{name}_{kind}": values[:, i] for kind, values in kinds}
+        of_window = pl.DataFrame(columns)
+        parts.append(of_window.select(pl.lit(b.log).alias("log"), pl.lit(b.window).alias("window"), pl.all()))
+    stream = io.BytesIO()
+    pl.concat(parts).write_parquet(stream)
+    return stream.getvalue()

@@ -3,41 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.files import write_whole
-from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside
+from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
+from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
-from .compare.comparison import compare
-from .diagnose import Outcome
-from .diagnose import diagnose as diagnosed
+from .diagnose import DiagnosisResult
+from .diagnose import diagnose as diagnose
+from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.addition import lay_ground
-from .diagnosis.trial import FALSE_ALARM_RATE
+from .diagnosis.result import RunInfo
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
-from .estimation.data import channel_noise, prepare
+from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
 from .estimation.output_error import LossName, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict
 from .estimation.residual import without_spikes
-from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations
+from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
 from .estimation.windows import Prediction, cut, prediction_error
+from .logs.checks import check_fit
 from .logs.mapping import LogMapping, read_mapping
-from .logs.pose_velocity import velocities_from_pose
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .report.data import ReportData
+from .planning.parameters import Planned, plan_parameters
+from .planning.problem import PlanRequest
+from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
+from .planning.separation import plan_separation
 
 if TYPE_CHECKING:
     import polars as pl
@@ -149,7 +152,7 @@ class Refit:
     estimator : Estimator
         How it was made.
     train, test : list of Run
-        Logs that were fitted, and logs kept aside.
+        Logs that were fitted, and validation logs.
     before, after : Prediction
         Kept-aside logs predicted by the model as given and as refitted.
     """
@@ -218,6 +221,20 @@ class Refit:
 
         return before_and_after(self.before.relative, self.after.relative)
 
+    def save(self, template: str | Path, out: Path) -> None:
+        """Write the vehicle file with the fitted values, in the form of the one that it came from."""
+        history = _history(self._command, _roles(self.train, self.test), self.errors, self.fit)
+        save_vehicle(self.vehicle, template, out, history=history)
+
+    @property
+    def _command(self) -> str:
+        """The command that does the same."""
+        e = self.estimator
+        parts = [f"undertow fit --method {e.method}", *([] if e.loss == "gaussian" else [f"--loss {e.loss}"])]
+        parts += [] if e.horizon in (None, Estimator.horizon) else [f"--horizon {e.horizon:.9g}"]
+        parts += [f'--equal "{text}"' for text in written(e.constraints.equal, self.stated)]
+        return " ".join([*parts, *(["--dissipative"] if e.constraints.dissipative else [])])
+
     def __repr__(self) -> str:
         return self.summary()
 
@@ -230,17 +247,40 @@ def _spread(row: Mapping[str, Any]) -> str:
     return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
 
 
+def _history(
+    command: str,
+    logs: Sequence[tuple[str, Run | RunInfo]],
+    errors: tuple[float, float],
+    fit: Fitted,
+    **more: object,
+) -> dict[str, object]:
+    """How the values of a vehicle file came about."""
+    return {
+        "command": command,
+        "date": date.today().isoformat(),
+        **more,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
+        "error_before": errors[0],
+        "error_after": errors[1],
+        "covariance": {"parameters": list(fit.model.free), "matrix": fit.covariance.tolist()},
+    }
+
+
+def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
+    return [*(("train", run) for run in train), *(("holdout", run) for run in test)]
+
+
 def refit(
     vehicle: Vehicle,
     runs: Sequence[Run],
     holdout: Sequence[Run],
     estimator: Estimator,
     horizon: float,
-    tell: Progress = lambda done, words: None,
+    report: Progress = lambda done, words: None,
     *,
     trust_log: bool = False,
 ) -> Refit:
-    """Fit what the vehicle marks as estimated; without kept-aside logs, stretches of the logs are kept aside.
+    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it.
 
     Raises
     ------
@@ -252,50 +292,17 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train, test = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
-    check_excitation(vehicle, train, channel_noise(train, (*vehicle.pose_names, *vehicle.velocity_names)))
-    tell(0.0, "fitting")
-    # Whole logs have been looked at: what is left of them after some was kept aside need not be.
-    fit = estimator.fit(vehicle, train, progress=lambda done, words: tell(0.8 * done, words), trust_log=True)
-    tell(0.8, "predicting kept-aside data")
+    train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
+    report(0.0, "fitting")
+    # Whole logs have been looked at: what is left of them without the validation data need not be.
+    fit = estimator.fit(
+        vehicle, train, progress=lambda done, words: report(0.8 * done, words), trust_log=True
+    )
+    report(0.8, "predicting validation data")
     longest = max(float(r.t[-1] - r.t[0]) for r in test)
     windows = cut(test, vehicle, min(horizon, 0.9 * longest))
     before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
     return Refit(vehicle, fit, estimator, train, test, before, after)
-
-
-class Diagnosed(Outcome):
-    """A diagnosis with its models, ready to be read, shown in a notebook and written as a report."""
-
-    @property
-    def verdict(self) -> str:
-        """adequate, missing_effect, indistinguishable, unexplained or not_identifiable."""
-        return self.diagnosis.verdict
-
-    @property
-    def effects(self) -> list[str]:
-        """Ids of the effects that are named; empty where none is."""
-        return self.diagnosis.effects
-
-    def report(self, out: str | Path) -> None:
-        """Write the report: one HTML page with all pictures.
-
-        Raises
-        ------
-        UndertowError
-            If the file cannot be written.
-        """
-        write_whole(Path(out), _page(self))
-
-    def __repr__(self) -> str:
-        return f"{self.verdict}: {self.diagnosis.headline}"
-
-    def _repr_html_(self) -> str:
-        head = ("model", "error on validation data (1: noise of the sensors)")
-        steps = enumerate(self.diagnosis.steps)
-        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
-        return html(repr(self), head, rows)
 
 
 def read_log(
@@ -400,8 +407,7 @@ def fit(
     """
     constraints = Constraints(read_equalities(equal, vehicle), dissipative)
     estimator = Estimator(_method(method), horizon, constraints, loss)
-    logs, kept = _moving(vehicle, runs), _moving(vehicle, validation)
-    return refit(vehicle, logs, kept, estimator, horizon, report, trust_log=trust_log)
+    return refit(vehicle, runs, validation, estimator, horizon, report, trust_log=trust_log)
 
 
 def _method(name: str) -> Method:
@@ -409,71 +415,6 @@ def _method(name: str) -> Method:
     if name.replace("-", "_") not in methods:
         raise UndertowError(f"method '{name}' is not known: choose one of {', '.join(methods)}")
     return methods[name.replace("-", "_")]
-
-
-def _moving(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
-    """Logs with the velocities that they have a pose for only."""
-    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
-
-
-def diagnose(
-    vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
-    *,
-    known: Catalogue | None = None,
-    report: Progress = lambda done, words: None,
-    false_alarms: float = FALSE_ALARM_RATE,
-    trust_log: bool = False,
-) -> Diagnosed:
-    """Find out which effect a model lacks, judged on validation data.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` are refitted.
-    runs, validation : sequence of Run
-        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
-    known : mapping, optional
-        Effects that may be missing, by id; the whole catalogue by default.
-    report : callable
-        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
-    false_alarms : float
-        Chance of naming an effect where nothing is missing, 0.005 to 0.2.
-    trust_log : bool
-        Use logs even where their channels contradict each other or the vehicle (wrong units).
-
-    Returns
-    -------
-    Diagnosed
-        `verdict`, `effects`, the models `before` and `after` adding them, and `report(path)`.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short or contradicts itself, or nothing moved in it.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> import undertow as ut
-    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
-    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
-    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
-    >>> current = {"ocean_current": ut.catalogue()["ocean_current"]}
-    >>> ut.diagnose(vehicle, [run], known=current).effects
-    ['ocean_current']
-    """
-    done = diagnosed(
-        vehicle,
-        _moving(vehicle, runs),
-        _moving(vehicle, validation),
-        known=known,
-        report=report,
-        false_alarms=false_alarms,
-        trust_log=trust_log,
-    )
-    return Diagnosed(**{f.name: getattr(done, f.name) for f in fields(done)})
 
 
 def add_effect(
@@ -518,8 +459,7 @@ def add_effect(
     >>> "ocean_current" in [effect.id for effect in better.all_effects]
     True
     """
-    wanted = lookup(effect, catalogue())
-    done = added(wanted, lay_ground(vehicle, _moving(vehicle, runs), _moving(vehicle, validation)))
+    done = try_effect(vehicle, effect, runs, validation)[1]
     if not (done.helps or force):
         raise UndertowError(
             f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
@@ -528,19 +468,75 @@ def add_effect(
     return done.fit.vehicle
 
 
-def _page(outcome: Outcome) -> str:
-    """The report of a diagnosis as one HTML page."""
-    from .report.page import render_report  # brings matplotlib, which only a report needs
+def try_effect(
+    vehicle: Vehicle,
+    effect: str,
+    runs: Sequence[Run],
+    validation: Sequence[Run] = (),
+    *,
+    known: Catalogue | None = None,
+    keep_all: bool = False,
+    report: Progress = lambda done, words: None,
+    trust_log: bool = False,
+) -> tuple[AdditionSetup, Addition]:
+    """Fit a model with an effect and without it; what was fitted to, and what the effect does to the error.
 
-    return render_report(outcome.diagnosis, _pictures_data(outcome))
+    Parameters and exceptions are those of `add_effect`; `keep_all` keeps parameters that prove to be zero.
+    """
+    wanted = lookup(effect, catalogue() if known is None else known)
+    report(0.0, "fitting the model as it is")
+    ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
+    report(0.3, f"fitting it with {wanted.id}")
+    return ground, added(wanted, ground, keep_all=keep_all)
 
 
-def _pictures_data(outcome: Outcome) -> ReportData:
-    """Comparison of the refitted model with the kept-aside runs, before and after."""
-    from .report.tables import report_data
+def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
+    """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
+    history = _history(
+        "undertow add",
+        _roles(ground.train, ground.test),
+        (addition.before.error, addition.after.error),
+        addition.fit,
+        added=[addition.effect],
+        helps=addition.helps,
+    )
+    save_vehicle(addition.fit.vehicle, template, out, history=history)
 
-    before = compare(outcome.before, outcome.test)
-    added = outcome.diagnosis.last_step.changes
-    after = compare(outcome.after, outcome.test) if added else None
-    names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
-    return report_data(before, after, names=names)
+
+def plan(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    request: PlanRequest,
+    *,
+    only: Sequence[str] = (),
+    between: Sequence[str] = (),
+    diagnosis: Path | None = None,
+    known: Catalogue | None = None,
+    trust_log: bool = False,
+) -> Planned:
+    """Plan the manoeuvre that best determines parameters (`only` these), or tells models apart.
+
+    The models are the vehicle with each of the effects in `between` (one alone against the model as it is),
+    or those that the file of a `diagnosis` leaves open.
+    """
+    if runs:
+        runs = with_velocities(vehicle, runs)
+        check_fit(runs, (), vehicle.velocity_names)
+    if not between and diagnosis is None:
+        return plan_parameters(vehicle, runs, request, only, trust_log=trust_log)
+    effects = catalogue() if known is None else known
+    if diagnosis is not None:
+        specs = specs_of(read_diagnosis(diagnosis), vehicle, effects)
+    else:
+        specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
+    return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
+
+
+def save_diagnosis(
+    result: DiagnosisResult, template: str | Path, out: Path, command: str = "undertow diagnose"
+) -> None:
+    """Write the vehicle file with what was found, in the form of the one that it came from."""
+    d = result.diagnosis
+    errors = d.steps[0].error, d.last_step.error
+    history = _history(command, [(r.role, r) for r in d.runs], errors, result.fit, added=d.effects)
+    save_vehicle(result.after, template, out, history=history)

@@ -7,14 +7,16 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.parallel import aside
-from undertow.identification.diagnosis.validation import check_excitation, keep_blocks_aside, repeats
-from undertow.identification.doctor.examine import examine, refuse_impossible
+from undertow.files import write_whole
+from undertow.identification.diagnosis.parallel import in_background
+from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
+from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
@@ -22,20 +24,23 @@ from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
+from undertow.notebook import html
 from undertow.typing import Array, Progress
 from undertow.version import __version__
 
+from .compare.comparison import compare
 from .diagnosis.candidates import possible
-from .diagnosis.evidence import Chain, FoundEffect, fitted, with_effects
+from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.residual import remaining
 from .diagnosis.result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
 from .diagnosis.search import Search, last_fit, search
-from .diagnosis.trial import FALSE_ALARM_RATE, Bench, Score, error_of, noise_ratio, scored, told_apart
-from .diagnosis.validation import DECIDING, Referee, clearly_worse, sizes
+from .diagnosis.settings import DEFAULT, Settings
+from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
+from .diagnosis.validation import SimulationValidator, sizes
 from .diagnosis.verdict import (
     Judgement,
-    Left,
     Relief,
+    Remainder,
     absorbing,
     changed_values,
     equivalents,
@@ -47,68 +52,58 @@ from .diagnosis.verdict import (
     unique_ids,
     with_values,
 )
-
-_MANOEUVRES = 20
-# Mean square of every equation, in units of the noise, below which next to nothing is left.
-_NEARLY_NOISE = 2.0
+from .report.data import ReportData
 
 
-class Story:
-    """The outcome of a search, judged under one noise model for all steps and by simulation.
+class ResultBuilder:
+    """The outcome of a search, judged under one noise model for all steps and by simulation."""
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model as given.
-    found : Search
-        What the search found.
-    referee : Referee
-        Who simulates.
-    known : Catalogue
-        Effects that may be missing.
-    """
-
-    def __init__(self, vehicle: Vehicle, found: Search, referee: Referee, known: Catalogue) -> None:
-        self.vehicle, self.referee, self._known = vehicle, referee, known
-        self.found = found = decided(found, referee)
-        self.bench = found.bench
+    def __init__(
+        self, vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue
+    ) -> None:
+        self.vehicle, self.validator, self._known = vehicle, validator, known
+        self.found = found = validated(found, validator)
+        self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        refined = [referee.refined(f) for f in weak]
+        refined = [validator.refined(f) for f in weak]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = referee.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        self.given = validator.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
-        self._quiet = quiet = referee.quiet(weak[-1], self.bench.test)
-        left = Left(
-            quiet=quiet,
-            confirmed=not clearly_worse(self.simulated[-1], self.simulated[0]),
-            nearly=quiet or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < _NEARLY_NOISE),
-            change="" if quiet else self._change(),
+        self._residual_is_noise = residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
+        left = Remainder(
+            residual_is_noise=residual_is_noise,
+            confirmed=not validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
+            nearly=residual_is_noise
+            or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < self.settings.nearly_noise),
+            change="" if residual_is_noise else self._change(),
         )
         scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
         self.judgement: Judgement = judge(found, scores, self.bench.noise_level, left)
 
     def _change(self) -> str:
-        """How the size of the one effect that was found changes in the course of the kept-aside data."""
+        """How the size of the one effect that was found changes in the course of the validation data."""
         winners = self.found.winners
         if len(unique_ids(winners)) != 1:
             return ""
         own = [p for w in winners for p in w.trial.candidate.parameters]
-        return sizes(self.fits[-1], own, self.bench.test, self._whitening).change
+        return sizes(self.fits[-1], own, self.bench.test, self._whitening, self.settings).change(
+            self.settings
+        )
 
     @property
     def after(self) -> Fitted:
         """The fit with what is named, or the refitted model where nothing is."""
         return self.fits[-1] if self.judgement.effects else self.base
 
-    def told(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
+    def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
-        doubts += self._by_heart() if self.judgement.effects else []
+        doubts += self._repeated_commands() if self.judgement.effects else []
         left = remaining(self.after, self.bench.train, self.bench.test)
         doubts += self._nowhere_alone(left)
         return Diagnosis(
@@ -127,19 +122,19 @@ class Story:
             warnings=self._warnings(equivalent),
             remaining=left,
             parameters=estimates(self.after, self.vehicle),
-            false_alarm_rate=self.bench.false_alarms,
+            false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
             seconds=seconds,
         )
 
     def _headline(self) -> str:
         values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self.judgement, values, self._quiet)
+        return with_values(self.judgement, values, self._residual_is_noise)
 
     def _equivalents(self) -> list[Equivalent]:
         model, bench = self.found.vehicle, self.bench
-        if self.judgement.effects and self._quiet:
-            return instead_of_effects(self.found.chain, model, bench, self.referee.quiet)
+        if self.judgement.effects and self._residual_is_noise:
+            return instead_of_effects(self.found.effect_set, model, bench, self.validator.residual_is_noise)
         if self.judgement.verdict != "adequate":
             return []
         derived = bench.train.velocities_derived
@@ -151,11 +146,13 @@ class Story:
             return []
         return ["It stands out in the force of no degree of freedom by itself."]
 
-    def _by_heart(self) -> list[str]:
+    def _repeated_commands(self) -> list[str]:
         return [
             f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
             "by heart would look as good: judge by another one."
-            for kept, fitted in repeats(self.vehicle, self.referee.train, self.referee.test)
+            for kept, fitted in repeats(
+                self.vehicle, self.validator.train, self.validator.test, self.settings
+            )
         ]
 
     def _sets(self) -> list[Indistinguishable]:
@@ -168,16 +165,16 @@ class Story:
 
     def _separating(self, place: int, equals: Indistinguishable) -> str:
         others = [f for i, f in enumerate(self.found.winners) if i != place]
-        chains = [self.found.chain, *self.found.rivals[place]]
-        values = {c.findings[place].id: c.findings[place].trial.fit.values for c in chains}
+        effect_sets = [self.found.effect_set, *self.found.rivals[place]]
+        values = {c.findings[place].id: c.findings[place].trial.fit.values for c in effect_sets}
         try:
             return suggest(
                 with_effects(self.found.vehicle, others),
                 equals.effects,
-                self.referee.train,
+                self.validator.train,
                 values,
                 known=self._known,
-                tries=_MANOEUVRES,
+                tries=self.settings.manoeuvres,
             )
         except UndertowError as error:
             return f"No manoeuvre can be suggested: {error}"
@@ -186,7 +183,7 @@ class Story:
         """Error in units of the noise; what unknown first states leave open is left out on both sides."""
         before, data = self._left_before, self.bench.test
         after = scored(fit, data, self._whitening, before.r)
-        without, with_it = map(error_of, told_apart(before, after, data))
+        without, with_it = map(error_of, comparable_mean_squares(before, after, data))
         return self._before * with_it / without
 
     @cached_property
@@ -200,16 +197,16 @@ class Story:
     def _steps(self) -> list[Step]:
         ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
         steps = [self._step(ids[:i], fit, self.simulated[i], freed) for i, fit in enumerate(self.fits)]
-        first = [self._step([], self.given, self.referee.squares(self.given))] if freed else []
+        first = [self._step([], self.given, self.validator.squares(self.given))] if freed else []
         return [*first, *steps]
 
     def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
-        ahead = self.referee.ahead(fit.vehicle)
+        ahead = self.validator.ahead(fit.vehicle)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
             added=added,
             error=self._normalised(fit),
-            prediction=ahead.get(f"{DECIDING:g} s", ahead["free run"]),
+            prediction=ahead.get(f"{self.settings.short_windows:g} s", ahead["free run"]),
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
             freed=list(freed),
@@ -247,75 +244,76 @@ class Story:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
-        return absorbing(self.vehicle, self.base, helpers, alike)
+        return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
 
 
-def decided(found: Search, referee: Referee) -> Search:
+def validated(found: Search, validator: SimulationValidator) -> Search:
     """The search as far as it stands up to simulation.
 
-    An effect goes when the model simulates the kept-aside runs to within the noise before it is added to
+    An effect goes when the model simulates the validation runs to within the noise before it is added to
     others. All of a set of equally good effects are fitted by output error, started from the weak form, and
-    simulate the kept-aside runs; the best of them leads, and gets a last fit.
+    simulate the validation runs; the best of them leads, and gets a last fit.
     """
-    found = _without_surplus(found, referee)
+    found = _without_surplus(found, validator)
     for place in range(len(found.rivals)):
         if found.rivals[place]:
-            best, *others = referee.standing([found.chain, *found.rivals[place]])
-            rivals: list[list[Chain]] = list(found.rivals)
+            equals = [found.effect_set, *found.rivals[place]]
+            best, *others = validator.surviving([validator.contender(c) for c in equals])
+            rivals: list[list[EffectSet]] = list(found.rivals)
             rivals[place] = others
-            found = replace(found, chain=best, rivals=rivals)
-    return replace(found, chain=_last(found.chain, found.bench)) if found.winners else found
+            found = replace(found, effect_set=best, rivals=rivals)
+    return replace(found, effect_set=_last(found.effect_set, found.bench)) if found.winners else found
 
 
-def _last(chain: Chain, bench: Bench) -> Chain:
-    fit = last_fit(chain.fit, [f.trial.candidate for f in chain.findings])
-    return replace(chain, fit=fit, score=bench.judge(fit))
+def _last(effect_set: EffectSet, bench: Bench) -> EffectSet:
+    fit = last_fit(effect_set.fit, [f.trial.candidate for f in effect_set.findings], bench.settings)
+    return replace(effect_set, fit=fit, score=bench.judge(fit))
 
 
-def _without_surplus(found: Search, referee: Referee) -> Search:
+def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
     """The search without effects that the simulation does not need."""
-    if _hidden_in_noise(found, referee):
-        return replace(found, chain=fitted(found.vehicle, [], found.bench), rivals=[])
+    if _hidden_in_noise(found, validator):
+        return replace(found, effect_set=fitted(found.vehicle, [], found.bench), rivals=[])
     for place in range(len(found.winners)) if len(found.winners) > 1 else ():
         kept = [i for i in range(len(found.winners)) if i != place]
         shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
-        if referee.leaves_only_noise(shorter.fit) and not referee.outdone(shorter.fit, found.chain.fit):
+        if validator.leaves_only_noise(shorter.fit) and not validator.significantly_worse(
+            shorter.fit, found.effect_set.fit
+        ):
             rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
-            return _without_surplus(replace(found, chain=shorter, rivals=rivals), referee)
+            return _without_surplus(replace(found, effect_set=shorter, rivals=rivals), validator)
     return found
 
 
-def _hidden_in_noise(found: Search, referee: Referee) -> bool:
+def _hidden_in_noise(found: Search, validator: SimulationValidator) -> bool:
     """Whether the model as it is leaves only noise, and simulates no worse than with what was found.
 
     Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
     of its own that an effect can take up.
     """
-    if not found.winners or not referee.quiet(found.bench.base, found.bench.test):
+    if not found.winners or not validator.residual_is_noise(found.bench.base, found.bench.test):
         return False
     without = fitted(found.vehicle, [], found.bench)
-    squares = [referee.contender(c).squares for c in (without, found.chain)]
-    return not (clearly_worse(*squares) or referee.outdone(without.fit, found.chain.fit))
+    squares = [validator.contender(c).squares for c in (without, found.effect_set)]
+    return not (
+        validator.worse_by_rank_test(*squares)
+        or validator.significantly_worse(without.fit, found.effect_set.fit)
+    )
 
 
-def _only(chain: Chain, places: list[int]) -> Chain:
-    return replace(chain, findings=tuple(chain.findings[i] for i in places))
+def _only(effect_set: EffectSet, places: list[int]) -> EffectSet:
+    return replace(effect_set, findings=tuple(effect_set.findings[i] for i in places))
 
 
 def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
 
 
-HORIZON = DECIDING
-# Chances of a false alarm that evidence can be held to: less than the first no bootstrap of 1000 draws shows.
-_LEAST_RATE, _MOST_RATE = 0.005, 0.2
-
-
 Role = Literal["train", "holdout", "blocks"]
 
 
-@dataclass(frozen=True)
-class Outcome:
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult:
     """A diagnosis with the models it is about.
 
     Attributes
@@ -337,93 +335,130 @@ class Outcome:
     test: list[Run]
     fit: Fitted
 
+    @property
+    def verdict(self) -> str:
+        """adequate, missing_effect, indistinguishable, unexplained or not_identifiable."""
+        return self.diagnosis.verdict
+
+    @property
+    def effects(self) -> list[str]:
+        """Ids of the effects that are named; empty where none is."""
+        return self.diagnosis.effects
+
+    def report(self, out: str | Path) -> None:
+        """Write the report: one HTML page with all pictures."""
+        from .report.page import render_report  # brings matplotlib, which only a report needs
+
+        write_whole(Path(out), render_report(self.diagnosis, self.comparison()))
+
+    def comparison(self, *, compiled: bool | None = None) -> ReportData:
+        """The refitted model beside the validation runs, without and with what was added, for a report."""
+        from .report.tables import report_data
+
+        before = compare(self.before, self.test, compiled=compiled)
+        added = self.diagnosis.last_step.changes
+        after = compare(self.after, self.test, compiled=compiled) if added else None
+        names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
+        return report_data(before, after, names=names)
+
+    def __repr__(self) -> str:
+        return f"{self.verdict}: {self.diagnosis.headline}"
+
+    def _repr_html_(self) -> str:
+        head = ("model", "error on validation data (1: noise of the sensors)")
+        steps = enumerate(self.diagnosis.steps)
+        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        return html(repr(self), head, rows)
+
 
 def diagnose(
     vehicle: Vehicle,
     runs: Sequence[Run],
-    holdout: Sequence[Run] = (),
+    validation: Sequence[Run] = (),
     *,
     known: Catalogue | None = None,
     report: Progress = lambda done, words: None,
-    false_alarms: float = FALSE_ALARM_RATE,
+    false_alarms: float | None = None,
+    settings: Settings = DEFAULT,
     trust_log: bool = False,
-) -> Outcome:
-    """Find out which effect a model lacks, judged on data kept aside.
+) -> DiagnosisResult:
+    """Find out which effect a model lacks, judged on validation data.
 
     Parameters
     ----------
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
-    runs : sequence of Run
-        Logs to fit to.
-    holdout : sequence of Run
-        Logs to judge by; without any, stretches of `runs` are kept aside.
+    runs, validation : sequence of Run
+        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
-        Effects that may be missing; the whole catalogue by default.
+        Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Told what share is done, and what is being done.
-    false_alarms : float
-        Chance of naming an effect where nothing is missing, that the evidence is held to.
+        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
+    false_alarms : float, optional
+        Chance of naming an effect where nothing is missing, 0.005 to 0.2; that of `settings` by default.
+    settings : Settings
+        The numbers that decide, see `undertow.identification.diagnosis.settings`.
     trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+        Use logs even where their channels contradict each other or the vehicle (wrong units).
+
+    Returns
+    -------
+    DiagnosisResult
+        `verdict`, `effects`, the models `before` and `after` adding them, and `report(path)`.
 
     Raises
     ------
     UndertowError
-        If a channel is missing, a log is too short or cannot be, nothing moved in it, or `false_alarms` is
-        out of bounds.
+        If a channel is missing, a log is too short or contradicts itself, or nothing moved in it.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import undertow as ut
+    >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
+    >>> vehicle = ut.load_vehicle(demo / "vehicle.toml")
+    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=vehicle.command_names)
+    >>> current = {"ocean_current": ut.catalogue()["ocean_current"]}
+    >>> ut.diagnose(vehicle, [run], known=current).effects
+    ['ocean_current']
     """
-    check_false_alarms(false_alarms)
+    if false_alarms is not None:
+        settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
-    train = prepare(train_runs, vehicle)
-    check_excitation(vehicle, train_runs, train.sigma)
-    with aside(lambda: examine(vehicle, [*runs, *holdout]).result) as examined:
-        test = prepare(test_runs, vehicle, sigma=train.sigma)
-        referee = Referee(vehicle, train_runs, test_runs, train.sigma)
+    logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
+    data = prepare(train, vehicle)
+    with in_background(lambda: examine(vehicle, [*logs, *judges]).result) as examined:
+        validator = SimulationValidator(vehicle, train, test, data.sigma, settings)
         effects = known or catalogue()
         found = search(
             vehicle,
-            train,
-            test,
+            data,
+            prepare(test, vehicle, sigma=data.sigma),
             effects,
             lambda done, words: report(0.9 * done, words),
-            referee.quiet,
-            false_alarms,
+            validator.residual_is_noise,
+            settings,
         )
         report(0.9, "judging the result by simulation")
-        story = Story(vehicle, found, referee, effects)
-        roles: tuple[Role, Role] = ("train", "holdout") if holdout else ("blocks", "blocks")
-        infos = [_info(r, roles[0]) for r in runs] + [_info(r, roles[1]) for r in holdout]
-        diagnosis = _with_doctor(story.told(infos, time.perf_counter() - began), examined())
-    return Outcome(diagnosis, story.given.vehicle, story.after.vehicle, train_runs, test_runs, story.after)
-
-
-def check_false_alarms(rate: float) -> None:
-    """Refuse a chance of false alarms that the evidence cannot be held to.
-
-    Raises
-    ------
-    UndertowError
-        If it is below what 1000 draws can show, or so high that a name would mean little.
-    """
-    if not _LEAST_RATE <= rate <= _MOST_RATE:
-        raise UndertowError(
-            f"a chance of false alarms of {rate:g} is not possible: choose one between {_LEAST_RATE:g} and "
-            f"{_MOST_RATE:g} ({FALSE_ALARM_RATE:g} by default)"
-        )
+        builder = ResultBuilder(vehicle, found, validator, effects)
+        roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
+        infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
+        diagnosis = _with_doctor(builder.build(infos, time.perf_counter() - began), examined())
+    return DiagnosisResult(
+        diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after
+    )
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
     """The diagnosis with what the doctor found; mistakes come first among the warnings."""
-    told = [f"{f.severity}: {f.text}" for f in examined.mistakes]
+    mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
-    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if told else []
+    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if mistakes else []
     return diagnosis.model_copy(
         update={
             "doctor": examined.findings,
-            "warnings": [*told, *diagnosis.warnings],
+            "warnings": [*mistakes, *diagnosis.warnings],
             "headline": " ".join([*first, diagnosis.headline]),
         }
     )

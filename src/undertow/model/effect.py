@@ -188,7 +188,7 @@ class Effect(abc.ABC):
         ----------
         seen : mapping
             Least and greatest value of each pose coordinate that the vehicle has, m and rad, and, as
-            `beat`, of the angular frequency at which what the model leaves swings most, rad/s.
+            `dominant_frequency`, of the angular frequency at which what the model leaves swings most, rad/s.
 
         Returns
         -------

@@ -13,7 +13,9 @@ POSE = ("x", "y", "z", "phi", "theta", "psi")
 VELOCITY = ("u", "v", "w", "p", "q", "r")
 FORCE = ("X", "Y", "Z", "K", "M", "N")
 FORCE_UNITS = ("N",) * 3 + ("N m",) * 3
+POSE_UNITS = ("m",) * 3 + ("rad",) * 3
 VELOCITY_UNITS = ("m/s",) * 3 + ("rad/s",) * 3
+MOTION_UNITS = dict(zip((*POSE, *VELOCITY), (*POSE_UNITS, *VELOCITY_UNITS), strict=True))
 # Columns of a log that mean the same for every vehicle: nothing of a vehicle's own may be called so.
 CHANNELS = frozenset({"t", *POSE, *VELOCITY, *(f"{v}_dot" for v in VELOCITY), *(f"tau_{f}" for f in FORCE)})
 # No vehicle in water moves or turns faster, and no water flows faster: m/s and rad/s.
@@ -92,11 +94,10 @@ def signals(thrusters: tuple[str, ...] = ()) -> Signals:
 
 def signal_units(s: Signals) -> dict[sm.Symbol, str]:
     """Unit of every signal symbol, for dimensional analysis."""
-    pose = ("m",) * 3 + ("rad",) * 3
     rate = ("m/s^2",) * 3 + ("rad/s^2",) * 3
     units: dict[sm.Symbol, str] = {s.t: "s", s.rho: "kg/m^3", s.g: "m/s^2"}
     for matrix, names in (
-        (s.eta, pose),
+        (s.eta, POSE_UNITS),
         (s.nu, VELOCITY_UNITS),
         (s.nu_dot, rate),
         (s.nu_r, VELOCITY_UNITS),

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
+from functools import cached_property
 from itertools import chain, combinations
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -15,10 +20,11 @@ from undertow.identification.estimation.fitted import Triangle, base_parameters,
 from undertow.identification.estimation.step import estimated
 from undertow.identification.logs.chunks import LogPart, LongLog, NeedsWhole, hash_of, outline
 from undertow.identification.logs.run import Run
+from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .regression import Axis, Case, Edges, Regression, axis_of, moving
+from .regression import Axis, Case, Edges, Regression, axis_of, chosen_cases, moving
 
 # Condition number of the scaled regressor from which rounding alone decides the estimates.
 _CONDITION = 1e7
@@ -317,3 +323,118 @@ def _reduce(
         for case in cases:
             experiment.regression.take_between(triangles[case.name], part.run, case, edges, after, until)
         after, part = until, following
+
+
+# --- all motions of a vehicle ---------------------------------------------------------------------
+@dataclass(frozen=True)
+class Identified:
+    """Estimates of all motions.
+
+    Attributes
+    ----------
+    stated : Vehicle
+        The vehicle as given.
+    found : list of (Experiment, list of Estimation)
+        For each motion and direction its estimates, one for each case.
+    edges : str
+        What the filters did at the ends.
+    """
+
+    stated: Vehicle
+    found: list[tuple[Experiment, list[Estimation]]]
+    edges: str
+
+    @property
+    def taken(self) -> list[tuple[Experiment, Estimation]]:
+        """What the rule takes, motions without a physical case left out."""
+        picks = ((e, selected(estimations)) for e, estimations in self.found)
+        return [(e, pick) for e, pick in picks if pick is not None]
+
+    @cached_property
+    def chosen(self) -> Chosen | None:
+        """The values of the whole vehicle; None where no case of any motion is physical."""
+        return chosen(self.stated, self.taken) if self.taken else None
+
+    def to_json(self) -> str:
+        """All numbers as JSON, SI and SNAME signs."""
+        motions = [
+            {
+                "motion": experiment.axis.motion,
+                "direction": experiment.axis.direction,
+                "logs": [{"name": r.name, "sha256": r.sha256} for r in experiment.runs],
+                "selected": pick.case.name if (pick := selected(estimations)) else None,
+                "cases": [_case(e) for e in estimations],
+            }
+            for experiment, estimations in self.found
+        ]
+        content = {"vehicle": self.stated.name, "edges": self.edges, "rule": RULE, "motions": motions}
+        return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+    def save(self, template: str | Path, out: Path) -> None:
+        """Write the vehicle file with what the rule takes and its covariance, in the form of the given one.
+
+        Raises
+        ------
+        UndertowError
+            If no case of any motion is physical.
+        """
+        if self.chosen is None:
+            raise UndertowError(f"{out} is not written: no case of any motion is physical")
+        cases = ", ".join(f"{e.axis}: case {pick.case.name}" for e, pick in self.taken)
+        runs = [run for experiment, _ in self.taken for run in experiment.runs]
+        history = {
+            "command": f"undertow identify --method sg-ls --edges {self.edges} ({cases})",
+            "date": date.today().isoformat(),
+            "logs": [{"name": r.name, "sha256": r.sha256, "role": "train"} for r in runs],
+            "covariance": {
+                "parameters": list(self.chosen.names),
+                "matrix": self.chosen.covariance.tolist(),
+            },
+        }
+        save_vehicle(self.chosen.vehicle(self.stated), template, out, history=history)
+
+
+def _case(estimation: Estimation) -> dict[str, Any]:
+    return {
+        "case": estimation.case.name,
+        "estimates": estimation.values,
+        "standard_errors": estimation.standard_errors,
+        "covariance": estimation.covariance.tolist(),
+        "inertia": dict(zip(("value", "standard_error"), estimation.inertia, strict=True)),
+        "residual_variance": estimation.residual_variance,
+        "samples": estimation.samples,
+        "condition": estimation.condition,
+        "physical": estimation.valid,
+    }
+
+
+def identify(
+    vehicle: Vehicle, runs: Sequence[Run], cases: str, edges: Edges = "interp", *, trust_log: bool = False
+) -> Identified:
+    """Estimates of every motion that the logs hold, after each of the `cases` ("all", or "1,4")."""
+    wanted = chosen_cases(cases)
+    found = [
+        (e, [estimate(e, case, edges) for case in wanted])
+        for e in experiments(vehicle, runs, trust_log=trust_log)
+    ]
+    return Identified(vehicle, found, edges)
+
+
+def identify_in_parts(
+    vehicle: Vehicle,
+    logs: Sequence[LongLog],
+    cases: str,
+    edges: Edges = "interp",
+    *,
+    progress: Progress = lambda done, words: None,
+    trust_log: bool = False,
+) -> Identified:
+    """The same from logs that are read in parts, each given once."""
+    paths = [log.path.resolve() for log in logs]
+    twice = [path for path in paths if paths.count(path) > 1]
+    if twice:
+        raise UndertowError(f"log {twice[0]} is given twice: give each once")
+    found = estimate_streaming(
+        vehicle, logs, chosen_cases(cases), edges, progress=progress, trust_log=trust_log
+    )
+    return Identified(vehicle, found, edges)

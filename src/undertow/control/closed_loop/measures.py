@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from undertow.model.symbols import FASTEST
-
-from .scenario import UNITS
+from undertow.model.symbols import FASTEST, MOTION_UNITS
 
 if TYPE_CHECKING:
     from .scenario import Scenario
@@ -162,7 +160,7 @@ def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float)
     pose = len(start)
     limit = float(CREDIBLE.limits(np.array([t]), pose, len(x))[0, place])
     name, value = names[place], float(x[place] - (start[place] if place < pose else 0.0))
-    unit = UNITS.get(name, "")
+    unit = MOTION_UNITS.get(name, "")
     if not math.isfinite(value):
         why = f"{name} is no finite number any more"
     elif place < pose:
@@ -309,7 +307,9 @@ class Measures:
         if {"x", "y"} <= moves.keys() and (moves["x"] or moves["y"]):
             self._course = math.atan2(moves["y"], moves["x"])
             moves |= {ALONG: math.hypot(moves["x"], moves["y"]), CROSS: 0.0}
-        self._errors = {n: _Error(m, _TURN if UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()}
+        self._errors = {
+            n: _Error(m, _TURN if MOTION_UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()
+        }
         self._names = list(to)
         self._states = loop.parts.functions.state_names
         self._start = np.array(list(start.values()))
@@ -373,7 +373,7 @@ class Measures:
         stays = e.settled is not None and e.settled <= (1 - TAIL) * self._scenario.duration
         return CoordinateResult(
             name,
-            UNITS.get(name, "m"),
+            MOTION_UNITS.get(name, "m"),
             e.move,
             turns,
             e.settled if moved and stays else None,
@@ -424,4 +424,4 @@ class _Commands:
 
 def _short(name: str, move: float) -> float:
     """The short way round for an angle."""
-    return math.remainder(move, _TURN) if UNITS[name] == "rad" else move
+    return math.remainder(move, _TURN) if MOTION_UNITS[name] == "rad" else move

@@ -10,12 +10,10 @@ import numpy as np
 
 from undertow.errors import UndertowError, nearest
 from undertow.model.loading import Quantity
-from undertow.model.symbols import FASTEST, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.symbols import FASTEST, FORCE_UNITS, MOTION_UNITS
 from undertow.model.units import to_si
 
 MOST_SAMPLES = 50_000_000
-_POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
-UNITS = {**dict(zip(POSE, _POSE_UNITS, strict=True)), **dict(zip(VELOCITY, VELOCITY_UNITS, strict=True))}
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ class Scenario:
         flat = [n for n in upright if n != "psi"]
         for known in (flat, upright, list(names)):
             if len(values) == len(known):
-                units = (UNITS[n] for n in known)
+                units = (MOTION_UNITS[n] for n in known)
                 return {n: _number(v, u, f"{what} {n}") for n, v, u in zip(known, values, units, strict=True)}
         raise UndertowError(
             f"{what} has {len(values)} values: give {len(flat)} ({','.join(flat)}), or {len(upright)} with "
@@ -150,8 +148,8 @@ class Scenario:
         for name, value in self.moving.items():
             if not abs(value) <= FASTEST:
                 raise UndertowError(
-                    f"first {name} = {value:g} {UNITS[name]}: nothing in water is as fast; stay within "
-                    f"{FASTEST:g}"
+                    f"first {name} = {value:g} {MOTION_UNITS[name]}: nothing in water is as fast; stay "
+                    f"within {FASTEST:g}"
                 )
         return np.array([self.moving.get(n, 0.0) for n in names])
 

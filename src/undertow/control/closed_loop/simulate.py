@@ -482,3 +482,22 @@ def without(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
                 f"{nearest(wanted, present)}: it has {', '.join(present)}"
             )
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in ids))
+
+
+def simulate_all(
+    vehicle: Vehicle,
+    gains: Sequence[str],
+    scenario: Scenario,
+    choices: Choices,
+    *,
+    plant: Vehicle | None = None,
+    progress: Progress = lambda done, words: None,
+) -> list[Record]:
+    """A run with every gain file; `progress` gets the seconds that are done, all runs together."""
+
+    def run(place: int, name: str) -> Record:
+        before = place * scenario.duration
+        loop = choices.loop(name, vehicle, plant)
+        return loop.run(scenario, lambda done, words: progress(before + done, words))
+
+    return [run(i, name) for i, name in enumerate(gains)]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import control as ct
 import numpy as np
+import tomlkit
 
 from undertow.codegen import Functions
 from undertow.control.gains import GainSet, GainTable, gains_from_table
@@ -56,6 +58,34 @@ class Design:
     def modes(self) -> list[Mode]:
         """Poles of the closed loop."""
         return modes(self.loop.closed)
+
+    @property
+    def coordinates(self) -> list[str]:
+        """Coordinates that have gains."""
+        gain = type(self.gains.law).gains[0]
+        return [c for c in self.gains.signals.coordinates if self.gains.values[str(gain.symbol(c))]]
+
+    def to_toml(self, source: str) -> str:
+        """Text of a gain file; `source` says in it where the gains are from."""
+        gains, document = self.gains, tomlkit.document()
+        document.add(
+            tomlkit.comment("Linear-quadratic design at hover with the diagonal of the optimal gain.")
+        )
+        document["schema"] = "undertow/gains/1"
+        document["name"] = gains.name
+        document["description"] = f"{gains.law.id} for {gains.plant.vehicle.name}"
+        document["source"] = source
+        document["law"] = gains.law.id
+        if gains.unactuated:
+            document["unactuated"] = list(gains.unactuated)
+        tables: Any = tomlkit.table()
+        for gain in type(gains.law).gains:
+            row = tomlkit.inline_table()
+            for c in self.coordinates:
+                row[c] = f"{gains.values[str(gain.symbol(c))]:.6g} {gain.unit(c)}"
+            tables[gain.name] = row
+        document["gains"] = tables
+        return tomlkit.dumps(document)
 
 
 def lqr(

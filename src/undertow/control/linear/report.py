@@ -7,16 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from math import isclose, isfinite
+from pathlib import Path
 from typing import Annotated, Any
 
 import control as ct
 from pydantic import Field, TypeAdapter
 
-from undertow.control.gains import GainSet
+from undertow.control.gains import GainSet, load_gains
 from undertow.errors import UndertowError, nearest
+from undertow.model.loading import resolve_vehicle
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Progress
 
 from .analysis import (
     Margins,
@@ -29,7 +31,7 @@ from .analysis import (
     observability,
     zeros_of,
 )
-from .family import Family
+from .family import Family, family
 from .numeric import Numeric, reversing
 from .systems import LinearLoop, close_loop, forces_of, linearize, named, with_forces
 from .trim import Trim, find_trim
@@ -104,6 +106,23 @@ class Analysis:
     @property
     def _places(self) -> dict[str, int]:
         return dict(zip(self.vehicle.degrees_of_freedom, self.vehicle.dof_indices, strict=True))
+
+    def require_stable(self) -> None:
+        """Refuse what grows.
+
+        Raises
+        ------
+        UndertowError
+            If a mode is unstable; the fastest growing one is named.
+        """
+        if self.growing:
+            mode = self.growing[0]
+            remedy = "change the gains" if self.gains else "close the loop with --gains"
+            what = f"the loop with '{self.gains.name}'" if self.gains else "this steady motion"
+            raise UndertowError(
+                f"{what} of '{self.vehicle.name}' is unstable: a mode in {', '.join(mode.states)} grows with "
+                f"{mode.pole.real:.4g} 1/s; {remedy}"
+            )
 
     # --- channels -----------------------------------------------------------------------------
     @cached_property
@@ -244,6 +263,47 @@ def _plain(content: Any) -> Any:
     if isinstance(content, float):
         return float(content) if isfinite(content) else None
     return content
+
+
+def analyse(
+    vehicle: Vehicle,
+    at: Mapping[str, float] | None = None,
+    *,
+    free: Sequence[str] = (),
+    direction: Mapping[str, int] | None = None,
+    gains: str | None = None,
+    pade: int = 0,
+    sensors: Sequence[str] = (),
+    family_of: int = 0,
+    source: str | Path = "",
+    seed: int = 0,
+    progress: Progress = lambda done, words: None,
+) -> Analysis:
+    """The linear analysis of a vehicle at a steady motion.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    at, free, direction
+        As for `find_trim`.
+    gains : str, optional
+        Gain file, or name of a bundled one: the closed loop.
+    pade, sensors
+        As for `Analysis`.
+    family_of, source, seed : int, str or Path, int
+        How many vehicles to draw from the uncertainty of this one, the file it is from, and the seed.
+    progress : callable
+        Told what share is done, and what is being done.
+    """
+    law = load_gains(gains, vehicle) if gains else None
+    progress(0.1, "finding the trim")
+    found = Analysis(vehicle, find_trim(vehicle, at, free=free, direction=direction), law, pade, sensors)
+    if family_of:
+        progress(0.3, "drawing vehicles")
+        path = resolve_vehicle(source)
+        found.family = family(vehicle, found.trim, family_of, gains=law, source=path, seed=seed)
+    return found
 
 
 SCHEMA = "undertow/update/1"

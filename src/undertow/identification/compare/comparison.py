@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -431,16 +432,12 @@ def _dofs(forces: Forces, vehicle: Vehicle) -> list[DofResult]:
 
 
 def _dof(forces: Forces, vehicle: Vehicle, i: int) -> DofResult:
-    missing, noise = _rms(forces.missing[:, i]), _rms(forces.noise[:, i])
     test = whiteness(forces.whitened[:, i], forces.segment)
     inputs = zip(vehicle.command_names, forces.commands.T, strict=True)
     return DofResult(
         degree_of_freedom=vehicle.degrees_of_freedom[i],
         unit=FORCE_UNITS[vehicle.dof_indices[i]],
-        residual_rms=missing,
-        noise_rms=noise,
-        explained_by_noise=_share(missing, noise),
-        normalised=_ratio(missing, noise),
+        **_against_noise(forces.missing[:, i], forces.noise[:, i]),
         autocorrelation=test.autocorrelation.tolist(),
         ljung_box=test.statistic,
         p_value=test.p_value,
@@ -452,12 +449,15 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _share(missing: float, noise: float) -> float:
-    return min(1.0, (noise / missing) ** 2) if missing > 0 else 1.0
-
-
-def _ratio(missing: float, noise: float) -> float | None:
-    return finite(missing / noise) if noise > 0 else None
+def _against_noise(residual: Array, sigma: Array) -> dict[str, Any]:
+    """Size of a residual force beside that of its noise."""
+    missing, noise = _rms(residual), _rms(sigma)
+    return {
+        "residual_rms": missing,
+        "noise_rms": noise,
+        "explained_by_noise": min(1.0, (noise / missing) ** 2) if missing > 0 else 1.0,
+        "normalised": finite(missing / noise) if noise > 0 else None,
+    }
 
 
 # --- error map --------------------------------------------------------------------------------
@@ -477,14 +477,7 @@ def _cell(forces: Forces, vehicle: Vehicle, i: int, regime: Regime) -> Cell:
     )
     if cell.samples < SETTINGS.fewest_in_cell:
         return cell
-    missing, noise = _rms(forces.missing[inside, i]), _rms(forces.noise[inside, i])
-    numbers = {
-        "residual_rms": missing,
-        "noise_rms": noise,
-        "explained_by_noise": _share(missing, noise),
-        "normalised": _ratio(missing, noise),
-    }
-    return cell.model_copy(update=numbers)
+    return cell.model_copy(update=_against_noise(forces.missing[inside, i], forces.noise[inside, i]))
 
 
 def _worst(cells: Sequence[Cell]) -> Cell | None:
@@ -499,8 +492,8 @@ def headline(worst: Cell | None) -> str:
         return "too few samples to say where the model fails"
     unit = "N" if worst.degree_of_freedom in ("surge", "sway", "heave") else "N m"
     percent = 100 * worst.explained_by_noise
-    told = "under 1" if percent < 1 else f"{percent:.0f}"
-    share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {told} %"
+    explained = "under 1" if percent < 1 else f"{percent:.0f}"
+    share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
     if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
         return f"nothing stands out from the noise; the most is {place}: {share}"

@@ -107,8 +107,8 @@ class _Evaluation:
     def _along(self, s: Segment, actuation: Array) -> tuple[Array, dict[str, Any]]:
         """Mass matrix at every test function, shape (K, n, n), and averages of all else."""
         memory = self._memory.along(s.t, s.measured, actuation, s.u, self.p).value
-        (motion,) = mapped(self._true_motion, [s.measured, actuation, memory, s.u], self.p, s.t)
-        smooth, held = _averages(s)
+        (motion,) = mapped(self._points.true_motion_at, [s.measured, actuation, memory, s.u], self.p, s.t)
+        smooth, held = (_rows_to_one(w) for w in (s.functions.value, s.functions.held))
         mean = smooth @ motion[:, :, 0]
         rate = -(s.functions.rate @ motion[:, self.size :, 0]) / _weight(s)[:, None]
         columns = [mean, rate, held @ actuation, smooth @ memory, held @ s.u]
@@ -120,12 +120,6 @@ class _Evaluation:
             "commands": held @ s.u,
             "wrenches": {k: v[:, :, 0] for k, v in zip(self.functions.wrenches, values, strict=True)},
         }
-
-    @cached_property
-    def _true_motion(self) -> ca.Function:
-        f, points = self.functions, self._points
-        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
-        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
 
     @cached_property
     def _wrenches(self) -> ca.Function:
@@ -140,12 +134,8 @@ def _weight(s: Segment) -> Array:
     return np.asarray(s.functions.held.sum(axis=1)).ravel()
 
 
-def _averages(s: Segment) -> tuple[csr_array, csr_array]:
-    """Operators that average smooth and held signals with the test functions."""
-    return _rows_to_one(s.functions.value), _rows_to_one(s.functions.held)
-
-
 def _rows_to_one(weights: csr_array) -> csr_array:
+    """Weights that average a signal with each test function."""
     return csr_array(weights.multiply(1.0 / weights.sum(axis=1)[:, None]))
 
 

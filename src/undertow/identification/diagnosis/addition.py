@@ -1,4 +1,4 @@
-"""Putting one effect into a model: the refit, and the error on kept-aside data before and after."""
+"""Putting one effect into a model: the refit, and the error on validation data before and after."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.trial import (
-    FALSE_ALARM_RATE,
     Bench,
     Trial,
     error_of,
     open_bench,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import DECIDING, check_excitation, keep_blocks_aside
-from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.predictor import predict
@@ -34,26 +31,20 @@ from undertow.model.effect import Effect
 from undertow.model.vehicle import Vehicle
 
 from .search import last_fit
-from .trial import begun, scout, scouts
-from .validation import Referee
+from .settings import DEFAULT
+from .trial import best_start, screen
+from .validation import SimulationValidator, training_and_validation
 
 
 @dataclass(frozen=True)
-class Ground:
+class AdditionSetup:
     """Logs to fit to and to judge by, and the model as it is, fitted to them.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model as it was given.
-    train, test : list of Run
-        The logs.
-    bench : Bench
-        Data, noise and the fitted model without the effect.
-    windows : Windows
-        Stretches of the kept-aside logs over which motion is predicted.
-    referee : Referee
-        Who simulates them.
+    vehicle: the model as it was given.
+    train, test: the logs.
+    bench: data, noise and the fitted model without the effect.
+    windows: stretches of the validation logs over which motion is predicted.
+    validator: who simulates them.
     """
 
     vehicle: Vehicle
@@ -61,10 +52,10 @@ class Ground:
     test: list[Run]
     bench: Bench
     windows: Windows
-    referee: Referee
+    validator: SimulationValidator
 
     def ahead(self, vehicle: Vehicle) -> float:
-        """Velocity error of the prediction ahead on kept-aside data, as a share of the motion."""
+        """Velocity error of the prediction ahead on validation data, as a share of the motion."""
         return float(prediction_error(predict(vehicle, self.windows, compiled=False)))
 
 
@@ -72,19 +63,12 @@ class Ground:
 class Addition:
     """An effect that was put into a model.
 
-    Attributes
-    ----------
-    effect : str
-        Its id.
-    fit : Fitted
-        The fit of the model with it.
-    kept, dropped : tuple of str
-        Parameters of the effect that are in the model now, and those that proved to be zero.
-    given, before, after : Step
-        Error on kept-aside data (1 = noise of the sensors) and prediction ahead: of the model as it was
-        given, refitted without the effect, and refitted with it.
-    evidence : Comparison
-        How strongly the kept-aside data speak for the effect.
+    effect: its id.
+    fit: the fit of the model with it.
+    kept, dropped: parameters of the effect that are in the model now, and those that proved to be zero.
+    given, before, after: error on validation data (1 = noise of the sensors) and prediction ahead: of the
+        model as it was given, refitted without the effect, and refitted with it.
+    evidence: how strongly the validation data speak for the effect.
     """
 
     effect: str
@@ -103,74 +87,42 @@ class Addition:
 
     @property
     def helps(self) -> bool:
-        """Whether the error on kept-aside data falls by more than chance and by enough to matter."""
-        return self.evidence.beyond_chance(FALSE_ALARM_RATE) and self.after.error < self.before.error
+        """Whether the error on validation data falls by more than chance and by enough to matter."""
+        return self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
 
 
-def lay_ground(
+def set_up_addition(
     vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
-) -> Ground:
-    """Fit a model as it is, and get ready to judge what is added to it.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; parameters marked `estimate` are refitted.
-    runs, holdout : sequence of Run
-        Logs to fit to and to judge by; without `holdout`, stretches of `runs` are kept aside.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, a log is too short or cannot be, or nothing moved in it.
-    """
-    refuse_impossible(vehicle, [*runs, *holdout], trust_log=trust_log)
-    train_runs, test_runs = (list(runs), list(holdout)) if holdout else keep_blocks_aside(runs)
+) -> AdditionSetup:
+    """Fit a model as it is, and get ready to judge what is added to it."""
+    train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
-    check_excitation(vehicle, train_runs, train.sigma)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
     longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(DECIDING, 0.9 * longest))
-    referee = Referee(vehicle, train_runs, test_runs, train.sigma)
-    return Ground(vehicle, train_runs, test_runs, bench, windows, referee)
+    windows = cut(test_runs, vehicle, min(bench.settings.short_windows, 0.9 * longest))
+    validator = SimulationValidator(vehicle, train_runs, test_runs, train.sigma)
+    return AdditionSetup(vehicle, train_runs, test_runs, bench, windows, validator)
 
 
-def add_effect(effect: type[Effect], ground: Ground, *, keep_all: bool = False) -> Addition:
-    """Put an effect into the model, refit all, and judge it on kept-aside data.
-
-    Parameters
-    ----------
-    effect : type of Effect
-        The effect.
-    ground : Ground
-        Logs and the model without it.
-    keep_all : bool
-        Keep parameters that prove to be zero within their error, too.
-
-    Raises
-    ------
-    UndertowError
-        If the model has all of the effect already, or lacks one that it needs.
-    """
-    candidate = _candidate(effect, ground.bench.base.model.functions.vehicle)
-    scouted = scouts(candidate, ground.bench)
-    if not _visible(candidate, scouted[0].start):
+def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
+    """Put an effect into the model, refit all, and judge it on validation data."""
+    candidate = _candidate(effect, setup.bench.base.model.functions.vehicle)
+    screened = screen(candidate, setup.bench)
+    if not _visible(candidate, screened[0].start):
         raise UndertowError(
-            f"effect '{effect.id}' has no influence on '{ground.bench.base.vehicle.name}' in these logs: "
+            f"effect '{effect.id}' has no influence on '{setup.bench.base.vehicle.name}' in these logs: "
             "its parameters cannot be found"
         )
-    start = begun(candidate, ground.bench, [look.values for look in scouted])
-    first = _tried(candidate, ground.bench, start, keep_all)
+    start = best_start(candidate, setup.bench, [look.values for look in screened])
+    first = _tried(candidate, setup.bench, start, keep_all)
     if candidate.removable and not first.kept:
-        # No parameter is clearly other than zero. The kept-aside data have the last word, so all go in.
-        keep_all, first = True, _whole(candidate, ground.bench, start)
+        # No parameter is clearly other than zero. The validation data have the last word, so all go in.
+        keep_all, first = True, _whole(candidate, setup.bench, start)
     # What is judged is weighed by the noise model of the better fit, for both models alike.
-    sharp = ground.bench.sharpened(first.full)
+    sharp = setup.bench.sharpened(first.full)
     last = last_fit(_tried(candidate, sharp, first.fit.values, keep_all).fit, [candidate])
-    return _told(ground, sharp, candidate, last)
+    return _judged(setup, sharp, candidate, last)
 
 
 def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
@@ -189,11 +141,11 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
     return candidate
 
 
-def visible_effects(ground: Ground, known: Catalogue) -> list[type[Effect]]:
+def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]]:
     """Effects that could be added to the model and that these logs could show."""
-    bench = ground.bench
+    bench = setup.bench
     possible = candidates(bench.base.model.functions.vehicle, known)
-    return [c.effect for c in possible if _visible(c, scout(c, bench).start)]
+    return [c.effect for c in possible if _visible(c, screen(c, bench)[0].start)]
 
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:
@@ -212,37 +164,37 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
     return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 
-def _told(ground: Ground, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
-    fit, base = (ground.referee.refined(f)[0] for f in (weak, bench.base))
+def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
+    fit, base = (setup.validator.refined(f)[0] for f in (weak, bench.base))
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.free)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
-    given = Functions(ground.vehicle)
+    given = Functions(setup.vehicle)
     p = np.array(given.values(), dtype=float)
     return Addition(
         candidate.id,
         fit,
         kept,
         tuple(n for n in own if n not in kept),
-        _step(ground, [], ground.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
-        _fitted(ground, [], base, noise),
-        _fitted(ground, [candidate.id], fit, noise),
+        _step(setup, [], setup.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
+        _fitted(setup, [], base, noise),
+        _fitted(setup, [candidate.id], fit, noise),
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
     )
 
 
-def _fitted(ground: Ground, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
-    at = fit.model.linearise(ground.bench.test, np.asarray(fit.p))
-    return _step(ground, added, fit.vehicle, at, noise)
+def _fitted(setup: AdditionSetup, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
+    at = fit.model.linearise(setup.bench.test, np.asarray(fit.p))
+    return _step(setup, added, fit.vehicle, at, noise)
 
 
 def _step(
-    ground: Ground, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
+    setup: AdditionSetup, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
 ) -> Step:
-    """Errors of a model on the kept-aside data; `noise` is that of the channels alone."""
+    """Errors of a model on the validation data; `noise` is that of the channels alone."""
     r = whitened(at, noise).r
     return Step(
         added=added,
-        error=error_of(mean_square(r, ground.bench.test)),
-        prediction=ground.ahead(vehicle),
+        error=error_of(mean_square(r, setup.bench.test)),
+        prediction=setup.ahead(vehicle),
     )

@@ -29,12 +29,8 @@ WAVE = re.compile(r"(sin|cos)\((2 )?(psi|phi|theta)\)")
 class Term:
     """Columns that are judged together.
 
-    Attributes
-    ----------
-    label : str
-        What the term is called.
-    columns : tuple of Column
-        Factors of each column.
+    label: what the term is called.
+    columns: factors of each column.
     """
 
     label: str
@@ -90,13 +86,7 @@ def command_of(factor: str) -> str | None:
 
 
 def unit_of(factor: str) -> str:
-    """SI unit of a factor; that of a thruster's command is ``command``.
-
-    Raises
-    ------
-    KeyError
-        If the text is no factor.
-    """
+    """SI unit of a factor; that of a thruster's command is ``command``."""
     name = command_of(factor)
     if name is not None:
         return UNITS.get(name, "command")
@@ -121,12 +111,8 @@ def _power(unit: str, exponent: int) -> str:
 class Along:
     """Motion and commands at N samples, from which columns are worked out.
 
-    Attributes
-    ----------
-    values : dict of (N,) arrays
-        Velocities through the water, pose and time.
-    commands : dict of (N,) arrays
-        What reaches each thruster, and known forces; held between samples.
+    values: (N,), velocities through the water, pose and time.
+    commands: (N,), what reaches each thruster, and known forces; held between samples.
     """
 
     values: dict[str, Array]
@@ -166,7 +152,7 @@ def _is_motion(text: str) -> bool:
 _PATTERNS = 1999
 # Share of a column's sum of squares that has to be left beside the model's own columns for it to be news.
 _NEWS = 1e-4
-# Terms that gain this share of what the best one does are told with it.
+# Terms that gain this share of what the best one does are named with it.
 _ALIKE = 0.9
 
 
@@ -174,16 +160,10 @@ _ALIKE = 0.9
 class Sample:
     """A residual in units of its noise.
 
-    Attributes
-    ----------
-    r : (m,) array
-        Residual.
-    own : (m, k) array
-        Its derivative in what the model may adjust.
-    columns : (m, q) array
-        Its derivative in the coefficients of all terms, side by side.
-    block : (m,) array of int
-        Block of time of each entry.
+    r: (m,), residual.
+    own: (m, k), its derivative in what the model may adjust.
+    columns: (m, q), its derivative in the coefficients of all terms, side by side.
+    block: (m,), block of time of each entry.
     """
 
     r: Array
@@ -212,39 +192,28 @@ class Sample:
 class Samples:
     """The same residual three times.
 
-    Attributes
-    ----------
-    fitted, aside : Sample
-        On the data of the fit, and on data kept aside, with what is left counted as noise.
-    shown : Sample
-        On data kept aside, in units of the noise of the sensors alone.
+    fitted, validation: on the data of the fit, and on validation data, with what is left counted as noise.
+    shown: on validation data, in units of the noise of the sensors alone.
     """
 
     fitted: Sample
-    aside: Sample
+    validation: Sample
     shown: Sample
 
     def mapped(self, change: Callable[[Sample], Sample]) -> Samples:
         """All three changed alike."""
-        return Samples(change(self.fitted), change(self.aside), change(self.shown))
+        return Samples(change(self.fitted), change(self.validation), change(self.shown))
 
 
 @dataclass(frozen=True)
 class Found:
     """A term with what the data say of it.
 
-    Attributes
-    ----------
-    term : Term
-        The term.
-    coefficients, errors : (k,) array
-        Coefficient of each of its columns, and standard errors.
-    gain : float
-        Fall of the sum of squares on kept-aside data.
-    chance : float
-        Share of sign patterns with which the best of all terms gains as much.
-    alike : tuple of str
-        Labels of terms that gain nearly as much.
+    term: the term.
+    coefficients, errors: (k,), coefficient of each of its columns, and standard errors.
+    gain: fall of the sum of squares on validation data.
+    chance: share of sign patterns with which the best of all terms gains as much.
+    alike: labels of terms that gain nearly as much.
     """
 
     term: Term
@@ -261,31 +230,26 @@ class _Tried:
 
     term: Term
     fitted: Array
-    aside: Array
+    validation: Array
     inverse: Array
     gram: Array
 
-    def gain(self, fitted: Array, aside: Array) -> Array:
-        """Fall of the kept-aside sum of squares for signs of the blocks, (patterns, blocks) each."""
+    def gain(self, fitted: Array, validation: Array) -> Array:
+        """Fall of the validation sum of squares for signs of the blocks, (patterns, blocks) each."""
         step = -(fitted @ self.fitted) @ self.inverse
         quadratic = np.einsum("si,ij,sj->s", step, self.gram, step)
-        return np.asarray(-2 * np.einsum("si,si->s", step, aside @ self.aside) - quadratic)
+        return np.asarray(-2 * np.einsum("si,si->s", step, validation @ self.validation) - quadratic)
 
 
 @dataclass(frozen=True)
 class Association:
     """A residual from which terms are taken one by one.
 
-    Attributes
-    ----------
-    terms : tuple of Term
-        What it may go with; their columns stand side by side in the samples.
-    samples : Samples
-        The residual.
-    stiffness : (k, k) array
-        What else (other equations, priors) says about the model's own parameters, as information.
-    taken : frozenset of str
-        Labels of the terms that were taken out.
+    terms: what it may go with; their columns stand side by side in the samples.
+    samples: the residual.
+    stiffness: (k, k), what else (other equations, priors) says about the model's own parameters, as
+        information.
+    taken: labels of the terms that were taken out.
     """
 
     terms: tuple[Term, ...]
@@ -294,9 +258,9 @@ class Association:
     taken: frozenset[str] = frozenset()
 
     def strongest(self) -> Found | None:
-        """The term that takes most of the kept-aside residual away; None where none takes any."""
+        """The term that takes most of the validation residual away; None where none takes any."""
         tried = self._tried
-        counts = self.samples.fitted.blocks, self.samples.aside.blocks
+        counts = self.samples.fitted.blocks, self.samples.validation.blocks
         gains = np.array([t.gain(*(np.ones((1, n)) for n in counts))[0] for t in tried])
         if not np.any(gains > 0):
             return None
@@ -307,7 +271,7 @@ class Association:
         best = float(gains[order[0]])
         alike = tuple(tried[i].term.label for i in order[1:] if gains[i] > _ALIKE * best)
         chance = (1 + int(np.sum(by_chance >= best))) / (1 + _PATTERNS)
-        return self._told(tried[order[0]], best, chance, alike)
+        return self._found(tried[order[0]], best, chance, alike)
 
     def without(self, found: Found) -> Association:
         """What is left when a term is taken out; its coefficients stay free to adjust."""
@@ -340,10 +304,10 @@ class Association:
 
     @cached_property
     def _tried(self) -> list[_Tried]:
-        fitted, aside = self.samples.fitted, self.samples.aside
-        first, second = self._beside(fitted), self._beside(aside)
+        fitted, validation = self.samples.fitted, self.samples.validation
+        first, second = self._beside(fitted), self._beside(validation)
         gram, whole = first.T @ fitted.columns, np.sum(fitted.columns**2, axis=0)
-        a, b = fitted.by_block(first * fitted.r[:, None]), aside.by_block(second * aside.r[:, None])
+        a, b = fitted.by_block(first * fitted.r[:, None]), validation.by_block(second * validation.r[:, None])
         news = np.diag(gram) > _NEWS * whole
         return [
             _Tried(t, a[:, c], b[:, c], inverse_of(gram[c, c]), second[:, c].T @ second[:, c])
@@ -352,7 +316,7 @@ class Association:
             if t.label not in self.taken and np.all(news[c])
         ]
 
-    def _told(self, t: _Tried, gain: float, chance: float, alike: tuple[str, ...]) -> Found:
+    def _found(self, t: _Tried, gain: float, chance: float, alike: tuple[str, ...]) -> Found:
         fitted = self.samples.fitted
         coefficients = -t.inverse @ t.fitted.sum(axis=0)
         column = self._beside(fitted)[:, self.places[t.term.label]]
@@ -368,12 +332,8 @@ _FEWEST_BLOCKS = 4
 class Difference:
     """Coefficients of the same columns in every run.
 
-    Attributes
-    ----------
-    values : (runs, k) array
-        The coefficients.
-    chance : float
-        Chance of so large differences when all runs are alike.
+    values: (runs, k), the coefficients.
+    chance: chance of so large differences when all runs are alike.
     """
 
     values: Array
@@ -383,14 +343,9 @@ class Difference:
 def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference | None:
     """Fit columns to a residual in every run by itself; None unless two runs are long enough.
 
-    Parameters
-    ----------
-    r : (m,) array
-        Residual in units of its noise.
-    columns : (m, k) array
-        Its derivative in the coefficients.
-    run, block : (m,) array of int
-        Run and block of time of each entry.
+    r: (m,), residual in units of its noise.
+    columns: (m, k), its derivative in the coefficients.
+    run, block: (m,), run and block of time of each entry.
     """
     groups = [np.flatnonzero(run == i) for i in np.unique(run)]
     if len(groups) < 2 or min(len(np.unique(block[g])) for g in groups) < _FEWEST_BLOCKS:
@@ -414,7 +369,7 @@ def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:
     return value, inverse * np.outer(inflation, inflation)
 
 
-# Points of the grid for each frequency that a run of that length can tell from the next.
+# Points of the grid for each frequency that a run of that length can resolve from the next.
 _FINE = 8
 _FEWEST_PERIODS = 3.0
 # Median over mean of a power that is scattered like that of noise.
@@ -426,12 +381,8 @@ _BAND = 0.1
 class Series:
     """A series on the clock of its runs.
 
-    Attributes
-    ----------
-    t, r : (K,) array
-        Time, s, and value, in units of its noise.
-    run : (K,) array of int
-        Run of each entry.
+    t, r: (K,), time, s, and value, in units of its noise.
+    run: (K,), run of each entry.
     """
 
     t: Array
@@ -454,14 +405,9 @@ class Series:
 class Peak:
     """A frequency that stands out.
 
-    Attributes
-    ----------
-    frequency : float
-        Hz.
-    gain : float
-        Sum of squares of the kept-aside series in its band, above that of the neighbouring frequencies.
-    chance : float
-        Chance of so high a power at this frequency on kept-aside data when it does not stand out.
+    frequency: hz.
+    gain: sum of squares of the validation series in its band, above that of the neighbouring frequencies.
+    chance: chance of so high a power at this frequency on validation data when it does not stand out.
     """
 
     frequency: float
@@ -469,25 +415,17 @@ class Peak:
     chance: float
 
 
-def highest_peak(fitted: Series, aside: Series, fastest: float) -> Peak | None:
-    """The frequency with most power above that of its neighbours; None where no run is long enough.
-
-    Parameters
-    ----------
-    fitted, aside : Series
-        Data of a fit, and data kept aside; phases may differ from run to run.
-    fastest : float
-        Highest frequency that the series resolve, Hz.
-    """
-    slowest = _FEWEST_PERIODS / min(fitted.length, aside.length)
+def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | None:
+    """The frequency with most power above that of its neighbours; None where no run is long enough."""
+    slowest = _FEWEST_PERIODS / min(fitted.length, validation.length)
     if slowest >= 0.5 * fastest:
         return None
-    grid = np.arange(slowest, fastest, 1.0 / (_FINE * max(fitted.length, aside.length)))
-    first, second = power(fitted, grid), power(aside, grid)
+    grid = np.arange(slowest, fastest, 1.0 / (_FINE * max(fitted.length, validation.length)))
+    first, second = power(fitted, grid), power(validation, grid)
     place = int(np.argmax(first / _neighbours(first, grid)))
     frequency = _summit(grid, first + second, place)
-    gain = _band_gain(second, frequency, grid, aside.length)
-    return Peak(frequency, gain, _chance(second, grid, place, len(aside.runs)))
+    gain = _band_gain(second, frequency, grid, validation.length)
+    return Peak(frequency, gain, _chance(second, grid, place, len(validation.runs)))
 
 
 def power(series: Series, grid: Array) -> Array:
@@ -531,19 +469,10 @@ def _band_gain(power: Array, frequency: float, grid: Array, length: float) -> fl
 def without_waves(r: Array, waves: Array, run: Index) -> tuple[Array, Array]:
     """A series less what a cosine and a sine take away in every run, and their coefficients.
 
-    Parameters
-    ----------
-    r : (K,) array
-        Series.
-    waves : (K, 2) array
-        What a cosine and a sine of unit amplitude add to it.
-    run : (K,) array of int
-        Run of each entry.
-
-    Returns
-    -------
-    (K,) array, (runs, 2) array
-        What is left, and the coefficients in each run.
+    r: (K,), series.
+    waves: (K, 2), what a cosine and a sine of unit amplitude add to it.
+    run: (K,), run of each entry.
+    Returns (K,): what is left, and the coefficients in each run.
     """
     left, found = r.copy(), []
     for i in np.unique(run):
@@ -558,16 +487,10 @@ def without_waves(r: Array, waves: Array, run: Index) -> tuple[Array, Array]:
 class Clock:
     """Time and log of each test function.
 
-    Attributes
-    ----------
-    t : (K,) array
-        Middle of the test function, s.
-    log : (K,) array of int
-        Place of the log in `names`; pieces of one log count as one.
-    start : (K,) array
-        First time in the piece, s.
-    names : tuple of str
-        What the logs are called.
+    t: (K,), middle of the test function, s.
+    log: (K,), place of the log in `names`; pieces of one log count as one.
+    start: (K,), first time in the piece, s.
+    names: what the logs are called.
     """
 
     t: Array

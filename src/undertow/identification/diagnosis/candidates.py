@@ -19,17 +19,15 @@ from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
 
+from .settings import DEFAULT, Settings
+
 
 @dataclass(frozen=True)
 class Candidate:
     """One effect that the model may lack, or lacks some parameters of.
 
-    Attributes
-    ----------
-    effect : type of Effect
-        The effect.
-    base : Vehicle
-        The model without it.
+    effect: the effect.
+    base: the model without it.
     """
 
     effect: type[Effect]
@@ -135,17 +133,7 @@ def candidates(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> 
 
 
 def possible(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
-    """All effects of the catalogue that could be added to a vehicle, those that add nothing to it among them.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    known : Catalogue
-        Effects that may be missing.
-    derived : bool
-        Whether velocities were taken from the pose, so that no velocity sensor can be wrong.
-    """
+    """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it."""
     fitting = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
     return [Candidate(c, vehicle) for c in fitting if not (derived and _of_velocity_sensor(c))]
@@ -155,29 +143,11 @@ def _of_velocity_sensor(effect: type[Effect]) -> bool:
     return issubclass(effect, Measurement) and effect.of_velocity_sensor
 
 
-# A swing is looked for from so many periods in a run on: fewer are a trend.
-_FEWEST_PERIODS = 3.0
-# Frequencies per resolution cell of the longest run, and cells on either side that a peak is held against.
-_FINE = 4
-_BESIDE = 12
-# Half width, in resolution cells, of where the frequency may lie: moving vehicles meet waves Doppler-shifted.
-_SPREAD = 1.0
-
-
-def beat(r: Array, data: WeakData) -> tuple[float, float] | None:
+def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
     """Least and greatest angular frequency around the sharpest line in a residual, rad/s.
 
-    Parameters
-    ----------
-    r : (m,) array
-        Whitened residual.
-    data : WeakData
-        Data that it belongs to.
-
-    Returns
-    -------
-    (float, float) or None
-        None where the runs are too short for three periods of anything.
+    r: (m,), whitened residual.
+    None where the runs are too short for three periods of anything.
     """
     cell = 2 * np.pi / max(float(s.t[-1] - s.t[0]) for s in data.segments)
     # A stretch between two gaps may hold a single test function.
@@ -185,13 +155,15 @@ def beat(r: Array, data: WeakData) -> tuple[float, float] | None:
     if not spacings:
         return None
     spacing = max(spacings)
-    grid = np.arange(_FEWEST_PERIODS * cell, 0.5 * np.pi / spacing, cell / _FINE)
-    if len(grid) <= 2 * _BESIDE * _FINE:
+    grid = np.arange(settings.line_periods * cell, 0.5 * np.pi / spacing, cell / settings.line_grid)
+    neighbours = settings.line_neighbours * settings.line_grid
+    if len(grid) <= 2 * neighbours:
         return None
-    slow = np.arange(0.0, _FEWEST_PERIODS + 0.5) * cell
+    slow = np.arange(0.0, settings.line_periods + 0.5) * cell
     power = _power(_turned(_without(r, data, slow), data), data, grid)
-    best = float(grid[np.argmax(power / _beside(power))])
-    return max(best - _SPREAD * cell, 0.5 * cell), best + _SPREAD * cell
+    best = float(grid[np.argmax(power / _beside(power, neighbours))])
+    wide = settings.line_half_width * cell
+    return max(best - wide, 0.5 * cell), best + wide
 
 
 def _without(r: Array, data: WeakData, slow: Array) -> Array:
@@ -232,8 +204,7 @@ def _power(r: Array, data: WeakData, grid: Array) -> Array:
     return power
 
 
-def _beside(power: Array) -> Array:
-    """Median power around each frequency."""
-    wide = _BESIDE * _FINE
+def _beside(power: Array, wide: int) -> Array:
+    """Median power around each frequency, over so many on either side."""
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, wide, mode="reflect"), 2 * wide + 1)
     return np.asarray(np.median(windows, axis=1))

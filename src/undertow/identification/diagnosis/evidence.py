@@ -18,28 +18,17 @@ from undertow.identification.estimation.weak_form import WeakFit, free_parameter
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .trial import Bench, Score, Trial, noise_ratio, only_noise, told_apart
-
-# A fall of the mean square, in units of the noise, that is hidden in the noise.
-SMALLEST_FALL = 0.05
-# Chance below which the better of two models is held to be better.
-_SURE = 0.01
-# Mean square, in units of the noise, from which an equation counts as not explained by it.
-_ABOVE_NOISE = 1.3
+from .settings import DEFAULT, Settings
+from .trial import Bench, Score, Trial, comparable_mean_squares, is_noise, noise_ratio, rows_of
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Fall of the mean square from one model to another, block by block.
 
-    Attributes
-    ----------
-    mean : float
-        Mean fall of the whitened mean square.
-    interval : (float, float)
-        95 % interval of the mean over blocks.
-    p_value : float
-        Chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test,
+    mean: mean fall of the whitened mean square.
+    interval: 95 % interval of the mean over blocks.
+    p_value: chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test,
         one-sided).
     """
 
@@ -47,9 +36,9 @@ class Comparison:
     interval: tuple[float, float]
     p_value: float
 
-    def beyond_chance(self, rate: float, among: int = 1) -> bool:
-        """Whether the fall is enough to matter and, the best among so many, no chance of this rate."""
-        return among * self.p_value < rate and self.mean > SMALLEST_FALL
+    def beyond_chance(self, settings: Settings = DEFAULT, among: int = 1) -> bool:
+        """Whether the fall is enough to matter and, the best among so many, beyond chance."""
+        return among * self.p_value < settings.false_alarm_rate and self.mean > settings.smallest_fall
 
 
 def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
@@ -70,14 +59,14 @@ def _summary(means: Array) -> Comparison:
     return Comparison(mean, (mean - half, mean + half), float(wilcoxon(means, alternative="greater").pvalue))
 
 
-def explained(before: Array, after: Array, noise: Array) -> float:
+def explained(before: Array, after: Array, noise: Array, settings: Settings = DEFAULT) -> float:
     """Share of what exceeds the noise of the sensors that went away, from mean squares by equation.
 
     Equations that the noise explains have no say; the others count by how far they are above it, in
     that one very bad equation does not hide the rest.
     """
     floor = np.maximum(noise, 1e-12)
-    counted = np.nan_to_num(before / floor) > _ABOVE_NOISE
+    counted = np.nan_to_num(before / floor) > settings.above_noise
     if not np.any(counted):
         return 0.0
     first, last, floor = before[counted], after[counted], floor[counted]
@@ -85,30 +74,22 @@ def explained(before: Array, after: Array, noise: Array) -> float:
     return float(np.average(share, weights=np.log(first / floor)))
 
 
-def as_good(best: Score, other: Score, data: WeakData) -> bool:
-    """Whether kept-aside data leave open which of two models is the better one."""
-    gap = compare_scores(other, best, data)
-    return gap.p_value > _SURE or gap.mean < SMALLEST_FALL
+def as_good(best: Score, other: Score, bench: Bench) -> bool:
+    """Whether the validation data leave open which of two models is the better one."""
+    gap, settings = compare_scores(other, best, bench.test), bench.settings
+    return gap.p_value > settings.as_good_chance or gap.mean < settings.smallest_fall
 
 
 @dataclass(frozen=True)
 class FoundEffect:
     """A candidate with the evidence for it.
 
-    Attributes
-    ----------
-    trial : Trial
-        The candidate after its fit.
-    evidence : Comparison
-        Fall of the kept-aside error, block by block.
-    explained : float
-        Share of what exceeds the noise that it takes away.
-    p_value : float
-        Chance that the best of all candidates lowers the error as much when nothing is missing.
-    significant : bool
-        Whether it is held to be there.
-    inclusion : float
-        How often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
+    trial: the candidate after its fit.
+    evidence: fall of the validation error, block by block.
+    explained: share of what exceeds the noise that it takes away.
+    p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
+    significant: whether it is held to be there.
+    inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
     """
 
     trial: Trial
@@ -130,13 +111,7 @@ class FoundEffect:
         return self.trial.id
 
 
-Quiet = Callable[[WeakFit, WeakData], bool]
-# Share of what exceeds the noise that effects must take away beside leaving only noise: a model that is just
-# above the limit of noise may get below it by chance.
-_MOST = 0.5
-# Mean square in units of the sensors' noise from which no second look is worth its time: what is so far off
-# hardly comes down to noise by what the first look has not found.
-_FAR_OFF = 1000.0
+IsNoise = Callable[[WeakFit, WeakData], bool]
 
 
 def hidden_by_disturbance(bench: Bench) -> bool:
@@ -144,31 +119,27 @@ def hidden_by_disturbance(bench: Bench) -> bool:
 
     By the weak form, also where the simulation of windows finds nothing but noise: their estimated starts
     take up part of a small steady force. Whether what is found is needed is for the simulation to say again.
-
-    Parameters
-    ----------
-    bench : Bench
-        Data, noise model and the model.
     """
-    if not np.any(bench.base.disturbance) or only_noise(bench.base, bench.test):
+    ratio = noise_ratio(bench.base, bench.test)
+    return a_little_more_than_noise(bench.base.disturbance, ratio, rows_of(bench.test), bench.settings)
+
+
+def a_little_more_than_noise(
+    disturbance: Array, ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT
+) -> bool:
+    """Whether mean squares exceed noise, but not by far, where there is process noise to take them up."""
+    if not np.any(disturbance) or is_noise(ratio, rows, settings):
         return False
-    return bool(np.nanmax(noise_ratio(bench.base, bench.test)) < _FAR_OFF)
+    # What is far off hardly comes down to noise by what the first search has not found.
+    return bool(np.nanmax(ratio) < settings.second_look_limit)
 
 
-def explains_all(bare: Bench, fit: WeakFit, quiet: Quiet) -> bool:
-    """Whether nothing but noise is left with effects that were found without room for a disturbance.
-
-    Parameters
-    ----------
-    bare : Bench
-        Data, the noise of the sensors and the model without the effects.
-    fit : WeakFit
-        The model with them.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
-    """
-    share = explained(*told_apart(bare.base_score, bare.judge(fit), bare.test), bare.noise_level)
-    return share >= _MOST and quiet(fit, bare.test)
+def explains_all(bare: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool:
+    """Whether nothing but noise is left with effects that were found without room for a disturbance."""
+    scores = comparable_mean_squares(bare.base_score, bare.judge(fit), bare.test)
+    share = explained(*scores, bare.noise_level, bare.settings)
+    # A model that is just above the limit of noise may get below it by chance.
+    return share >= bare.settings.second_look_share and residual_is_noise(fit, bare.test)
 
 
 @dataclass(frozen=True)
@@ -178,12 +149,8 @@ class Blocks:
     The whitened residual of the model is r + shift + J delta: r is that of the model without the candidate,
     shift what the candidate changes at the point of linearisation, J its derivative there.
 
-    Attributes
-    ----------
-    table : (B, k + 2, k + 2) array
-        Gram matrices of the columns of J (k of them), shift and r, one for each block.
-    rows : int
-        Entries of the residual in all blocks.
+    table: (B, k + 2, k + 2), gram matrices of the columns of J (k of them), shift and r, one for each block.
+    rows: entries of the residual in all blocks.
     """
 
     table: Array
@@ -231,23 +198,13 @@ class Blocks:
         return Blocks(table, self.rows)
 
 
-DRAWS = 1000
-_RESAMPLES = 200
-_SEED = 20150518
-
-
 @dataclass(frozen=True)
 class Linear:
-    """A candidate linearised where it was fitted, on the data for the fit and on those kept aside.
+    """A candidate linearised where it was fitted, on the data for the fit and on those for validation.
 
-    Attributes
-    ----------
-    train, test : Blocks
-        The model's own parameters first, the candidate's last.
-    own : int
-        How many of the columns belong to the candidate.
-    stiffness : (k,) array
-        Weight of the stated priors.
+    train, test: the model's own parameters first, the candidate's last.
+    own: how many of the columns belong to the candidate.
+    stiffness: (k,), weight of the stated priors.
     """
 
     train: Blocks
@@ -256,7 +213,7 @@ class Linear:
     stiffness: Array
 
     def falls(self, train_signs: Array, test_signs: Array) -> Array:
-        """Fall of the kept-aside mean square by the candidate when both models are refitted, (draws,)."""
+        """Fall of the validation mean square by the candidate when both models are refitted, (draws,)."""
         without = Linear(
             self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
         )
@@ -291,17 +248,17 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
     return inverse
 
 
-def best_by_chance(candidates: Sequence[Linear]) -> Array:
-    """Largest fall of the kept-aside error over all candidates in draws where nothing is missing, (DRAWS,).
+def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
+    """Largest fall of the validation error over all candidates in draws where nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
     of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
     """
     if not candidates:
-        return np.zeros(DRAWS)
-    rng = np.random.default_rng(_SEED)
+        return np.zeros(settings.null_draws)
+    rng = np.random.default_rng(settings.seed)
     first = candidates[0]
-    train, test = (rng.choice([-1.0, 1.0], (DRAWS, b.count)) for b in (first.train, first.test))
+    train, test = (rng.choice([-1.0, 1.0], (settings.null_draws, b.count)) for b in (first.train, first.test))
     return np.asarray(np.max([c.falls(train, test) for c in candidates], axis=0))
 
 
@@ -310,18 +267,18 @@ def p_value(fall: float, by_chance: Array) -> float:
     return float((1 + np.count_nonzero(by_chance >= fall)) / (1 + len(by_chance)))
 
 
-def inclusion(candidates: Sequence[Linear]) -> Array:
+def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
     """How often each candidate is the best one when the blocks are drawn anew, shape (len(candidates),)."""
     if not candidates:
         return np.zeros(0)
-    rng = np.random.default_rng(_SEED)
-    first = candidates[0]
+    rng = np.random.default_rng(settings.seed)
+    first, draws = candidates[0], settings.resamples
     train, test = (
-        rng.multinomial(b.count, np.full(b.count, 1.0 / b.count), _RESAMPLES).astype(float)
+        rng.multinomial(b.count, np.full(b.count, 1.0 / b.count), draws).astype(float)
         for b in (first.train, first.test)
     )
     squares = np.array([c.resampled(train, test) for c in candidates])
-    return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / _RESAMPLES
+    return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / draws
 
 
 def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Linear:
@@ -341,17 +298,12 @@ def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Line
 
 
 @dataclass(frozen=True)
-class Chain:
+class EffectSet:
     """Effects added to a model, fitted together.
 
-    Attributes
-    ----------
-    findings : tuple of Finding
-        The effects, in the order in which they were found.
-    fit : WeakFit
-        The model with all of them.
-    score : Score
-        How it does on the kept-aside data.
+    findings: the effects, in the order in which they were found.
+    fit: the model with all of them.
+    score: how it does on the validation data.
     """
 
     findings: tuple[FoundEffect, ...]
@@ -366,35 +318,35 @@ def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
     return vehicle
 
 
-def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> Chain:
+def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> EffectSet:
     """Fit a model with effects together and judge it."""
     grown = with_effects(vehicle, findings)
     free = free_parameters(grown)
     known = findings[-1].trial.fit.values if findings else bench.base.values
     own = set(free_parameters(vehicle))
     fit = bench.fit(grown, free, {n: v for n, v in known.items() if n in own})
-    return Chain(tuple(findings), fit, bench.judge(fit))
+    return EffectSet(tuple(findings), fit, bench.judge(fit))
 
 
-def thinned(vehicle: Vehicle, chain: Chain, bench: Bench) -> Chain:
-    """The chain without effects that those found later make superfluous."""
-    for finding in chain.findings[:-1]:
-        shorter = fitted(vehicle, [f for f in chain.findings if f is not finding], bench)
-        if as_good(chain.score, shorter.score, bench.test):
+def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
+    """The effect_set without effects that those found later make superfluous."""
+    for finding in effect_set.findings[:-1]:
+        shorter = fitted(vehicle, [f for f in effect_set.findings if f is not finding], bench)
+        if as_good(effect_set.score, shorter.score, bench):
             return thinned(vehicle, shorter, bench)
-    return chain
+    return effect_set
 
 
 def alternatives(
-    vehicle: Vehicle, chain: Chain, place: int, rivals: Sequence[FoundEffect], bench: Bench
-) -> list[Chain]:
+    vehicle: Vehicle, effect_set: EffectSet, place: int, rivals: Sequence[FoundEffect], bench: Bench
+) -> list[EffectSet]:
     """Chains with another effect in one place that do as well or better, the best first."""
     found = []
     for rival in rivals:
-        others = list(chain.findings)
+        others = list(effect_set.findings)
         if rival.id not in {f.id for f in others}:
             others[place] = rival
             tried = fitted(vehicle, others, bench)
-            if as_good(chain.score, tried.score, bench.test):
+            if as_good(effect_set.score, tried.score, bench):
                 found.append(tried)
     return sorted(found, key=lambda c: c.score.error)

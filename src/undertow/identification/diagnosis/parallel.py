@@ -33,15 +33,7 @@ def jobs() -> int:
 
 
 def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
-    """`work(0)` to `work(count - 1)` in this order; results travel between processes.
-
-    Parameters
-    ----------
-    work : callable
-        What is done with a number. It may refer to anything; what it returns has to be plain data.
-    count : int
-        How many.
-    """
+    """`work(0)` to `work(count - 1)` in this order; results travel between processes."""
     processes = min(jobs(), count)
     if processes < 2:
         yield from map(work, range(count))
@@ -61,14 +53,8 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
 
 
 @contextmanager
-def aside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
-    """Do something on another core while the block runs; what is handed out waits for the result.
-
-    Parameters
-    ----------
-    work : callable
-        What is done; its result has to be plain data. It is done at once where there is one process only.
-    """
+def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+    """Do something on another core while the block runs; what is handed out waits for the result."""
     if jobs() < 2:
         found = work()
         yield lambda: found
@@ -111,4 +97,4 @@ def _begin() -> None:
     logging.disable()
 
 
-__all__ = ["aside", "jobs", "mapped"]
+__all__ = ["in_background", "jobs", "mapped"]

@@ -51,33 +51,26 @@ _STANDS_OUT = 1.5
 class ForceRow:
     """One force equation of a fitted model along logs.
 
-    Attributes
-    ----------
-    parts : list of Linearised
-        For every segment the force that the model has beyond what the motion needs, and its derivative in the
-        free parameters, times the weight of the test functions, N s or N m s.
-    quiet : list of Whitening
-        Noise of the channels in it.
-    weight : float
-        Mean integral of a test function, s.
+    parts: for every segment the force that the model has beyond what the motion needs, and its derivative in
+        the free parameters, times the weight of the test functions, N s or N m s.
+    sensor_noise: noise of the channels in it.
+    weight: mean integral of a test function, s.
     """
 
     parts: list[Linearised]
-    quiet: list[Whitening]
+    sensor_noise: list[Whitening]
     weight: float
 
     def whitened(self, disturbance: float, columns: Sequence[Array] | None = None) -> Linearised:
         """Residual and derivatives in units of the noise, with further columns behind those of the model.
 
-        Parameters
-        ----------
-        disturbance : float
-            Intensity of what the model leaves beyond the noise, N^2 s or (N m)^2 s.
-        columns : sequence of (K, q) arrays, optional
-            Further derivatives, one table for each segment.
+        columns: (K, q), further derivatives, one table for each segment.
         """
         counts = [len(p.r) for p in self.parts]
-        noise = [w.with_disturbance(np.full(n, disturbance)) for w, n in zip(self.quiet, counts, strict=True)]
+        noise = [
+            w.with_disturbance(np.full(n, disturbance))
+            for w, n in zip(self.sensor_noise, counts, strict=True)
+        ]
         return whitened(self.parts if columns is None else _beside(self.parts, columns), noise)
 
     @property
@@ -93,7 +86,7 @@ class ForceRow:
     @property
     def noise_rms(self) -> float:
         """Rms that the noise of the channels gives to it, N or N m."""
-        variance = np.concatenate([w.covariance.diagonal() for w in self.quiet])
+        variance = np.concatenate([w.covariance.diagonal() for w in self.sensor_noise])
         return float(np.sqrt(np.mean(variance))) / self.weight
 
     @property
@@ -108,7 +101,7 @@ class ForceRow:
     def _averaged(self, width: int) -> tuple[float, float]:
         """Mean square of the force over `width` test functions, and that of its noise."""
         squares, variances = [], []
-        for part, noise in zip(self.parts, self.quiet, strict=True):
+        for part, noise in zip(self.parts, self.sensor_noise, strict=True):
             whole = len(part.r) // width * width
             groups = csr_array(kron(eye_array(whole // width), np.ones((1, width))))
             covariance = groups @ csr_array(noise.covariance)[:whole, :whole] @ groups.T
@@ -137,15 +130,7 @@ def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linea
 
 
 class ForceRows:
-    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model.
-    data : WeakData
-        Logs, those that it was fitted to or others.
-    """
+    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other."""
 
     def __init__(self, fit: Fitted, data: WeakData) -> None:
         self._fit, self.data = fit, data
@@ -154,16 +139,16 @@ class ForceRows:
     def row(self, dof: int) -> ForceRow:
         """The equation of one degree of freedom, by its place among those of the vehicle."""
         rows = len(self.data.rows)
-        parts, quiet = [], []
+        parts, sensor_noise = [], []
         segments = zip(self.data.segments, self._residual, self._noise, self._mass, strict=True)
         for s, part, noise, mass in segments:
             to_force = self._to_force(mass[:, dof])
             known = None if part.known is None else part.known // rows
             parts.append(Linearised(to_force @ part.r, to_force @ part.J, to_force @ part.start, known))
             covariance = banded(csr_array(to_force @ noise.covariance @ to_force.T))
-            quiet.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
+            sensor_noise.append(Whitening(covariance, overlap(s.functions, s.t, 1), np.zeros(len(mass))))
         weights = np.concatenate([s.functions.held.sum(axis=1) for s in self.data.segments])
-        return ForceRow(parts, quiet, float(np.mean(weights)))
+        return ForceRow(parts, sensor_noise, float(np.mean(weights)))
 
     def _to_force(self, mass: Array) -> csr_array:
         """From accelerations of all equations to the force in one, shape (K, K rows)."""
@@ -202,8 +187,8 @@ class ForceRows:
     @cached_property
     def _along(self) -> list[tuple[Segment, Along, Array]]:
         functions, p, data = self._fit.model.functions, self._fit.p, self.data
-        chain, motion, late = ActuatorStates(functions, ()), self._motion, SensorDelay(functions)
-        driven = [chain.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
+        actuators, motion, late = ActuatorStates(functions, ()), self._motion, SensorDelay(functions)
+        driven = [actuators.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
         found = []
         for s in (late.in_time(s, p) for s in data.segments):
             pose, velocity, mass = mapped(motion, [s.measured], p, s.t)
@@ -247,7 +232,7 @@ def measured_pose(data: WeakData) -> tuple[str, ...]:
 
 
 MOST_TERMS = 4
-# Chance, over all terms of a degree of freedom, above which an association is not told.
+# Chance, over all terms of a degree of freedom, above which an association is not reported.
 _CHANCE = 0.002
 _CHANCE_OF_A_LINE = 1e-4
 _CHANCE_OF_RUNS = 1e-4
@@ -260,7 +245,7 @@ _TREND_SECONDS = 100.0
 
 
 @dataclass
-class Character:
+class ResidualDescription:
     """What is known of the residual force of one degree of freedom."""
 
     depends_on: list[Dependence] = field(default_factory=list)
@@ -270,19 +255,13 @@ class Character:
 
 
 @dataclass(frozen=True)
-class Sitting:
+class ResidualForce:
     """One residual force, ready to be looked at.
 
-    Attributes
-    ----------
-    association : Association
-        The residual with the terms that it may go with.
-    clocks : (Clock, Clock)
-        Clock of the data of the fit, and of those kept aside.
-    rows : three of (ForceRows, ForceRow, float)
-        Where each of the three samples comes from, with the disturbance that it was whitened with.
-    unit : str
-        Unit of the force.
+    association: the residual with the terms that it may go with.
+    clocks: clock of the data of the fit, and of those for validation.
+    rows: where each of the three samples comes from, with the disturbance that it was whitened with.
+    unit: unit of the force.
     """
 
     association: Association
@@ -295,21 +274,21 @@ class Sitting:
         return [row.whitened(level, rows.waves(frequency)).J[:, -2:] for rows, row, level in self.rows]
 
 
-class Portrait:
+class Characterisation:
     """The search for what one residual goes with."""
 
-    def __init__(self, sitting: Sitting) -> None:
-        self._sitting, self._left = sitting, sitting.association
+    def __init__(self, force: ResidualForce) -> None:
+        self._force, self._left = force, force.association
         shown = self._left.samples.shown
         self._excess = max(shown.square - len(shown.r), 1e-9)
-        self._character = Character()
+        self._description = ResidualDescription()
 
-    def drawn(self) -> Character:
+    def result(self) -> ResidualDescription:
         """Everything that is found."""
-        while len(self._character.depends_on) < MOST_TERMS and self._next():
+        while len(self._description.depends_on) < MOST_TERMS and self._next():
             pass
-        self._character.between_runs = list(filter(None, map(self._between_runs, _COMPARED)))
-        return self._character
+        self._description.between_runs = list(filter(None, map(self._between_runs, _COMPARED)))
+        return self._description
 
     def _next(self) -> bool:
         term, peak = self._left.strongest(), self._peak()
@@ -320,7 +299,7 @@ class Portrait:
         return term is not None and self._take(term)
 
     def _accept(self, after: Association) -> float:
-        """Go on with what is left; the share that went away, or zero where it is too small to be told."""
+        """Go on with what is left; the share that went away, or zero where it is too small to be reported."""
         fall = self._left.samples.shown.square - after.samples.shown.square
         share = float(np.clip(fall / self._excess, 0.0, 1.0))
         if share < _SMALLEST_SHARE:
@@ -332,19 +311,21 @@ class Portrait:
     def _take(self, found: Found) -> bool:
         share = self._accept(self._left.without(found))
         if share:
-            told = _dependence(found, share, self._sitting.unit)
-            self._character.depends_on.append(told)
-            self._character.trend = self._character.trend or _trend(told)
+            dependence = _dependence(found, share, self._force.unit)
+            self._description.depends_on.append(dependence)
+            self._description.trend = self._description.trend or _trend(dependence)
         return share > 0.0
 
     # --- a line -------------------------------------------------------------------------------
     def _peak(self) -> Peak | None:
-        if self._character.spectrum is not None:
+        if self._description.spectrum is not None:
             return None
-        samples, clocks = self._left.samples, self._sitting.clocks
+        samples, clocks = self._left.samples, self._force.clocks
         # A test function is four steps wide: of what is faster than that it leaves nothing.
         fastest = 1.0 / (4.0 * clocks[0].step)
-        peak = highest_peak(clocks[0].series(samples.fitted.r), clocks[1].series(samples.aside.r), fastest)
+        peak = highest_peak(
+            clocks[0].series(samples.fitted.r), clocks[1].series(samples.validation.r), fastest
+        )
         return peak if peak is not None and peak.chance < _CHANCE_OF_A_LINE else None
 
     def _take_line(self, peak: Peak) -> bool:
@@ -352,16 +333,16 @@ class Portrait:
         after, amplitude = self._without_line(frequency)
         share = self._accept(after)
         if share:
-            self._character.spectrum = Spectrum(
+            self._description.spectrum = Spectrum(
                 period=1.0 / frequency, amplitude=amplitude, share=share, chance=peak.chance, in_step=in_step
             )
         return share > 0.0
 
     def _without_line(self, frequency: float) -> tuple[Association, float]:
-        samples, clocks = self._left.samples, self._sitting.clocks
+        samples, clocks = self._left.samples, self._force.clocks
         logs = (clocks[0].log, clocks[1].log, clocks[1].log)
         kept, sizes = [], []
-        for s, waves, log in zip(_three(samples), self._sitting.waves(frequency), logs, strict=True):
+        for s, waves, log in zip(_three(samples), self._force.waves(frequency), logs, strict=True):
             left, coefficients = without_waves(s.r, waves, log)
             kept.append(replace(s, r=left))
             sizes.append(np.linalg.norm(coefficients, axis=1))
@@ -370,25 +351,25 @@ class Portrait:
 
     def _phase(self, frequency: float) -> tuple[float, bool]:
         """Whether all runs have the same phase since their start; then the frequency that suits them best."""
-        width = 1.0 / max(c.series(c.t).length for c in self._sitting.clocks)
+        width = 1.0 / max(c.series(c.t).length for c in self._force.clocks)
         near = frequency + width * np.arange(-_FINE, _FINE + 1) / _FINE
         fits = [self._common(f) for f in near]
         best = int(np.argmax([fall for fall, _ in fits]))
-        aside = self._left.samples.aside
-        own = aside.square - _square(
-            without_waves(aside.r, self._sitting.waves(frequency)[1], self._sitting.clocks[1].log)[0]
+        validation = self._left.samples.validation
+        own = validation.square - _square(
+            without_waves(validation.r, self._force.waves(frequency)[1], self._force.clocks[1].log)[0]
         )
         in_step = fits[best][1] > _IN_STEP * own
         return (float(near[best]) if in_step else frequency), in_step
 
     def _common(self, frequency: float) -> tuple[float, float]:
-        """Fall of the sum of squares by one wave for all runs: on the data of the fit, and kept aside."""
-        waves = self._sitting.waves(frequency)
+        """Fall of the sum of squares by one wave for all runs: on the data of the fit, on validation data."""
+        waves = self._force.waves(frequency)
         samples = self._left.samples
         coefficients = -np.linalg.lstsq(waves[0], samples.fitted.r, rcond=None)[0]
         falls = [
             s.square - _square(s.r + w @ coefficients)
-            for s, w in zip((samples.fitted, samples.aside), waves, strict=False)
+            for s, w in zip((samples.fitted, samples.validation), waves, strict=False)
         ]
         return falls[0], falls[1]
 
@@ -398,7 +379,7 @@ class Portrait:
         places = self._left.places
         if label not in places:
             return None
-        pair, clocks = (self._left.samples.fitted, self._left.samples.aside), self._sitting.clocks
+        pair, clocks = (self._left.samples.fitted, self._left.samples.validation), self._force.clocks
         names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
         logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
         found = difference(
@@ -410,14 +391,14 @@ class Portrait:
         if found is None or found.chance > _CHANCE_OF_RUNS:
             return None
         values = {n: v.tolist() for n, v in zip(names, found.values, strict=True)}
-        return BetweenRuns(of=of, values=values, unit=self._sitting.unit, chance=found.chance)
+        return BetweenRuns(of=of, values=values, unit=self._force.unit, chance=found.chance)
 
 
 _COMPARED = (("a constant", "mean force"), ("sin and cos of psi", "force that turns with the heading"))
 
 
 def _three(samples: Samples) -> tuple[Sample, Sample, Sample]:
-    return samples.fitted, samples.aside, samples.shown
+    return samples.fitted, samples.validation, samples.shown
 
 
 def _square(r: Array) -> float:
@@ -437,14 +418,19 @@ def _dependence(found: Found, share: float, unit: str) -> Dependence:
     )
 
 
-def _trend(told: Dependence) -> Trend | None:
+def _trend(dependence: Dependence) -> Trend | None:
     """What a term that grows with time says about 100 s."""
-    column = tuple(told.columns[0])
+    column = tuple(dependence.columns[0])
     if "t" not in column:
         return None
     rest = tuple(f for f in column if f != "t")
-    unit = coefficient_unit(told.units[0].partition("/")[0], rest)
-    return Trend(of=label_of(rest), change=_TREND_SECONDS * told.coefficients[0], unit=unit, share=told.share)
+    unit = coefficient_unit(dependence.units[0].partition("/")[0], rest)
+    return Trend(
+        of=label_of(rest),
+        change=_TREND_SECONDS * dependence.coefficients[0],
+        unit=unit,
+        share=dependence.share,
+    )
 
 
 _SHOWN_ALIKE = 2
@@ -469,19 +455,19 @@ def sentence(left: Remaining, loud: bool) -> str:
 
 
 def _parts(left: Remaining) -> Iterator[str]:
-    for told in left.depends_on:
-        does = how(told, left.degree_of_freedom, left.unit)
-        yield f"{_percent(told.share)} of it goes with {_named(told)} ({does})"
+    for dependence in left.depends_on:
+        does = how(dependence, left.degree_of_freedom, left.unit)
+        yield f"{_percent(dependence.share)} of it goes with {_named(dependence)} ({does})"
     if left.spectrum is not None:
         yield _period(left.spectrum, left.unit)
     yield from map(_by_run, left.between_runs)
 
 
-def how(told: Dependence, degree_of_freedom: str, unit: str) -> str:
+def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
     """What a term does to the motion, as far as its sign says."""
-    coefficients, column = told.coefficients, told.columns[0]
+    coefficients, column = dependence.coefficients, dependence.columns[0]
     if len(coefficients) > 1:
-        return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {told.units[0]}"
+        return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
     own = VELOCITY[DOFS.index(degree_of_freedom)]
@@ -491,12 +477,12 @@ def how(told: Dependence, degree_of_freedom: str, unit: str) -> str:
         faster = [_FASTER[plain_of(f)] for f in others if plain_of(f) in _FASTER]
         does = f"slows {degree_of_freedom}" if coefficients[0] < 0 else f"drives {degree_of_freedom} on"
         return ", ".join([does, f"the more {' and '.join(faster)}"] if faster else [does])
-    return f"{'falls' if coefficients[0] < 0 else 'rises'} as {told.term} grows"
+    return f"{'falls' if coefficients[0] < 0 else 'rises'} as {dependence.term} grows"
 
 
-def _named(told: Dependence) -> str:
-    others = "".join(f" or {a}" for a in told.alike[:_SHOWN_ALIKE])
-    return f"{told.term}{others}"
+def _named(dependence: Dependence) -> str:
+    others = "".join(f" or {a}" for a in dependence.alike[:_SHOWN_ALIKE])
+    return f"{dependence.term}{others}"
 
 
 def _period(spectrum: Spectrum, unit: str) -> str:
@@ -505,9 +491,10 @@ def _period(spectrum: Spectrum, unit: str) -> str:
     return f"period {spectrum.period:.3g} s stands out ({size})"
 
 
-def _by_run(told: BetweenRuns) -> str:
-    values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in told.values.values()]
-    return f"the {told.of} differs from run to run ({min(values):.2g} to {max(values):.2g} {told.unit})"
+def _by_run(difference: BetweenRuns) -> str:
+    values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in difference.values.values()]
+    size = f"{min(values):.2g} to {max(values):.2g} {difference.unit}"
+    return f"the {difference.of} differs from run to run ({size})"
 
 
 def _percent(share: float) -> str:
@@ -524,27 +511,19 @@ _MEMORIES = 3.0
 
 
 class Characteriser:
-    """Residual forces of a fitted model, on the data of the fit and on data kept aside.
+    """Residual forces of a fitted model, on the data of the fit and on validation data."""
 
-    Parameters
-    ----------
-    fit : Fitted
-        The model.
-    known, aside : WeakData
-        Logs that it was fitted to, and logs that it was not.
-    """
-
-    def __init__(self, fit: Fitted, known: WeakData, aside: WeakData) -> None:
+    def __init__(self, fit: Fitted, known: WeakData, validation: WeakData) -> None:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
-        self._fitted, self._aside = ForceRows(fit, known), ForceRows(fit, aside)
-        self._terms = tuple(terms_of(vehicle, measured_pose(aside)))
+        self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
+        self._terms = tuple(terms_of(vehicle, measured_pose(validation)))
         self._prior = prior_of(fit.model)[1]
 
     @cached_property
     def rows(self) -> list[ForceRow]:
-        """Force equations on the kept-aside data."""
-        return [self._aside.row(i) for i in range(len(self._units))]
+        """Force equations on the validation data."""
+        return [self._validation.row(i) for i in range(len(self._units))]
 
     def is_loud(self, dof: int) -> bool:
         """Whether more is left in a degree of freedom than the noise explains."""
@@ -552,14 +531,17 @@ class Characteriser:
         count = sum(len(p.r) for p in row.parts)
         return row.ratio > max(_LOUD, 1.0 + _SPREADS * float(np.sqrt(2.0 / count)))
 
-    def of(self, dof: int) -> Character:
+    def of(self, dof: int) -> ResidualDescription:
         """Describe what is left in a degree of freedom, by its place among those of the vehicle."""
-        fitted, aside = self._fitted_rows[dof], self.rows[dof]
-        rows = (self._fitted, fitted, fitted.disturbance), (self._aside, aside, fitted.disturbance)
-        sitting = Sitting(
-            self._association(dof), self._clocks, (*rows, (self._aside, aside, 0.0)), self._units[dof]
+        fitted, validation = self._fitted_rows[dof], self.rows[dof]
+        rows = (self._fitted, fitted, fitted.disturbance), (self._validation, validation, fitted.disturbance)
+        force = ResidualForce(
+            self._association(dof),
+            self._clocks,
+            (*rows, (self._validation, validation, 0.0)),
+            self._units[dof],
         )
-        return Portrait(sitting).drawn()
+        return Characterisation(force).result()
 
     def _association(self, dof: int) -> Association:
         level, own = self._fitted_rows[dof].disturbance, len(self._prior)
@@ -575,10 +557,10 @@ class Characteriser:
         return Association(self._terms, Samples(*samples), self._stiffness(dof))
 
     def _block_seconds(self, r: Array) -> float:
-        """Blocks that forget each other, but enough of them on the kept-aside data."""
+        """Blocks that forget each other, but enough of them on the validation data."""
         covariance = np.correlate(r, r, "full")[len(r) - 1 :]
         memory = self._clocks[0].step * int(np.argmax(covariance < _FORGOTTEN * covariance[0]))
-        data = self._aside.data
+        data = self._validation.data
         total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
         return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
 
@@ -593,7 +575,7 @@ class Characteriser:
 
     @cached_property
     def _clocks(self) -> tuple[Clock, Clock]:
-        return Clock.of(self._fitted.data), Clock.of(self._aside.data)
+        return Clock.of(self._fitted.data), Clock.of(self._validation.data)
 
     @cached_property
     def _information(self) -> list[Array]:
@@ -602,29 +584,14 @@ class Characteriser:
 
     @cached_property
     def _columns(self) -> tuple[list[Array], list[Array]]:
-        """What each term adds to a row, on the data of the fit and on those kept aside."""
+        """What each term adds to a row, on the data of the fit and on those for validation."""
         columns = [c for t in self._terms for c in t.columns]
-        return self._fitted.columns(columns), self._aside.columns(columns)
+        return self._fitted.columns(columns), self._validation.columns(columns)
 
 
-def remaining(fit: Fitted, known: WeakData, aside: WeakData) -> list[Remaining]:
-    """Residual force of every degree of freedom on kept-aside data.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model.
-    known, aside : WeakData
-        Data that it was fitted to, and data kept aside.
-
-    Returns
-    -------
-    list of Remaining
-        In the order of the vehicle's degrees of freedom. The rms is that of the force averaged under the
-        test functions, in N or N m; the normalised error weighs slow parts, where there is little noise, as
-        heavily as they deserve.
-    """
-    characteriser = Characteriser(fit, known, aside)
+def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remaining]:
+    """Residual force of every degree of freedom on validation data."""
+    characteriser = Characteriser(fit, known, validation)
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
 
 

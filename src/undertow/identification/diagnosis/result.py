@@ -38,11 +38,11 @@ class Estimate(ResultTable):
 
 
 class Ranked(ResultTable):
-    """A candidate: what it would add and what that does to the error on kept-aside data.
+    """A candidate: what it would add and what that does to the error on validation data.
 
     `error_before` and `error_after` are normalised (1 is the noise floor); `explained` is the share of what
     exceeds the floor that goes away; `improvement` is the mean fall of the mean square over the blocks of the
-    kept-aside data with its 95 % interval. `p_value` is the chance that the best of all candidates looks as
+    validation data with its 95 % interval. `p_value` is the chance that the best of all candidates looks as
     good when nothing is missing; `inclusion` how often this one is the best when the blocks of the logs are
     drawn anew. Both are absent for candidates that do not help.
 
@@ -82,7 +82,7 @@ def how_sure(significant: bool, before: float, after: float) -> str:
 
 
 class Step(ResultTable):
-    """The model with one more effect, on kept-aside data.
+    """The model with one more effect, on validation data.
 
     `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
     windows of 5 s whose starts are estimated, in units of the noise; `prediction` the error of velocities 5 s
@@ -127,7 +127,7 @@ class Dependence(ResultTable):
     """A term that a residual force goes with: an association, not a cause.
 
     `columns` are the factors that are multiplied, one list for each coefficient; `share` is the share of what
-    exceeds the noise of the sensors on kept-aside data that goes away with the term; `chance` is how often
+    exceeds the noise of the sensors on validation data that goes away with the term; `chance` is how often
     the best of all terms does as much when the residual has nothing to do with any; `alike` are terms that
     these data hardly tell from it.
     """
@@ -171,7 +171,7 @@ class BetweenRuns(ResultTable):
 
 
 class Remaining(ResultTable):
-    """What the final model leaves in one degree of freedom on kept-aside data.
+    """What the final model leaves in one degree of freedom on validation data.
 
     `residual_rms` and `noise_rms` are those of the force averaged under the test functions, `excess_rms` is
     what is left beyond the noise, averaged over as long as it takes to see it; `summary` says all of it in a

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
     PRIOR_WIDTH,
@@ -25,60 +24,44 @@ from undertow.typing import Array, Progress
 
 from .candidates import Candidate, possible
 from .evidence import (
-    SMALLEST_FALL,
     FoundEffect,
+    IsNoise,
     Linear,
-    Quiet,
     as_good,
-    best_by_chance,
     compare_scores,
     explained,
     inclusion,
     linear,
+    null_distribution,
     p_value,
 )
 from .parallel import mapped
+from .settings import DEFAULT, Settings
 from .trial import (
     Bench,
+    PackedTrial,
     Score,
-    Scouted,
-    Sent,
+    Screened,
     Trial,
-    begun,
-    received,
+    best_start,
+    comparable_mean_squares,
+    packed,
     rejected,
-    scouts,
-    sent,
-    told_apart,
+    screen,
     try_candidate,
+    unpacked,
 )
 
 _log = logging.getLogger("undertow.diagnosis")
-
-_FULL_FITS = 10
-_FINALISTS = 6
-# Times that the noise model is made anew because another candidate leads under it.
-_LEADERS = 2
-# Share of the sum of squares that a step must promise before the leading candidates are known.
-_FIRST_LOOK = 1e-2
-# Times the mean square of the best candidate, under its noise model, from which another is no rival of it.
-_OUT_OF_REACH = 2.0
-# Candidates that one step cannot make better than this (chi-square) are not worth a full fit.
-_WORTH_A_FIT = 20.0
 
 
 @dataclass(frozen=True)
 class Round:
     """One step of the search: the model so far and what every candidate would do for it.
 
-    Attributes
-    ----------
-    bench : Bench
-        Data, noise model and the model so far.
-    findings : list of Finding
-        All candidates, best first.
-    rivals : list of Finding
-        Effects that the data cannot tell from the best one.
+    bench: data, noise model and the model so far.
+    findings: all candidates, best first.
+    rivals: effects that the data cannot tell from the best one.
     """
 
     bench: Bench
@@ -93,29 +76,19 @@ class Round:
 
 
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
-    """Try every candidate on top of a model.
-
-    Parameters
-    ----------
-    bench : Bench
-        Data, noise model and the model so far.
-    known : Catalogue
-        Effects that may be missing.
-    report : callable
-        Told the share done and what is going on.
-    """
-    vehicle = bench.base.model.functions.vehicle
-    scouted = _scouted(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
-    _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(scouted))
-    by_chance = best_by_chance([s.linear for s in scouted])
-    worth = [s for s in scouted if bench.base.cost - s.cost > _WORTH_A_FIT][:_FULL_FITS]
+    """Try every candidate on top of a model."""
+    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
+    screened = _screened(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
+    _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
+    by_chance = null_distribution([s.linear for s in screened], settings)
+    worth = [s for s in screened if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
     trials = _tried(worth, bench, report)
     chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
     able = ((c, t) for c, t in trials if t.kept or not c.removable)
-    leading = sorted(able, key=lambda entry: entry[1].score.error)[:_FINALISTS]
-    bench, finalists = _final(bench, [received(t, c, bench) for c, t in leading], report)
+    leading = sorted(able, key=lambda entry: entry[1].score.error)[: settings.finalists]
+    bench, finalists = _final(bench, [unpacked(t, c, bench) for c, t in leading], report)
     tried = {t.id for t in finalists}
-    others = [rejected(s.candidate, bench) for s in scouted if s.candidate.id not in tried]
+    others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
     return _judged(bench, finalists, others, chances)
 
 
@@ -130,10 +103,10 @@ class _Look(NamedTuple):
     linear: Linear
 
 
-def _scouted(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
+def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
     """What every candidate promises that adds anything, the most promising first."""
     bench.work_out()
-    # What has to be searched takes longest: begun first, it leaves no core idle at the end.
+    # What has to be searched takes longest: started first, it leaves no core idle at the end.
     listed = sorted(listed, key=lambda c: not any(p.starts for p in c.effect(()).parameters))
     found = []
     for i, look in enumerate(mapped(lambda i: _look(listed[i], bench), len(listed))):
@@ -143,13 +116,15 @@ def _scouted(listed: Sequence[Candidate], bench: Bench, report: Progress) -> lis
     return sorted(found, key=lambda entry: entry.cost)
 
 
-def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, Sent]]:
+def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, PackedTrial]]:
     """Fits of the candidates that promise something."""
 
-    def one(i: int) -> Sent:
+    enough = bench.settings.first_step
+
+    def one(i: int) -> PackedTrial:
         candidate = worth[i].candidate
-        start = begun(candidate, bench, worth[i].starts, _FIRST_LOOK)
-        return sent(try_candidate(candidate, bench, start, _FIRST_LOOK), bench)
+        start = best_start(candidate, bench, worth[i].starts, enough)
+        return packed(try_candidate(candidate, bench, start, enough), bench)
 
     found = []
     for i, trial in enumerate(mapped(one, len(worth))):
@@ -161,7 +136,7 @@ def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple
 def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, float]], Linear] | None:
     if candidate.adds_nothing:
         return None
-    looks = scouts(candidate, bench)
+    looks = screen(candidate, bench)
     return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench, looks[0].on_test)
 
 
@@ -173,7 +148,7 @@ def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Benc
     """
     if not finalists or finalists[0].score.error >= bench.base_score.error:
         return bench, finalists
-    for _ in range(_LEADERS):
+    for _ in range(bench.settings.leader_rounds):
         leader = finalists[0]
         # What a parameter that was left out would explain must not count as noise here: all are in.
         bench = bench.sharpened(leader.full)
@@ -204,22 +179,31 @@ def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
     belongs: a step brings it there.
     """
     left, least = (float(np.mean(sharp.judge(t.full).r ** 2)) for t in (trial, best))
-    if left <= _OUT_OF_REACH * least:
-        return False
-    promised = Scouted(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
-    return promised > _OUT_OF_REACH * max(least, 1.0)
+
+    def after_a_step() -> float:
+        return Screened(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
+
+    return far_behind(left, least, after_a_step, sharp.settings)
+
+
+def far_behind(
+    left: float, least: float, after_a_step: Callable[[], float], settings: Settings = DEFAULT
+) -> bool:
+    """Whether a mean square is far above the least one, and stays so after a further step of the fit."""
+    limit = settings.out_of_reach
+    return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
 def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
     linears = [linear(t.fit, bench) for t in finalists]
-    often = [*inclusion(linears).tolist(), *[float("nan")] * len(others)]
+    often = [*inclusion(linears, bench.settings).tolist(), *[float("nan")] * len(others)]
     findings = [
         _finding(t, bench, chances.get(t.id, 1.0), share, len(often))
         for t, share in zip([*finalists, *others], often, strict=True)
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     best = findings[0].trial.score
-    rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench.test)]
+    rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench)]
     for f in findings[:5]:
         _log.info(
             "%s: normalised error %.3f, p = %.2g, best in %.0f %% of resamples",
@@ -233,28 +217,21 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     # The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
     # other is blind to, and each gets half of the false alarms.
     chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
-    strong = chance < bench.false_alarms and evidence.mean > SMALLEST_FALL
-    share = explained(*told_apart(bench.base_score, trial.score, bench.test), bench.noise_level)
+    settings = bench.settings
+    strong = chance < settings.false_alarm_rate and evidence.mean > settings.smallest_fall
+    scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
+    share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
     return FoundEffect(trial, evidence, share, chance, strong and better, inclusion)
-
-
-# Fall of the sum of squares, in units of the noise, from which another value is worth a fit.
-_WORTH = 20.0
 
 
 @dataclass(frozen=True)
 class OtherValues:
     """The model with other values in place of some that the vehicle file holds fixed.
 
-    Attributes
-    ----------
-    alike : dict
-        Names of those values, each with fixed values that would do the same in its place.
-    fit : WeakFit
-        The fit with them free.
-    score : Score
-        How it does on the kept-aside data.
+    alike: names of those values, each with fixed values that would do the same in its place.
+    fit: the fit with them free.
+    score: how it does on the validation data.
     """
 
     alike: dict[str, tuple[str, ...]]
@@ -267,30 +244,22 @@ def freed(vehicle: Vehicle, names: Sequence[str]) -> Vehicle:
     return vehicle.with_values({n: replace(vehicle.value_of(n), estimate=True) for n in names})
 
 
-def values_to_free(current: Round, quiet: Quiet) -> dict[str, tuple[str, ...]]:
+def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tuple[str, ...]]:
     """Fixed values whose change explains more than the best effect, or as much with less strain on the rest.
 
-    Parameters
-    ----------
-    current : Round
-        What every effect does for the model as given.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
-
-    Returns
-    -------
-    dict
-        Names of the values, each with fixed values that would do the same in its place; empty where an
-        effect, or the model as it is, is to be preferred.
+    Names of the values, each with fixed values that would do the same in its place; empty where an effect, or
+        the model as it is, is to be preferred.
     """
     bench = current.bench
-    if not _fixed(bench) or quiet(bench.base, bench.test):
+    if not _fixed(bench) or residual_is_noise(bench.base, bench.test):
         return {}
     found = other_values(bench)
-    if found is None or as_good(found.score, bench.base_score, bench.test):
+    if found is None or as_good(found.score, bench.base_score, bench):
         return {}
     winner = current.winner
-    if winner is not None and not _preferred(found, winner.trial.fit, winner.trial.score, bench, quiet):
+    if winner is not None and not _preferred(
+        found, winner.trial.fit, winner.trial.score, bench, residual_is_noise
+    ):
         return {}
     return found.alike
 
@@ -314,12 +283,14 @@ def _unlikely(fit: WeakFit, score: Score) -> float:
     return float(np.sum(score.r**2)) + strain
 
 
-def _preferred(found: OtherValues, fit: WeakFit, score: Score, bench: Bench, quiet: Quiet) -> bool:
+def _preferred(
+    found: OtherValues, fit: WeakFit, score: Score, bench: Bench, residual_is_noise: IsNoise
+) -> bool:
     """Whether other values are the better explanation than an effect."""
-    sound, effect_sound = quiet(found.fit, bench.test), quiet(fit, bench.test)
+    sound, effect_sound = residual_is_noise(found.fit, bench.test), residual_is_noise(fit, bench.test)
     if sound and effect_sound:
-        return _unlikely(found.fit, found.score) + MORE_THAN_CHANCE < _unlikely(fit, score)
-    return sound or (not effect_sound and not as_good(found.score, score, bench.test))
+        return _unlikely(found.fit, found.score) + bench.settings.more_than_chance < _unlikely(fit, score)
+    return sound or (not effect_sound and not as_good(found.score, score, bench))
 
 
 # --- which values ---------------------------------------------------------------------------------
@@ -352,15 +323,15 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     chosen: list[int] = []
     own = list(range(count))
     while rest := [k for k in open_to_change if k not in chosen]:
-        falls = [_fixed_values_fall(gram, slope, [*own, *chosen, k]) for k in rest]
-        if max(falls) < _fixed_values_fall(gram, slope, [*own, *chosen]) + _WORTH:
+        falls = [_fall_of_squares(gram, slope, [*own, *chosen, k]) for k in rest]
+        if max(falls) < _fall_of_squares(gram, slope, [*own, *chosen]) + bench.settings.other_values_fall:
             break
         chosen.append(rest[int(np.argmax(falls))])
-    least = _fixed_values_fall(gram, slope, [*own, *chosen]) - MORE_THAN_CHANCE
+    least = _fall_of_squares(gram, slope, [*own, *chosen]) - bench.settings.more_than_chance
 
     def does_as_well(k: int, other: int) -> bool:
         columns = [*own, *(c for c in chosen if c != k), other]
-        return other not in chosen and _fixed_values_fall(gram, slope, columns) > least
+        return other not in chosen and _fall_of_squares(gram, slope, columns) > least
 
     others = range(count, count + len(names))
     return {names[k - count]: tuple(names[i - count] for i in others if does_as_well(k, i)) for k in chosen}
@@ -376,7 +347,7 @@ def _normal(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
     return normal_equations(both, base.p[[*base.model.places, *held.places]], prior)
 
 
-def _fixed_values_fall(gram: Array, slope: Array, columns: list[int]) -> float:
+def _fall_of_squares(gram: Array, slope: Array, columns: list[int]) -> float:
     """Fall of the sum of squares when these columns are fitted."""
     if not columns:
         return 0.0

@@ -11,7 +11,6 @@ from itertools import combinations
 import numpy as np
 
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.fitted import SURE
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import inverse_of
 from undertow.identification.estimation.weak_form import (
@@ -26,9 +25,9 @@ from undertow.typing import Array, Progress
 
 from .candidates import Candidate
 from .evidence import (
-    Chain,
+    EffectSet,
     FoundEffect,
-    Quiet,
+    IsNoise,
     alternatives,
     as_good,
     compare_scores,
@@ -39,55 +38,48 @@ from .evidence import (
     with_effects,
 )
 from .rounds import Round, freed, try_all, values_to_free
-from .trial import FALSE_ALARM_RATE, Bench, only_noise, open_bench, parameters_that_matter
-
-_LEADING = 8
-# Pairs that are tried beside an effect that shows alone, and where none does.
-_PAIRS, _LONE_PAIRS = 2, 6
+from .settings import DEFAULT, Settings
+from .trial import Bench, only_noise, open_bench, parameters_that_matter
 
 
-def pair_beside(current: Round, quiet: Quiet) -> Chain | None:
+def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
 
     A pair with the best single effect is found by the next round.
-
-    Parameters
-    ----------
-    current : Round
-        Every effect by itself.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
     """
-    good = [c for c in _tried(current, _PAIRS) if quiet(c.fit, current.bench.test)]
+    good = [
+        c
+        for c in _tried(current, current.bench.settings.pairs_beside)
+        if residual_is_noise(c.fit, current.bench.test)
+    ]
     return min(good, key=lambda c: c.score.error, default=None)
 
 
-def lone_pair(current: Round, quiet: Quiet) -> Chain | None:
+def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     """Two effects of which neither is in evidence alone and that together leave only noise.
 
     All pairs of effects were in the race, so that by chance the best of them looks good more easily than the
     best single one; and of several that do as well, none is in evidence.
-
-    Parameters
-    ----------
-    current : Round
-        Every effect by itself.
-    quiet : callable
-        Whether a model leaves only noise of the kept-aside data.
     """
     bench = current.bench
-    if quiet(bench.base, bench.test):
+    if residual_is_noise(bench.base, bench.test):
         return None
     count = len(current.findings) * (len(current.findings) - 1) // 2
-    tried = _tried(current, _LONE_PAIRS)
-    good = [c for c in tried if _in_evidence(c, bench, count) and quiet(c.fit, bench.test)]
+    return only_one_in_evidence(_tried(current, bench.settings.lone_pairs), bench, count, residual_is_noise)
+
+
+def only_one_in_evidence(
+    tried: Sequence[EffectSet], bench: Bench, count: int, residual_is_noise: IsNoise
+) -> EffectSet | None:
+    """The pair, of `count` possible ones, that leaves only noise, if no other one does as well."""
+    good = [c for c in tried if _in_evidence(c, bench, count) and residual_is_noise(c.fit, bench.test)]
     best = min(good, key=lambda c: c.score.error, default=None)
-    if best is None or any(as_good(best.score, c.score, bench.test) for c in tried if c is not best):
+    if best is None or any(as_good(best.score, c.score, bench) for c in tried if c is not best):
         return None
     return best
 
 
-def _tried(current: Round, most: int) -> list[Chain]:
+def _tried(current: Round, most: int) -> list[EffectSet]:
     """The most promising pairs of effects, fitted, without those of the best single one if there is one."""
     bench = current.bench
     vehicle = bench.base.model.functions.vehicle
@@ -95,9 +87,9 @@ def _tried(current: Round, most: int) -> list[Chain]:
     return [fitted(vehicle, pair, bench) for pair in pairs if current.winner not in pair]
 
 
-def _in_evidence(pair: Chain, bench: Bench, count: int) -> bool:
+def _in_evidence(pair: EffectSet, bench: Bench, count: int) -> bool:
     gap = compare_scores(bench.base_score, pair.score, bench.test)
-    return gap.beyond_chance(bench.false_alarms, among=count)
+    return gap.beyond_chance(bench.settings, among=count)
 
 
 def promising_pairs(
@@ -106,17 +98,8 @@ def promising_pairs(
     """Pairs of candidates by what they promise together, the most promising first.
 
     What each changes where it was fitted is added up, and all parameters are refitted linearly.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        Candidates of one round, best first.
-    bench : Bench
-        Data and noise model of the round.
-    most : int
-        Number of pairs.
     """
-    leading = [f for f in findings if f.trial.kept][:_LEADING]
+    leading = [f for f in findings if f.trial.kept][: bench.settings.pair_candidates]
     columns = [_columns(f, bench) for f in leading]
     pairs = [(i, j) for i, j in combinations(range(len(leading)), 2)]
     costs = [_together(bench, columns[i], columns[j]) for i, j in pairs]
@@ -141,54 +124,38 @@ def _together(bench: Bench, first: tuple[Array, Array], second: tuple[Array, Arr
 
 _log = logging.getLogger("undertow.diagnosis")
 Freed = Mapping[str, tuple[str, ...]]
-ToFree = Callable[[Round, Quiet], Freed]
-MAX_EFFECTS = 3
-_RIVALS = 5
-# Significant effects of which one may leave only noise although another has the smaller weak residual.
-_LEADING_ROUNDS = 4
-# Parameters more than the plainest of equally good effects from which one is none of them.
-_BENDABLE = 3
-# Times the error of an effect with many parameters up to which a plain one is worth another look.
-_NEAR = 1.1
+ToFree = Callable[[Round, IsNoise], Freed]
 
 
 @dataclass(frozen=True)
 class Search:
     """What the search found.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model as given, or with some of its fixed values to be estimated.
-    rounds : list of Round
-        Its steps; the last is without a winner unless the noise floor was reached or effects ran out.
-    bench : Bench
-        Data, the noise model of the best model that was found, and the model without any effect.
-    chain : Chain
-        The effects that were found, none or several, fitted together.
-    rivals : list of list of Chain
-        For each of the effects, what does as well in its place.
-    freed : mapping
-        Those values, each with fixed values that would do the same in its place.
+    vehicle: the model as given, or with some of its fixed values to be estimated.
+    rounds: its steps; the last is without a winner unless the noise floor was reached or effects ran out.
+    bench: data, the noise model of the best model that was found, and the model without any effect.
+    effect_set: the effects that were found, none or several, fitted together.
+    rivals: for each of the effects, what does as well in its place.
+    freed: those values, each with fixed values that would do the same in its place.
     """
 
     vehicle: Vehicle
     rounds: list[Round]
     bench: Bench
-    chain: Chain
-    rivals: list[list[Chain]]
+    effect_set: EffectSet
+    rivals: list[list[EffectSet]]
     freed: Freed = field(default_factory=dict)
 
     @property
     def winners(self) -> list[FoundEffect]:
         """The effects that were found."""
-        return list(self.chain.findings)
+        return list(self.effect_set.findings)
 
     def steps(self) -> list[WeakFit]:
         """Fits of the model without effects, with the first, with the first two, and so on."""
         found = self.winners
         between = [fitted(self.vehicle, found[:i], self.bench).fit for i in range(1, len(found))]
-        return [self.bench.base, *between, *([self.chain.fit] if found else [])]
+        return [self.bench.base, *between, *([self.effect_set.fit] if found else [])]
 
 
 def search(
@@ -197,37 +164,21 @@ def search(
     test: WeakData,
     known: Catalogue,
     report: Progress = lambda done, words: None,
-    quiet: Quiet = only_noise,
-    false_alarms: float = FALSE_ALARM_RATE,
+    residual_is_noise: IsNoise = only_noise,
+    settings: Settings = DEFAULT,
 ) -> Search:
-    """Look for missing effects until the noise floor or until nothing helps.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    train, test : WeakData
-        Data to fit to, and data kept aside to judge by.
-    known : Catalogue
-        Effects that may be missing.
-    report : callable, optional
-        Told the share done and what is going on.
-    quiet : callable, optional
-        Whether a model leaves only noise of the kept-aside data; the search ends with one that does.
-    false_alarms : float
-        Chance of naming an effect where nothing is missing.
-    """
+    """Look for missing effects until the noise floor or until nothing helps."""
     report(0.0, "fitting the model as it is")
-    opened = open_bench(vehicle, train, test, false_alarms)
-    steps = _stepwise(vehicle, opened, known, report, quiet, values_to_free)
+    opened = open_bench(vehicle, train, test, settings)
+    steps = _stepwise(vehicle, opened, known, report, residual_is_noise, values_to_free)
     if names := steps.freed:
         _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
-        found = search(freed(vehicle, list(names)), train, test, known, report, quiet, false_alarms)
-        if not _do_alone(vehicle, found.winners, opened, quiet):
+        found = search(freed(vehicle, list(names)), train, test, known, report, residual_is_noise, settings)
+        if not _do_alone(vehicle, found.winners, opened, residual_is_noise):
             return replace(found, freed={**names, **found.freed})
-        steps = _stepwise(vehicle, opened, known, report, quiet, _none_to_free)
+        steps = _stepwise(vehicle, opened, known, report, residual_is_noise, _none_to_free)
     report(0.9, "looking at all effects together")
-    return _refitted_together(vehicle, opened, steps.rounds, steps.chain)
+    return _refitted_together(vehicle, opened, steps.rounds, steps.effect_set)
 
 
 @dataclass(frozen=True)
@@ -239,34 +190,43 @@ class _Steps:
     """
 
     rounds: list[Round]
-    chain: list[FoundEffect]
+    effect_set: list[FoundEffect]
     fit: WeakFit
     freed: Freed
     paired: bool = False
 
 
-def _none_to_free(current: Round, quiet: Quiet) -> Freed:
+def _none_to_free(current: Round, residual_is_noise: IsNoise) -> Freed:
     return {}
 
 
-def _do_alone(vehicle: Vehicle, effects: Sequence[FoundEffect], bench: Bench, quiet: Quiet) -> bool:
+def _do_alone(
+    vehicle: Vehicle, effects: Sequence[FoundEffect], bench: Bench, residual_is_noise: IsNoise
+) -> bool:
     """Whether effects that were found beside other values leave only noise without these."""
-    return bool(effects) and quiet(fitted(vehicle, effects, bench).fit, bench.test)
+    return bool(effects) and residual_is_noise(fitted(vehicle, effects, bench).fit, bench.test)
 
 
 def _stepwise(
-    vehicle: Vehicle, bench: Bench, known: Catalogue, report: Progress, quiet: Quiet, to_free: ToFree
+    vehicle: Vehicle,
+    bench: Bench,
+    known: Catalogue,
+    report: Progress,
+    residual_is_noise: IsNoise,
+    to_free: ToFree,
 ) -> _Steps:
     """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
-    steps = _steps(vehicle, bench, known, report, quiet, [], to_free)
+    steps = _steps(vehicle, bench, known, report, residual_is_noise, [], to_free)
     last = steps.rounds[-1].bench
     if steps.freed or steps.paired or steps.rounds[-1].winner is not None:
         return steps
     if not hidden_by_disturbance(last):
         return steps
     bare = last.without_disturbance()
-    again = _steps(vehicle, bare, known, partial(_late, report), quiet, steps.chain, _none_to_free)
-    if len(again.chain) > len(steps.chain) and explains_all(bare, again.fit, quiet):
+    again = _steps(
+        vehicle, bare, known, partial(_late, report), residual_is_noise, steps.effect_set, _none_to_free
+    )
+    if len(again.effect_set) > len(steps.effect_set) and explains_all(bare, again.fit, residual_is_noise):
         return replace(again, rounds=[*steps.rounds[:-1], *again.rounds])
     return steps
 
@@ -280,67 +240,70 @@ def _steps(
     bench: Bench,
     known: Catalogue,
     report: Progress,
-    quiet: Quiet,
+    residual_is_noise: IsNoise,
     found: Sequence[FoundEffect],
     to_free: ToFree,
 ) -> _Steps:
     """Rounds of candidates, each on top of what was found so far."""
     rounds: list[Round] = []
-    chain, fit = list(found), bench.base
-    while len(chain) < MAX_EFFECTS:
-        current = _sound_first(try_all(bench, known, _share_of(report, len(rounds))), quiet)
+    effect_set, fit = list(found), bench.base
+    while len(effect_set) < bench.settings.max_effects:
+        current = _sound_first(
+            try_all(
+                bench,
+                known,
+                _share_of(report, len(rounds) / bench.settings.max_effects, 1.0 / bench.settings.max_effects),
+            ),
+            residual_is_noise,
+        )
         rounds.append(current)
-        if names := to_free(current, quiet):
-            return _Steps(rounds, chain, fit, names)
+        if names := to_free(current, residual_is_noise):
+            return _Steps(rounds, effect_set, fit, names)
         if current.winner is None:
-            pair = None if chain else lone_pair(current, quiet)
+            pair = None if effect_set else lone_pair(current, residual_is_noise)
             if pair is not None:
                 return _Steps(rounds, list(pair.findings), pair.fit, {}, paired=True)
             break
-        chain.append(current.winner)
+        effect_set.append(current.winner)
         fit = current.winner.trial.fit
         _log.info("adding %s: normalised error %.3f", current.winner.id, current.winner.trial.score.error)
-        if quiet(fit, bench.test):
+        if residual_is_noise(fit, bench.test):
             break
-        pair = pair_beside(current, quiet) if len(chain) == 1 else None
+        pair = pair_beside(current, residual_is_noise) if len(effect_set) == 1 else None
         if pair is not None:
-            chain, fit = list(pair.findings), pair.fit
-            _log.info("a pair: %s, normalised error %.3f", [f.id for f in chain], pair.score.error)
-            if quiet(fit, bench.test):
+            effect_set, fit = list(pair.findings), pair.fit
+            _log.info("a pair: %s, normalised error %.3f", [f.id for f in effect_set], pair.score.error)
+            if residual_is_noise(fit, bench.test):
                 break
-        bench = _on_top(current.bench, vehicle, chain, fit)
-    return _Steps(rounds, chain, fit, {})
+        bench = _on_top(current.bench, vehicle, effect_set, fit)
+    return _Steps(rounds, effect_set, fit, {})
 
 
-def _sound_first(current: Round, quiet: Quiet) -> Round:
+def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
     """The round led by an effect with which nothing but noise is left, where the leading one leaves more.
 
     Under a noise model with room for disturbances, some effects look alike that simulation tells apart.
     """
-    leading = [f for f in current.findings if f.significant][:_LEADING_ROUNDS]
+    leading = [f for f in current.findings if f.significant][: current.bench.settings.leading]
     test = current.bench.test
-    if not leading or quiet(leading[0].trial.fit, test):
+    if not leading or residual_is_noise(leading[0].trial.fit, test):
         return current
-    sound = next((f for f in leading[1:] if quiet(f.trial.fit, test)), None)
+    sound = next((f for f in leading[1:] if residual_is_noise(f.trial.fit, test)), None)
     if sound is None:
         return current
     return replace(current, findings=[sound, *(f for f in current.findings if f is not sound)])
 
 
-def _on_top(bench: Bench, vehicle: Vehicle, chain: list[FoundEffect], fit: WeakFit) -> Bench:
+def _on_top(bench: Bench, vehicle: Vehicle, effect_set: list[FoundEffect], fit: WeakFit) -> Bench:
     """The bench for the next round: what was found belongs to the model."""
-    grown = with_effects(vehicle, chain)
+    grown = with_effects(vehicle, effect_set)
     base = bench.fit(grown, free_parameters(grown), fit.values)
     return replace(bench, base=base)
 
 
-def _share_of(report: Progress, done_rounds: int) -> Progress:
+def _share_of(report: Progress, begin: float, share: float) -> Progress:
     """Progress within one round as progress of the whole."""
-
-    def told(done: float, words: str) -> None:
-        report(0.9 * (done_rounds + done) / MAX_EFFECTS, words)
-
-    return told
+    return lambda done, words: report(0.9 * (begin + share * done), words)
 
 
 def _refitted_together(
@@ -350,60 +313,80 @@ def _refitted_together(
     if not found:
         return Search(vehicle, rounds, opened, fitted(vehicle, [], opened), [])
     bench = opened.sharpened(found[-1].trial.full) if len(rounds) > 1 else rounds[0].bench
-    chain = thinned(vehicle, fitted(vehicle, found, bench), bench)
-    rivals: list[list[Chain]] = []
-    for place in range(len(chain.findings)):
-        equals = sorted([chain, *_rivals(vehicle, chain, place, rounds, bench)], key=lambda c: c.score.error)
+    effect_set = thinned(vehicle, fitted(vehicle, found, bench), bench)
+    rivals: list[list[EffectSet]] = []
+    for place in range(len(effect_set.findings)):
+        equals = sorted(
+            [effect_set, *_rivals(vehicle, effect_set, place, rounds, bench)], key=lambda c: c.score.error
+        )
         # With enough parameters an effect can be bent into another: it is no rival of the plain one.
         plainest = min(len(c.findings[place].parameters) for c in equals)
-        chain, *others = [c for c in equals if len(c.findings[place].parameters) <= plainest + _BENDABLE]
-        rivals.append(others or _plain_ones(vehicle, chain, rounds, bench))
-    return Search(vehicle, rounds, bench, chain, rivals)
+        effect_set, *others = [
+            c
+            for c in equals
+            if len(c.findings[place].parameters) <= plainest + bench.settings.more_parameters
+        ]
+        rivals.append(others or _plain_ones(vehicle, effect_set, rounds, bench))
+    return Search(vehicle, rounds, bench, effect_set, rivals)
 
 
-def _plain_ones(vehicle: Vehicle, chain: Chain, rounds: list[Round], bench: Bench) -> list[Chain]:
+def _plain_ones(
+    vehicle: Vehicle, effect_set: EffectSet, rounds: list[Round], bench: Bench
+) -> list[EffectSet]:
     """Much plainer effects than the single one found that do as well once each is fitted under its own noise.
 
     Under a noise model with room for a disturbance, what is steady is fitted loosely, and an effect with many
     parameters gets ahead by that alone. Which of them it is, the simulation has to say.
     """
-    if len(chain.findings) != 1 or len(rounds) != 1:
+    if len(effect_set.findings) != 1 or len(rounds) != 1:
         return []
-    others = [f for f in rounds[0].findings if f.significant and f is not chain.findings[0]]
-    near = [f for f in others if f.trial.score.error < _NEAR * chain.score.error][:_RIVALS]
-    most = len(chain.findings[0].parameters) - _BENDABLE
-    plain = [fitted(vehicle, [f], bench) for f in near if len(f.parameters) < most]
+    near = much_plainer(effect_set.findings[0], effect_set.score.error, rounds[0].findings, bench.settings)
+    plain = [fitted(vehicle, [f], bench) for f in near]
     if not plain:
         return []
-    best = bench.judge(with_reestimated_noise(chain.fit))
-    return [c for c in plain if as_good(best, bench.judge(with_reestimated_noise(c.fit)), bench.test)]
+    best = bench.judge(with_reestimated_noise(effect_set.fit))
+    return [c for c in plain if as_good(best, bench.judge(with_reestimated_noise(c.fit)), bench)]
 
 
-def _rivals(vehicle: Vehicle, chain: Chain, place: int, rounds: list[Round], bench: Bench) -> list[Chain]:
+def much_plainer(
+    leader: FoundEffect, error: float, findings: Sequence[FoundEffect], settings: Settings = DEFAULT
+) -> list[FoundEffect]:
+    """Significant effects with far fewer parameters than the leading one and nearly its error."""
+    others = [f for f in findings if f.significant and f is not leader]
+    near = [f for f in others if f.trial.score.error < settings.plain_error * error][: settings.rivals]
+    return [f for f in near if len(f.parameters) < len(leader.parameters) - settings.more_parameters]
+
+
+def _rivals(
+    vehicle: Vehicle, effect_set: EffectSet, place: int, rounds: list[Round], bench: Bench
+) -> list[EffectSet]:
     """What does as well as one of the effects, the others being what they are."""
-    effect = chain.findings[place]
+    return alternatives(vehicle, effect_set, place, possible_rivals(effect_set, place, rounds, bench), bench)
+
+
+def possible_rivals(
+    effect_set: EffectSet, place: int, rounds: Sequence[Round], bench: Bench
+) -> list[FoundEffect]:
+    """Significant effects of the round in which an effect was found; of a single effect those as good.
+
+    Beside another effect one may do well that does not alone.
+    """
+    effect = effect_set.findings[place]
     for current in rounds:
         others = [f for f in current.findings if f is not effect and f.significant]
         if effect in current.findings and others:
-            if len(rounds) == len(chain.findings) == 1:
-                others = [f for f in others if as_good(chain.score, f.trial.score, bench.test)]
-            return alternatives(vehicle, chain, place, others[:_RIVALS], bench)
+            if len(rounds) == len(effect_set.findings) == 1:
+                others = [f for f in others if as_good(effect_set.score, f.trial.score, bench)]
+            return others[: bench.settings.rivals]
     return []
 
 
-def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
+def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings = DEFAULT) -> WeakFit:
     """Fit a model once more under the noise that it leaves itself, with what the search was too strict about.
 
     While effects compete, a parameter has to be far from zero to stay, for there are many that could be there
     by chance. Of an effect that is named, a parameter stays that is more likely there than not: two standard
     errors from zero.
-
-    Parameters
-    ----------
-    fit : WeakFit
-        The model with the effects.
-    candidates : sequence of Candidate
-        The effects that it got.
     """
     fit = with_reestimated_noise(fit)
     names = fit.model.functions.parameter_names
@@ -412,7 +395,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate]) -> WeakFit:
     if not left_out:
         return fit
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
-    kept = parameters_that_matter(whole, tuple(sorted(removable)), SURE)
+    kept = parameters_that_matter(whole, tuple(sorted(removable)), settings.t_in_last_fit)
     free = (*fit.model.free, *(n for n in kept if n in left_out))
     return fit if free == fit.model.free else with_reestimated_noise(_refitted(whole, free))
 

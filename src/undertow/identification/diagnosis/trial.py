@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undertow.identification.estimation.data import WeakData, Whitening
 from undertow.identification.estimation.fitted import Fitted
@@ -31,35 +32,19 @@ from undertow.identification.estimation.weak_form import (
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .candidates import Candidate, beat
-
-# |estimate| over standard error below which a parameter is left out: about one false parameter in 15 000.
-T_KEEP = 4.0
-# Share to which the variance of the sensors' noise is known, and standard errors of a mean square of as many
-# rows by which it may exceed that.
-_NOISE_KNOWN_TO, _BY_CHANCE = 0.1, 4.0
-# Share of the sum of squares that a step must promise while candidates are compared with each other.
-_ROUGH = 1e-4
-_SHARPENING = 3
-#: Chance of naming an effect where nothing is missing, unless another is asked for.
-FALSE_ALARM_RATE = 0.01
+from .candidates import Candidate, dominant_frequency
+from .settings import DEFAULT, Settings
 
 
 @dataclass(frozen=True)
 class Score:
     """A model on data that it was not fitted to.
 
-    Attributes
-    ----------
-    r : (m,) array
-        Whitened residual.
-    mean_square : (2n,) array
-        Mean square for each equation.
-    open : (m,) array, optional
-        Part of the residual that belongs to unknown first states of effects, which no model could have
-        foretold; it is that of the model beside which this one is judged.
-    error : float
-        Normalised error: geometric mean over the equations of the whitened rms.
+    r: (m,), whitened residual.
+    mean_square: (2n,), mean square for each equation.
+    open: (m,), part of the residual that belongs to unknown first states of effects, which no model could
+        have foretold; it is that of the model beside which this one is judged.
+    error: normalised error: geometric mean over the equations of the whitened rms.
     """
 
     r: Array
@@ -71,7 +56,7 @@ class Score:
         return error_of(self.mean_square)
 
 
-def told_apart(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
+def comparable_mean_squares(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
     """Mean squares of two models for each equation, without what the later one leaves open."""
     return mean_square(before.r - after.open, data), mean_square(after.r - after.open, data)
 
@@ -93,18 +78,11 @@ def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | 
 class Trial:
     """A candidate after its fit.
 
-    Attributes
-    ----------
-    candidate : Candidate
-        What was tried.
-    full : WeakFit
-        The fit with all its parameters.
-    fit : WeakFit
-        The fit with those that matter.
-    kept : tuple of str
-        Those that matter.
-    score : Score
-        How `fit` does on the kept-aside data.
+    candidate: what was tried.
+    full: the fit with all its parameters.
+    fit: the fit with those that matter.
+    kept: those that matter.
+    score: how `fit` does on the validation data.
     """
 
     candidate: Candidate
@@ -123,16 +101,10 @@ class Trial:
 class Bench:
     """Data and noise model that all candidates face alike.
 
-    Attributes
-    ----------
-    train, test : WeakData
-        What models are fitted to, and what they are judged by.
-    train_whitening, test_whitening : list of Whitening
-        Noise of both, the same for all candidates.
-    base : WeakFit
-        The model without any candidate, fitted to the training data.
-    false_alarms : float
-        Chance up to which the best of all candidates may look as good when nothing is missing.
+    train, test: what models are fitted to, and what they are judged by.
+    train_whitening, test_whitening: noise of both, the same for all candidates.
+    base: the model without any candidate, fitted to the training data.
+    settings: the numbers that decide.
     """
 
     train: WeakData
@@ -140,16 +112,16 @@ class Bench:
     train_whitening: list[Whitening]
     test_whitening: list[Whitening]
     base: WeakFit
-    false_alarms: float = FALSE_ALARM_RATE
+    settings: Settings = DEFAULT
 
     @cached_property
     def base_score(self) -> Score:
-        """How the model without any candidate does on the kept-aside data."""
+        """How the model without any candidate does on the validation data."""
         return scored(self.base, self.test, self.test_whitening)
 
     @cached_property
     def base_on_test(self) -> Linearised:
-        """The model without any candidate on the kept-aside data."""
+        """The model without any candidate on the validation data."""
         return self.on_test(self.base)
 
     def work_out(self) -> None:
@@ -158,11 +130,11 @@ class Bench:
             getattr(self, name)
 
     def judge(self, fit: WeakFit) -> Score:
-        """Score of a fitted model on the kept-aside data."""
+        """Score of a fitted model on the validation data."""
         return scored(fit, self.test, self.test_whitening, self.base_score.r)
 
     def on_test(self, fit: WeakFit) -> Linearised:
-        """A fitted model on the kept-aside data, where unknown first states win nothing over the base."""
+        """A fitted model on the validation data, where unknown first states win nothing over the base."""
         parts = fit.model.linearise(self.test, fit.p)
         return whitened(parts, self.test_whitening, self.base_score.r)
 
@@ -187,7 +159,7 @@ class Bench:
 
     @cached_property
     def noise_level(self) -> Array:
-        """Mean square that the noise of the channels alone would have on the kept-aside data, for each
+        """Mean square that the noise of the channels alone would have on the validation data, for each
         equation.
         """
         rng = np.random.default_rng(0)
@@ -195,18 +167,18 @@ class Bench:
 
     def sharpened(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        fit = with_reestimated_noise(fit, most=_SHARPENING)
+        fit = with_reestimated_noise(fit, most=self.settings.noise_rounds)
         test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
-        refitted = self._base_under(fit.whitening, fit.disturbance, _ROUGH)
+        refitted = self._base_under(fit.whitening, fit.disturbance, self.settings.rough_step)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
     def without_disturbance(self) -> Bench:
         """The bench under the noise of the sensors alone."""
         base = self.base
-        quiet = base.model.whitening(self.train, base.p)
-        refitted = self._base_under(quiet, np.zeros_like(base.disturbance))
+        sensor_noise = base.model.whitening(self.train, base.p)
+        refitted = self._base_under(sensor_noise, np.zeros_like(base.disturbance))
         on_test = refitted.model.whitening(self.test, refitted.p)
-        return replace(self, train_whitening=quiet, test_whitening=on_test, base=refitted)
+        return replace(self, train_whitening=sensor_noise, test_whitening=on_test, base=refitted)
 
     def _base_under(self, noise: list[Whitening], disturbance: Array, enough: float = 0.0) -> WeakFit:
         """The model without any candidate, fitted under another noise model."""
@@ -227,23 +199,21 @@ class Bench:
 
     @cached_property
     def seen(self) -> dict[str, tuple[float, float]]:
-        """Least and greatest value of each pose coordinate, and of the frequency that is left (`beat`)."""
+        """Least and greatest value of each pose coordinate, and of the dominant frequency of what is left."""
         names = self.base.model.functions.vehicle.pose_names
         poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
         low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
         found = dict(zip(names, zip(low, high, strict=True), strict=True))
-        line = beat(self.base.at.r, self.train)
-        return found if line is None else found | {"beat": line}
+        line = dominant_frequency(self.base.at.r, self.train, self.settings)
+        return found if line is None else found | {"dominant_frequency": line}
 
 
-def open_bench(
-    vehicle: Vehicle, train: WeakData, test: WeakData, false_alarms: float = FALSE_ALARM_RATE
-) -> Bench:
+def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
     base = fit_weak(vehicle, train)
-    quiet = base.model.whitening(test, base.p)
-    noise = base.whitening, with_process_noise(quiet, base.disturbance, test)
-    return Bench(train, test, *noise, base, false_alarms)
+    sensor_noise = base.model.whitening(test, base.p)
+    noise = base.whitening, with_process_noise(sensor_noise, base.disturbance, test)
+    return Bench(train, test, *noise, base, settings)
 
 
 def noise_ratio(fit: Fitted, data: WeakData) -> Array:
@@ -255,36 +225,35 @@ def noise_ratio(fit: Fitted, data: WeakData) -> Array:
     return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
 
 
-def only_noise(fit: Fitted, data: WeakData) -> bool:
+def only_noise(fit: Fitted, data: WeakData, settings: Settings = DEFAULT) -> bool:
     """Whether the sensors' noise explains what a model leaves in each equation, as far as rows can show."""
-    rows = np.bincount(data.equation, minlength=len(data.names))
+    return is_noise(noise_ratio(fit, data), rows_of(data), settings)
+
+
+def rows_of(data: WeakData) -> NDArray[np.intp]:
+    """Number of rows of each equation."""
+    return np.bincount(data.equation, minlength=len(data.names))
+
+
+def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT) -> bool:
+    """Whether mean squares over so many rows each are those of noise; what has no rows has no say."""
     used = rows > 0
-    limit = 1.0 + _NOISE_KNOWN_TO + _BY_CHANCE * np.sqrt(2.0 / rows[used])
-    return bool(np.all(noise_ratio(fit, data)[used] <= limit))
+    limit = 1.0 + settings.noise_known_to + settings.chance_errors * np.sqrt(2.0 / rows[used])
+    return bool(np.all(ratio[used] <= limit))
 
 
 def try_candidate(
-    candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float = _ROUGH
+    candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float | None = None
 ) -> Trial:
-    """Fit a candidate, drop the parameters that do not matter, and judge it.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        What is tried.
-    bench : Bench
-        Data, noise model and the model without it.
-    start : mapping
-        Values to start from.
-    enough : float
-        Share of the sum of squares that a step has to promise for another to follow.
-    """
+    """Fit a candidate, drop the parameters that do not matter, and judge it."""
+    settings = bench.settings
+    enough = settings.rough_step if enough is None else enough
     fit = bench.fit(candidate.model(), start=start, enough=enough)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
-    if fit.cost < 0.5 * len(fit.at.r):
+    if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = with_reestimated_noise(fit, most=1)
-    kept = parameters_that_matter(fit, candidate.removable)
+    kept = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
     thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
@@ -326,21 +295,10 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
     return {n for n, idle in zip(fit.model.free, lost, strict=True) if n in shapes and idle}
 
 
-def parameters_that_matter(
-    fit: WeakFit, removable: tuple[str, ...], least: float = T_KEEP
-) -> tuple[str, ...]:
+def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: float) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
-    This thins an effect out; whether it is needed at all is for the kept-aside data to say, so one stays.
-
-    Parameters
-    ----------
-    fit : WeakFit
-        The fit with all of them.
-    removable : tuple of str
-        What may go.
-    least : float
-        |estimate| over standard error with which a parameter stays.
+    This thins an effect out; whether it is needed at all is for the validation data to say, so one stays.
     """
     names = list(fit.model.free)
     information = fit.information
@@ -355,44 +313,25 @@ def parameters_that_matter(
         if weakest is None or len(open_to_drop) == 1 or t[weakest] >= least:
             return tuple(names[k] for k in active if names[k] in removable)
         gone = active.pop(weakest)
-        # Fixing one parameter at zero moves the others along the valley of the cost.
-        valley = inverse_of(information[np.ix_(active, active)]) @ information[np.ix_(active, [gone])].ravel()
-        estimate[active] += valley * estimate[gone]
+        # Fixing one parameter at zero moves the others along the bottom of the cost.
+        others = inverse_of(information[np.ix_(active, active)]) @ information[np.ix_(active, [gone])].ravel()
+        estimate[active] += others * estimate[gone]
 
 
-# Of more starts than this, only the best are looked at more closely.
-_MANY_STARTS, _BEST_STARTS = 4, 2
-_CLOSER = 2
 # Relative difference of two residuals up to which they are the same.
 _SAME = 1e-9
 
 
-class Scouted:
+class Screened:
     """A candidate at one start, and what one Gauss-Newton step from there promises.
 
     Where the candidate changes nothing yet, the columns of the model without it are what they were, and only
     its own are worked out.
 
-    Parameters
-    ----------
-    candidate : Candidate
-        What is tried.
-    bench : Bench
-        Data, noise model and the model without it.
-    start : mapping
-        Values that differ from those of the model without it.
-    steps : int
-        Gauss-Newton steps taken beforehand.
-
-    Attributes
-    ----------
-    start : WeakFit
-        The model at the start, not fitted.
-    cost : float
-        Sum of squares after the step.
-    values : dict
-        Free parameters where a fit is to begin: after the step from a start as given, without it where steps
-        were taken beforehand, since what one promises may not come true.
+    start: the model at the start, not fitted.
+    cost: sum of squares after the step.
+    values: free parameters where a fit is to begin: after the step from a start as given, without it where
+        steps were taken beforehand, since what one promises may not come true.
     """
 
     def __init__(
@@ -408,13 +347,13 @@ class Scouted:
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
-    def closer(self) -> Scouted:
+    def closer(self) -> Screened:
         """The same from where the step leads, after some more."""
-        return Scouted(self._candidate, self._bench, self.values, _CLOSER)
+        return Screened(self._candidate, self._bench, self.values, self._bench.settings.closer_steps)
 
     @property
     def on_test(self) -> Linearised:
-        """The start on the kept-aside data."""
+        """The start on the validation data."""
         bench = self._bench
         known = (bench.base_on_test, bench.test, bench.test_whitening)
         at = self._beside(*known) if self._changes_nothing else None
@@ -431,42 +370,25 @@ class Scouted:
         return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
 
 
-def scout(candidate: Candidate, bench: Bench) -> Scouted:
-    """What a candidate promises from its best start, after some steps where there are several."""
-    return scouts(candidate, bench)[0]
-
-
-def scouts(candidate: Candidate, bench: Bench) -> list[Scouted]:
+def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     """What a candidate promises from its best start, and from the next best one where there are several.
 
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
     """
     starts = candidate.starts(bench.command_scale, bench.seen)
-    if len(starts) > _MANY_STARTS:
+    if len(starts) > bench.settings.many_starts:
         starts = _promising(candidate, bench, starts)
-    found = sorted((Scouted(candidate, bench, start) for start in starts), key=lambda s: s.cost)
+    found = sorted((Screened(candidate, bench, start) for start in starts), key=lambda s: s.cost)
     if len(found) == 1:
         return found
     # What a step promises may not come true; what some steps have reached has.
-    return sorted((s.closer() for s in found[:_BEST_STARTS]), key=lambda s: s.start.cost)
+    return sorted((s.closer() for s in found[: bench.settings.best_starts]), key=lambda s: s.start.cost)
 
 
-def begun(
+def best_start(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], enough: float = 0.0
 ) -> dict[str, float]:
-    """Where the better one of several fits ends: which start leads there, a few steps cannot show.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        What is tried.
-    bench : Bench
-        Data, noise model and the model without it.
-    starts : sequence of dict
-        Values from which to fit; a single one is handed back as it is.
-    enough : float
-        Share of the sum of squares that a step has to promise for another to follow.
-    """
+    """Where the better one of several fits ends: which start leads there, a few steps cannot show."""
     if len(starts) == 1:
         return starts[0]
     fits = [bench.fit(candidate.model(), start=start, enough=enough) for start in starts]
@@ -501,11 +423,11 @@ def _promising(
         now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
         step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
         costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
-    return [starts[i] for i in np.argsort(costs)[:_BEST_STARTS]]
+    return [starts[i] for i in np.argsort(costs)[: bench.settings.best_starts]]
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _PackedFit:
     """A fit without its model; no whitening where it is the bench's."""
 
     free: tuple[str, ...]
@@ -517,36 +439,36 @@ class _Fit:
 
 
 @dataclass(frozen=True)
-class Sent:
+class PackedTrial:
     """A trial without its models; no fits where it was rejected, one where nothing was thinned out."""
 
-    full: _Fit | None
-    fit: _Fit | None
+    full: _PackedFit | None
+    fit: _PackedFit | None
     kept: tuple[str, ...]
     score: Score
 
 
-def sent(trial: Trial, bench: Bench) -> Sent:
+def packed(trial: Trial, bench: Bench) -> PackedTrial:
     """The trial as plain data."""
     if trial.full is bench.base:
-        return Sent(None, None, trial.kept, trial.score)
-    thin = None if trial.fit is trial.full else _bare(trial.fit, bench)
-    return Sent(_bare(trial.full, bench), thin, trial.kept, trial.score)
+        return PackedTrial(None, None, trial.kept, trial.score)
+    thin = None if trial.fit is trial.full else _packed_fit(trial.fit, bench)
+    return PackedTrial(_packed_fit(trial.full, bench), thin, trial.kept, trial.score)
 
 
-def _bare(fit: WeakFit, bench: Bench) -> _Fit:
+def _packed_fit(fit: WeakFit, bench: Bench) -> _PackedFit:
     whitening = None if fit.whitening is bench.train_whitening else fit.whitening
-    return _Fit(fit.model.free, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
+    return _PackedFit(fit.model.free, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
 
 
-def received(found: Sent, candidate: Candidate, bench: Bench) -> Trial:
+def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
     """The trial of a candidate from plain data."""
-    full = bench.base if found.full is None else _whole(found.full, candidate, bench)
-    fit = full if found.fit is None else _whole(found.fit, candidate, bench)
+    full = bench.base if found.full is None else _unpacked_fit(found.full, candidate, bench)
+    fit = full if found.fit is None else _unpacked_fit(found.fit, candidate, bench)
     return Trial(candidate, full, fit, found.kept, found.score)
 
 
-def _whole(bare: _Fit, candidate: Candidate, bench: Bench) -> WeakFit:
+def _unpacked_fit(bare: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
     whitening = bench.train_whitening if bare.whitening is None else bare.whitening
     model = candidate.model(bare.free)
     return WeakFit(model, bare.p, bench.train, whitening, bare.at, bare.disturbance, bare.iterations)

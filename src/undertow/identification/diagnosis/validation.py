@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.data import WeakData, Whitening
-from undertow.identification.estimation.fitted import MORE_THAN_CHANCE, Fitted
+from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
 from undertow.identification.estimation.predictor import Predictor, predict
 from undertow.identification.estimation.residual import whitened
@@ -22,57 +23,39 @@ from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.logs.checks import check_fit
+from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .evidence import Chain
+from .evidence import EffectSet
+from .settings import DEFAULT, Settings
 from .trial import only_noise
 
-# Mean square, in units of the noise, that still counts as noise: in the worst channel and over all of them.
-# The noise of a channel is known to a few per cent.
-_ANY_CHANNEL, _ALL_CHANNELS = 1.3, 1.1
-# Standard errors of a mean square of as many values by which it may exceed that.
-_BY_CHANCE = 4.0
-_SLOW = 1.0  # s
 
-
-def simulates_to_noise(shooting: Shooting, p: Array, starts: Array) -> bool:
+def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Settings = DEFAULT) -> bool:
     """Whether the error of a simulation is noise, quick or slow.
 
-    Parameters
-    ----------
-    shooting : Shooting
-        Windows of logs and the model that simulates them.
-    p : (n_parameters,) array
-        Parameters.
-    starts : (b, 2n) array
-        The best start of every window.
+    p: (n_parameters,), parameters.
+    starts: (b, 2n), the best start of every window.
     """
     errors = shooting.errors(p, starts)
     used = shooting.used
     if not np.any(used) or not np.all(np.isfinite(errors[used])):
         return False
     errors = errors[:, :, np.any(used, axis=(0, 1))]
-    means = means_over(errors, _seconds(shooting.windows.t))
-    return _is_noise(errors, starts.size) and _is_noise(means, starts.size)
+    means = means_over(errors, _seconds(shooting.windows.t, settings.slow_error))
+    return all(_is_noise(e, starts.size, settings) for e in (errors, means))
 
 
 def means_over(errors: Array, part: NDArray[np.intp]) -> Array:
     """Means over parts of windows, times the square root of the number of samples that are there.
 
-    Parameters
-    ----------
-    errors : (b, k, c) array
-        Errors by window, sample and channel, in units of the noise; NaN where there is none.
-    part : (b, k) array of int
-        Part of its window that a sample belongs to.
-
-    Returns
-    -------
-    (b, parts, c) array
-        Of unit variance where the errors are white noise; NaN where no sample is there.
+    errors: (b, k, c), errors by window, sample and channel, in units of the noise; NaN where there is none.
+    part: (b, k), part of its window that a sample belongs to.
+    Returns (b, parts, c): of unit variance where the errors are white noise; NaN where no sample is there.
     """
     windows, _, channels = errors.shape
     shape = windows, int(part.max(initial=0)) + 1, channels
@@ -83,51 +66,37 @@ def means_over(errors: Array, part: NDArray[np.intp]) -> Array:
     return np.divide(total, np.sqrt(there), out=np.full(shape, np.nan), where=there > 0)
 
 
-def _seconds(t: Array) -> NDArray[np.intp]:
-    """Second of its window that a sample falls in; halves of windows that are shorter than two seconds."""
+def _seconds(t: Array, length: float) -> NDArray[np.intp]:
+    """Part of its window that a sample falls in, each so many seconds long or half of a short window."""
     since = t - t[:, :1]
-    return np.asarray(since // min(_SLOW, max(float(since.max()) / 2.0, 1e-9)), dtype=np.intp)
+    return np.asarray(since // min(length, max(float(since.max()) / 2.0, 1e-9)), dtype=np.intp)
 
 
-def _is_noise(errors: Array, starts: int) -> bool:
+def _is_noise(errors: Array, starts: int, settings: Settings) -> bool:
     """Whether the mean squares by channel and of all are those of noise; estimated starts take some up."""
     count = np.maximum(np.count_nonzero(np.isfinite(errors), axis=(0, 1)), 1)
     left = 1.0 - starts / float(count.sum())
     level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, 0.1)
-    any_one = _ANY_CHANNEL + _BY_CHANCE * np.sqrt(2.0 / count)
-    over_all = _ALL_CHANNELS + _BY_CHANCE * np.sqrt(2.0 / count.sum())
+    any_one = settings.any_channel + settings.chance_errors * np.sqrt(2.0 / count)
+    over_all = settings.all_channels + settings.chance_errors * np.sqrt(2.0 / count.sum())
     return bool(np.all(level < any_one) and np.average(level, weights=count) < over_all)
 
 
-# How often errors of the fit may be larger by chance than what parameters are moved by here.
-_TRANSFER_BY_CHANCE = 1e-3
-_STEPS = 3
-
-
-def within_errors(fit: OutputErrorFit, shooting: Shooting, starts: Array) -> tuple[Array, Array] | None:
+def within_errors(
+    fit: OutputErrorFit, shooting: Shooting, starts: Array, settings: Settings = DEFAULT
+) -> tuple[Array, Array] | None:
     """The parameters that simulate other windows best, held by how well the fit knows them.
 
     The sum of squares over these windows and the squared distance from the fit, in units of its errors, are
     least together, as if both data had been fitted at once.
 
-    Parameters
-    ----------
-    fit : OutputErrorFit
-        The fit; its errors are those that the noise of the sensors gives, whatever else it leaves.
-    shooting : Shooting
-        The other windows, with derivatives in the free parameters of the fit.
-    starts : (b, 2n) array
-        Start of every window to begin with.
-
-    Returns
-    -------
-    (array, array) or None
-        All parameters and the starts; None if the fit rules such parameters out, or a simulation diverges.
+    starts: (b, 2n), start of every window to begin with.
+    All parameters and the starts; None if the fit rules such parameters out, or a simulation diverges.
     """
     places, fitted = list(fit.model.places), np.asarray(fit.p)
     information = fit.noise_gram + np.diag(prior_of(fit.model)[1] ** 2)
     p = fitted.copy()
-    for _ in range(_STEPS):
+    for _ in range(settings.transfer_steps):
         at = shooting.linearise(p, starts)
         if not np.isfinite(at.cost):
             return None
@@ -138,30 +107,12 @@ def within_errors(fit: OutputErrorFit, shooting: Shooting, starts: Array) -> tup
         starts = starts + at.start_step + at.start_slope @ step
         p[places] += step
     moved = p[places] - fitted[places]
-    likely = moved @ information @ moved < chi2.isf(_TRANSFER_BY_CHANCE, max(len(moved), 1))
+    likely = moved @ information @ moved < chi2.isf(settings.transfer_chance, max(len(moved), 1))
     return (p, starts) if likely else None
 
 
 F = TypeVar("F", bound=Fitted)
 T = TypeVar("T")
-# Windows of a free run diverge in heading even for the true model: short ones decide.
-HORIZONS = (1.0, 5.0, 20.0)
-DECIDING = 5.0
-THOROUGH = 20.0
-# What was commanded before a log is not known: seconds at its beginning, and share of the shortest run at the
-# most, that judge nothing. A lag would fit them, for its past is free, and a dead time would not.
-_UNKNOWN_PAST, _SMALL_SHARE = 1.0, 0.05
-# Mean square of the simulation error below which it is nearly noise, from which no fit by output error brings
-# it down to that, and from which none is made.
-_NEAR_NOISE = 2.0
-_WITHIN_REACH = 10.0
-_FAR_OFF = 100.0
-_SURE = 0.01
-# Windows from which a rank test can be as sure as that; of fewer, but so many, all have to say the same.
-_TESTABLE, _UNANIMOUS = 7, 5
-# Times the error of the best from which another is worse where more than noise is left. Smaller gaps may be
-# ever so regular: they say how the two bend to what neither explains.
-_NOTABLY = 1.025
 # Where the simulation of one model diverges and that of the other does not.
 _BEYOND = 1e12
 
@@ -170,17 +121,12 @@ _BEYOND = 1e12
 class Contender:
     """A model of the short list.
 
-    Attributes
-    ----------
-    chain : Chain
-        Its effects.
-    fit : Fitted
-        Its fit by output error, or by the weak form where a simulation diverged.
-    squares : (b,) array
-        Mean square of the simulation error in every kept-aside window, in units of the noise.
+    effect_set: its effects.
+    fit: its fit by output error, or by the weak form where a simulation diverged.
+    squares: (b,), mean square of the simulation error in every validation window, in units of the noise.
     """
 
-    chain: Chain
+    effect_set: EffectSet
     fit: Fitted
     squares: Array
 
@@ -190,36 +136,37 @@ class Contender:
         return float(np.sqrt(np.mean(self.squares)))
 
 
-class Referee:
-    """Judges models by simulating the kept-aside runs in windows whose starts are estimated.
+class SimulationValidator:
+    """Judges models by simulating the validation runs in windows whose starts are estimated.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose channels and commands are simulated.
-    train, test : sequence of Run
-        What models are fitted to, and what they are judged by.
-    sigma : (2n,) array
-        Noise of the channels.
+    sigma: (2n,), noise of the channels.
     """
 
-    def __init__(self, vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], sigma: Array) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        train: Sequence[Run],
+        test: Sequence[Run],
+        sigma: Array,
+        settings: Settings = DEFAULT,
+    ) -> None:
         self._vehicle, self.train, self.test, self._sigma = vehicle, train, test, sigma
+        self.settings = settings
         self._known: dict[tuple[str, int], tuple[Fitted, Any]] = {}
 
     @cached_property
     def shortest(self) -> float:
-        """A little less than the shortest kept-aside run, s."""
+        """A little less than the shortest validation run, s."""
         return 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
 
     @cached_property
     def windows(self) -> Windows:
         """The windows that decide."""
-        return self._cut(DECIDING)
+        return self._cut(self.settings.short_windows)
 
     @cached_property
     def _long_windows(self) -> Windows:
-        return self._cut(THOROUGH)
+        return self._cut(self.settings.long_windows)
 
     def _cut(self, horizon: float) -> Windows:
         length = min(horizon, self.shortest)
@@ -227,7 +174,8 @@ class Referee:
 
     @property
     def _unknown(self) -> float:
-        return min(_UNKNOWN_PAST, _SMALL_SHARE * self.shortest)
+        # A lag would fit what was commanded before the log, for its past is free; a dead time would not.
+        return min(self.settings.unknown_past, self.settings.unknown_share * self.shortest)
 
     def _once(self, what: str, fit: F, work: Callable[[F], T]) -> T:
         """What is worked out of a fit, once; the fit is kept, for its identity is the key."""
@@ -241,8 +189,8 @@ class Referee:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
         return self._once("squares", fit, self._squares)
 
-    def _squares(self, fit: Fitted, horizon: float = DECIDING) -> Array:
-        shooting, starts = self._shot(fit, horizon)
+    def _squares(self, fit: Fitted, horizon: float | None = None) -> Array:
+        shooting, starts = self._shot(fit, horizon or self.settings.short_windows)
         return shooting.mean_squares(np.asarray(fit.p), starts)
 
     def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
@@ -254,7 +202,7 @@ class Referee:
         return shooting, shooting.fitted_starts(np.asarray(fit.p))
 
     def _shooting(self, fit: Fitted, horizon: float, free: Sequence[str] = ()) -> Shooting:
-        windows = self.windows if horizon == DECIDING else self._long_windows
+        windows = self.windows if horizon == self.settings.short_windows else self._long_windows
         return Shooting(fit.model.functions, windows, free, channel_weights(windows), compiled=False)
 
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
@@ -264,37 +212,37 @@ class Referee:
             f"{horizon:g} s": prediction_error(
                 predict(predictor, cut(self.test, self._vehicle, horizon, sigma=self._sigma))
             )
-            for horizon in HORIZONS
+            for horizon in self.settings.horizons
             if horizon <= self.shortest
         }
         whole = cut(self.test, self._vehicle, None, sigma=self._sigma)
         return found | {"free run": prediction_error(predict(predictor, whole))}
 
-    def contender(self, chain: Chain) -> Contender:
-        """A chain fitted by output error from where the weak form left it, and judged."""
-        return Contender(chain, *self.refined(chain.fit))
+    def contender(self, effect_set: EffectSet) -> Contender:
+        """A effect_set fitted by output error from where the weak form left it, and judged."""
+        return Contender(effect_set, *self.refined(effect_set.fit))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
         """A model fitted by output error, and how it simulates; by the weak form where that does better.
 
         The weak form is biased where noise is as large as what it multiplies; the simulation is not. What
-        the simulation of a poor model comes to is left alone: it is dear, and no fit mends it.
+        the simulation of a poor model comes to is left alone: it is expensive, and no fit mends it.
         """
         before = self.squares(weak)
-        if not np.mean(before) < _FAR_OFF:
+        if not np.mean(before) < self.settings.far_off:
             return weak, before
         fit = self._refined(weak)
         after = before if fit is weak else self.squares(fit)
-        return (weak, before) if clearly_worse(after, before) else (fit, after)
+        return (weak, before) if self.worse_by_rank_test(after, before) else (fit, after)
 
-    def quiet(self, weak: WeakFit, test: WeakData) -> bool:
+    def residual_is_noise(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak residual or by simulation."""
-        if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test)):
+        if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
             return True
         return self.leaves_only_noise(weak)
 
     def leaves_only_noise(self, weak: WeakFit) -> bool:
-        """Whether a model, fitted by output error, simulates the kept-aside runs to within the noise.
+        """Whether a model, fitted by output error, simulates the validation runs to within the noise.
 
         This is free of what the weak form adds of its own: the error of its quadrature where the noise is
         next to nothing, and the bias of |v|v of a noisy v where the noise is large. Windows are long, in
@@ -304,26 +252,28 @@ class Referee:
         return self._once("noise", weak, self._leaves_only_noise)
 
     def _within_reach(self, weak: WeakFit) -> bool:
-        """Whether a fit by output error may bring a model down to the noise: it is dear, and no help to one
-        that is far off in short windows, or in long ones, whose starts take less of it up.
+        """Whether a fit by output error may bring a model down to the noise: it is expensive, and no help
+        to one that is far off in short windows, or in long ones, whose starts take less of it up.
         """
-        if not np.mean(self.squares(weak)) < _WITHIN_REACH:
+        limit = self.settings.within_reach
+        if not np.mean(self.squares(weak)) < limit:
             return False
-        return bool(np.median(self._squares(weak, THOROUGH)) < _WITHIN_REACH)
+        return bool(np.median(self._squares(weak, self.settings.long_windows)) < limit)
 
     def _leaves_only_noise(self, weak: WeakFit) -> bool:
         if not self._within_reach(weak):
             return False
-        fit = self._refined(weak, THOROUGH)
+        settings, long = self.settings, self.settings.long_windows
+        fit = self._refined(weak, long)
         if not isinstance(fit, OutputErrorFit):
             return False
-        shooting, starts = self._shot(fit, THOROUGH)
-        if simulates_to_noise(shooting, np.asarray(fit.p), starts):
+        shooting, starts = self._shot(fit, long)
+        if simulates_to_noise(shooting, np.asarray(fit.p), starts, settings):
             return True
-        moved = within_errors(fit, self._shooting(fit, THOROUGH, fit.model.free), starts)
-        return moved is not None and simulates_to_noise(shooting, *moved)
+        moved = within_errors(fit, self._shooting(fit, long, fit.model.free), starts, settings)
+        return moved is not None and simulates_to_noise(shooting, *moved, settings)
 
-    def outdone(self, weak: WeakFit, by: WeakFit) -> bool:
+    def significantly_worse(self, weak: WeakFit, by: WeakFit) -> bool:
         """Whether a model simulates worse than another by more than chance, in short windows or long ones.
 
         For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
@@ -332,14 +282,12 @@ class Referee:
         noise is left, all of it passes for noise. Where short and long windows contradict each other, neither
         model outdoes the other.
         """
-        pairs = zip(self._costs(weak), self._costs(by), self._levels(by), strict=True)
-        with np.errstate(invalid="ignore"):
-            gaps = [
-                np.nan_to_num((worse - better) / level, posinf=_BEYOND, neginf=-_BEYOND)
-                for worse, better, level in pairs
-            ]
-        behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
-        return behind > MORE_THAN_CHANCE and ahead < MORE_THAN_CHANCE
+        costs = self._costs(weak), self._costs(by), self._levels(by)
+        return significantly_worse_in_windows(*costs, self.settings)
+
+    @property
+    def _lengths(self) -> tuple[float, float]:
+        return self.settings.short_windows, self.settings.long_windows
 
     def _costs(self, weak: WeakFit) -> list[Array]:
         """Sum of squares in units of the noise, in each of the short windows and of the long ones."""
@@ -348,7 +296,7 @@ class Referee:
     def _worked_out_costs(self, weak: WeakFit) -> list[Array]:
         return [
             min((self._cost(fit, horizon) for fit in (weak, self._refined(weak, horizon))), key=np.sum)
-            for horizon in (DECIDING, THOROUGH)
+            for horizon in self._lengths
         ]
 
     def _levels(self, weak: WeakFit) -> list[float]:
@@ -356,7 +304,7 @@ class Referee:
         return self._once("levels", weak, self._worked_out_levels)
 
     def _worked_out_levels(self, weak: WeakFit) -> list[float]:
-        used = [self._shot(weak, horizon)[0].used for horizon in (DECIDING, THOROUGH)]
+        used = [self._shot(weak, horizon)[0].used for horizon in self._lengths]
         left = [
             cost / np.maximum(u.sum(axis=(1, 2)), 1) for cost, u in zip(self._costs(weak), used, strict=True)
         ]
@@ -366,34 +314,41 @@ class Referee:
         shooting, starts = self._shot(fit, horizon)
         return shooting.squares(np.asarray(fit.p), starts)
 
-    def standing(self, chains: Sequence[Chain]) -> list[Chain]:
+    def surviving(self, contenders: Sequence[Contender]) -> list[EffectSet]:
         """The short list without what the simulation shows to be worse than the best of it.
 
-        All are fitted by output error, from where the weak form left them. Where they leave little but noise,
-        windows short and long together tell them apart. Of those that do equally well the one leads whose
+        Where they leave little but noise,
+        windows short and long together separate them. Of those that do equally well the one leads whose
         declaration is the plainest: what has more freedom would fit more that did not happen, and that it
         fits says less.
         """
-        ordered = sorted((self.contender(c) for c in chains), key=lambda c: c.error)
-        near = ordered[0].error ** 2 < _NEAR_NOISE
+        ordered = sorted(contenders, key=lambda c: c.error)
+        near = ordered[0].error ** 2 < self.settings.near_noise
         if near:
-            ordered.sort(key=lambda c: float(sum(map(np.sum, self._costs(c.chain.fit)))))
+            ordered.sort(key=lambda c: float(sum(map(np.sum, self._costs(c.effect_set.fit)))))
         best = ordered[0]
 
         def worse(c: Contender) -> bool:
-            if near and self.outdone(c.chain.fit, best.chain.fit):
+            if near and self.significantly_worse(c.effect_set.fit, best.effect_set.fit):
                 return True
-            return (near or c.error > _NOTABLY * best.error) and clearly_worse(c.squares, best.squares)
+            # Smaller gaps may be ever so regular: they say how the two bend to what neither explains.
+            notable = near or c.error > self.settings.notably_worse * best.error
+            return notable and self.worse_by_rank_test(c.squares, best.squares)
 
-        equals = [best.chain, *(c.chain for c in ordered[1:] if not worse(c))]
+        equals = [best.effect_set, *(c.effect_set for c in ordered[1:] if not worse(c))]
         return sorted(equals, key=_freedom)
 
-    def _refined(self, weak: WeakFit, horizon: float = DECIDING) -> Fitted:
+    def worse_by_rank_test(self, squares: Array, than: Array) -> bool:
+        """Whether one model simulates the windows worse than another by more than chance."""
+        return worse_by_rank_test(squares, than, self.settings)
+
+    def _refined(self, weak: WeakFit, horizon: float | None = None) -> Fitted:
+        horizon = horizon or self.settings.short_windows
         return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
 
     def _by_output_error(self, weak: WeakFit, horizon: float) -> Fitted:
-        # Over long windows a fit may end in a dale of its own unless it begins close by.
-        begin = weak if horizon == DECIDING else self._refined(weak)
+        # Over long windows a fit may end in a local minimum of its own unless it begins close by.
+        begin = weak if horizon == self.settings.short_windows else self._refined(weak)
         try:
             refined: OutputErrorFit = fit_output_error(
                 weak.model.functions.vehicle,
@@ -407,86 +362,79 @@ class Referee:
         return refined
 
 
-def _freedom(chain: Chain) -> int:
+def _freedom(effect_set: EffectSet) -> int:
     """Number of parameters that its effects declare for this vehicle, whether they were needed or not."""
-    return sum(len(f.trial.candidate.parameters) for f in chain.findings)
+    return sum(len(f.trial.candidate.parameters) for f in effect_set.findings)
+
+
+def significantly_worse_in_windows(
+    costs: Sequence[Array], of_other: Sequence[Array], levels: Sequence[float], settings: Settings = DEFAULT
+) -> bool:
+    """Whether sums of squares by window, short ones and long, are larger than those of another model.
+
+    `levels` are mean squares of the other model: what is left beyond the noise passes for noise.
+    """
+    with np.errstate(invalid="ignore"):
+        gaps = [
+            np.nan_to_num((worse - better) / level, posinf=_BEYOND, neginf=-_BEYOND)
+            for worse, better, level in zip(costs, of_other, levels, strict=True)
+        ]
+    behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
+    return behind > settings.more_than_chance and ahead < settings.more_than_chance
 
 
 def _without_largest(gaps: Array) -> float:
     return float(np.sum(gaps) - np.max(gaps))
 
 
-def clearly_worse(squares: Array, than: Array) -> bool:
+def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT) -> bool:
     """Whether one model simulates the windows worse than another by more than chance."""
     gap = squares - than
     if not np.all(np.isfinite(squares)):
         return bool(np.all(np.isfinite(than)))
     if np.allclose(gap, 0.0, atol=1e-9):
         return False
-    if len(gap) < _TESTABLE:
-        return len(gap) >= _UNANIMOUS and bool(np.all(gap > 0.0))
-    return bool(wilcoxon(gap, alternative="greater").pvalue < _SURE and np.mean(gap) > 0.0)
-
-
-_STRETCHES = 8
-# Standard error of a size from which a stretch says nothing about it.
-_POORLY_KNOWN = 0.1
-_FEWEST = 3
-# Standard deviation of the size over the stretches, and share of what is left that goes with it, from which
-# the size is not steady.
-_CHANGING, _MOST = 0.25, 0.5
+    if len(gap) < settings.testable_windows:
+        return len(gap) >= settings.unanimous_windows and bool(np.all(gap > 0.0))
+    return bool(wilcoxon(gap, alternative="greater").pvalue < settings.worse_chance and np.mean(gap) > 0.0)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Size of an effect by stretch of the kept-aside data, in units of the fitted one.
+    """Size of an effect by stretch of the validation data, in units of the fitted one.
 
-    Attributes
-    ----------
-    value, error : (k,) array
-        Size in every stretch, and its standard error by the noise of the sensors.
-    share : float
-        Share of what exceeds the noise that goes away when the size is free in every stretch.
+    value, error: (k,), size in every stretch, and its standard error by the noise of the sensors.
+    share: share of what exceeds the noise that goes away when the size is free in every stretch.
     """
 
     value: Array
     error: Array
     share: float
 
-    @property
-    def known(self) -> Array:
-        """Sizes in the stretches that show it."""
-        return np.asarray(self.value[self.error < _POORLY_KNOWN])
-
-    @property
-    def change(self) -> str:
+    def change(self, settings: Settings = DEFAULT) -> str:
         """How far the size changes, in words; empty where it is steady."""
-        known = self.known
-        if len(known) < _FEWEST or self.share < _MOST or np.std(known) < _CHANGING:
+        known = self.value[self.error < settings.size_error]
+        if len(known) < settings.size_count or self.share < settings.size_share:
+            return ""
+        if np.std(known) < settings.size_change:
             return ""
         return f"its size would have to go from {known.min():.0%} to {known.max():.0%} of the fitted one"
 
 
-def sizes(fit: Fitted, own: Sequence[Parameter], data: WeakData, noise: list[Whitening]) -> Sizes:
-    """Size of an effect in stretches of the kept-aside data, all else being as fitted.
-
-    Parameters
-    ----------
-    fit : Fitted
-        The model with the effect.
-    own : sequence of Parameter
-        What the effect brings in; those that it is linear in make its size. One without such has none.
-    data : WeakData
-        Data kept aside.
-    noise : list of Whitening
-        Noise of the sensors alone in them.
-    """
+def sizes(
+    fit: Fitted,
+    own: Sequence[Parameter],
+    data: WeakData,
+    noise: list[Whitening],
+    settings: Settings = DEFAULT,
+) -> Sizes:
+    """Size of an effect in stretches of the validation data, all else being as fitted."""
     p = np.asarray(fit.p)
     at = whitened(fit.model.linearise(data, p), noise)
     names = {q.name for q in own if q.linear}
     chosen = [k for k, n in enumerate(fit.model.free) if n in names]
     whole = at.J[:, chosen] @ p[[fit.model.places[k] for k in chosen]]
-    stretch = _stretches(data)
+    stretch = _stretches(data, settings.size_stretches)
     power, slope = (np.bincount(stretch, weights=whole * other) for other in (whole, at.r))
     felt = power > 0.0
     power, slope = power[felt], slope[felt]
@@ -495,115 +443,96 @@ def sizes(fit: Fitted, own: Sequence[Parameter], data: WeakData, noise: list[Whi
     return Sizes(1.0 - slope / power, 1.0 / np.sqrt(power), gained / excess if excess > 0.0 else 0.0)
 
 
-def _stretches(data: WeakData) -> NDArray[np.intp]:
+def _stretches(data: WeakData, count: int) -> NDArray[np.intp]:
     """Stretch of every row: blocks of a run that follow each other, alike in number."""
     block = data.block
-    return np.asarray(block * _STRETCHES // (int(block.max(initial=0)) + 1))
+    return np.asarray(block * count // (int(block.max(initial=0)) + 1))
 
 
-# Rms difference of the commands of two runs, as a share of their rms, up to which they are the same: clocks
-# may be half a sample apart at every step. Unrelated manoeuvres differ by more than their size.
-_SAME = 0.15
-# Share of the shorter run in which both must be under way for their commands to be compared.
-_LONG = 0.5
-
-
-def repeats(vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, str]]:
-    """Runs kept aside that repeat the commands of a run that was fitted, with that run.
+def repeats(
+    vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], settings: Settings = DEFAULT
+) -> list[tuple[str, str]]:
+    """validation runs that repeat the commands of a run that was fitted, with that run.
 
     A model that has learned the manoeuvre by heart does as well on them as the right one.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose commands are compared.
-    train, test : sequence of Run
-        What models are fitted to, and what they are judged by.
     """
     names = vehicle.command_names
     pairs = ((kept, fitted) for kept in test for fitted in train)
-    return [(kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names)]
+    return [
+        (kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names, settings)
+    ]
 
 
-def _same(one: Run, other: Run, names: Sequence[str]) -> bool:
+def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> bool:
     """Whether two runs have the same commands, each counted from its own beginning."""
     first, second = one.t - one.t[0], other.t - other.t[0]
     common = first[first <= second[-1]]
-    if common[-1] < _LONG * min(first[-1], second[-1]):
+    if common[-1] < settings.same_length * min(first[-1], second[-1]):
         return False
     mine = np.nan_to_num(one.matrix(names)[: len(common)])
     place = np.searchsorted(second, common, side="right") - 1
     theirs = np.nan_to_num(other.matrix(names)[place])
     size = float(np.sqrt(np.mean(mine**2)))
     changes = bool(np.any(np.ptp(mine, axis=0) > 0.0))
-    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < _SAME * size
+    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < settings.same_commands * size
 
 
-_PIECES = 6
-_ASIDE = (1, 4)
-_GAP_SECONDS = 1.0
-# Samples of a run with fewer than which some of its pieces may hold none.
-_FEWEST = 10
+def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
+    """Runs with the velocities that they have a pose for only."""
+    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
 
 
-def keep_blocks_aside(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
-    """Cut every run into six pieces and keep the second and the fifth aside.
+def training_and_validation(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    validation: Sequence[Run],
+    settings: Settings = DEFAULT,
+    *,
+    trust_log: bool = False,
+) -> tuple[list[Run], list[Run]]:
+    """Runs to fit to and to judge by: as given, or pieces of `runs` where there are none for validation.
 
-    Returns
-    -------
-    (list of Run, list of Run)
-        What models are fitted to, and what they are judged by.
-
-    Raises
-    ------
-    UndertowError
-        If a run is too short to be cut.
+    Velocities that a run lacks are taken from its pose.
     """
+    runs, validation = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    check_fit(runs, validation, vehicle.velocity_names)
+    refuse_impossible(vehicle, [*runs, *validation], trust_log=trust_log)
+    train, test = (list(runs), list(validation)) if validation else split_into_pieces(runs, settings)
+    check_excitation(vehicle, train, settings)
+    return train, test
+
+
+def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
+    """Cut every run into six pieces and keep the second and the fifth aside."""
     for run in runs:
-        if len(run.t) < _FEWEST:
+        if len(run.t) < settings.fewest_samples:
             raise UndertowError(
                 f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
-                f"({_FEWEST} at the very least): give longer logs, or another run to judge by with --holdout"
+                f"({settings.fewest_samples} at the very least): give longer logs, or another run to judge "
+                "by with --holdout"
             )
-    pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run))]
-    train = [piece for i, piece in pieces if i not in _ASIDE]
-    return train, [piece for i, piece in pieces if i in _ASIDE]
+    pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run, settings))]
+    train = [piece for i, piece in pieces if i not in settings.validation_pieces]
+    return train, [piece for i, piece in pieces if i in settings.validation_pieces]
 
 
-def _pieces(run: Run) -> list[Run]:
-    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / _PIECES
-    edges = [start + i * length for i in range(_PIECES + 1)]
-    gap = min(_GAP_SECONDS, 0.1 * length)
+def _pieces(run: Run, settings: Settings) -> list[Run]:
+    count = settings.pieces
+    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / count
+    edges = [start + i * length for i in range(count + 1)]
+    gap = min(settings.piece_gap, 0.1 * length)
     return [
-        replace(run.slice(a, b if i == _PIECES - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
+        replace(run.slice(a, b if i == count - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
         for i, (a, b) in enumerate(pairwise(edges))
     ]
 
 
-# Noise alone has a standard deviation of once its own; a velocity below this many times that was not moved.
-_EXCITED = 2.0
-
-
-def check_excitation(vehicle: Vehicle, runs: Sequence[Run], sigma: NDArray[np.float64]) -> None:
-    """Refuse logs in which no velocity of the vehicle stands out of its noise.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Whose velocities are looked at.
-    runs : sequence of Run
-        Logs that hold them.
-    sigma : (2n,) array
-        Noise of the channels, pose then velocity of the degrees of freedom, in their units.
-
-    Raises
-    ------
-    UndertowError
-        If nothing moves; the velocities are told with their noise.
-    """
-    noise = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), sigma, strict=True))
-    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in vehicle.velocity_names}
-    if all(largest[n] < _EXCITED * noise[n] or largest[n] == 0.0 for n in largest):
+def check_excitation(vehicle: Vehicle, runs: Sequence[Run], settings: Settings = DEFAULT) -> None:
+    """Refuse logs in which no velocity of the vehicle stands out of its noise."""
+    names = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
+    noise = dict(zip(names, channel_noise(runs, names), strict=True))
+    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in names}
+    if names and all(largest[n] < settings.excited * noise[n] or largest[n] == 0.0 for n in names):
         seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
         raise UndertowError(
             f"nothing moves in these logs: standard deviation of {seen}; "

@@ -5,16 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
-from undertow.identification.figures import AFTER, BEFORE, FAINT, figure, look, plain
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
-from undertow.identification.logs.run import UNITS, Run
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 from undertow.version import __version__
@@ -379,47 +376,3 @@ def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
     """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
     at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
     return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))
-
-
-_MOST = 1500
-_HEIGHT = 2.5
-_OUTLIERS = 0.002
-
-
-def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
-    """One row for each pose coordinate: rate of the pose against what the velocities make of it."""
-    kinematics = Kinematics(examined.given, vehicle)
-    if not kinematics:
-        raise UndertowError(
-            f"no picture: the logs of '{vehicle.name}' have no pose with a measured velocity beside it"
-        )
-    pairs = [("as given", examined.given, BEFORE)]
-    if examined.edits:
-        pairs.append(("mistakes undone", examined.mended, AFTER))
-    with look():
-        picture, axes = figure(_HEIGHT * len(kinematics.rows) + 0.5, len(kinematics.rows), len(pairs))
-        for column, (title, runs, colour) in enumerate(pairs):
-            rates = kinematics.rates(runs)
-            share = kinematics.of_rates(rates).share
-            for row, name in enumerate(kinematics.rows):
-                block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
-                heading = f"{title}: mismatch {percent(share[block])}"
-                _panel(axes[row, column], (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
-    return picture
-
-
-def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour: str) -> None:
-    step = max(1, len(points[0]) // _MOST)
-    x, y = (p[::step] for p in points)
-    low, high = (float(np.quantile(np.concatenate([x, y]), q)) for q in (_OUTLIERS, 1 - _OUTLIERS))
-    margin = 0.05 * (high - low) or 1.0
-    ends = (low - margin, high + margin)
-    axis.plot(ends, ends, color=FAINT, linestyle="--", zorder=1)
-    axis.scatter(x, y, s=5, color=colour, alpha=0.5, linewidths=0, zorder=2)
-    axis.set_xlim(*ends)
-    axis.set_ylim(*ends)
-    unit = f"{UNITS[name]}/s"
-    axis.set_xlabel(f"from the velocities [{unit}]")
-    axis.set_ylabel(f"rate of {plain(name)} [{unit}]")
-    axis.set_title(title)
-    axis.grid(visible=True)

@@ -33,14 +33,14 @@ from .test_functions import (
 
 @dataclass(frozen=True)
 class NoiseSettings:
-    """Numbers by which noise is estimated and told from motion."""
+    """Numbers by which noise is estimated and distinguished from motion."""
 
     # Orders of the differences that white noise is taken from, and samples for each order that a log needs.
     orders: tuple[int, ...] = (3, 4, 5, 6, 7, 8)
     samples_for_order: int = 4
     fewest: int = 10  # differences that a standard deviation is taken from
     gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
-    # Standard deviations from which a difference is no noise, and the variance of a Gaussian cut off there.
+    # Standard deviations from which a difference is not noise, and the variance of a Gaussian cut off there.
     outlying: float = 3.5
     variance_within: float = 0.9939
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
@@ -76,7 +76,7 @@ class BlockSettings:
     blocks: int = 24
     longest: float = 5.0  # s
     shortest: float = 1.0  # s
-    # Bytes that the noise of as many windows as are worked out at a time may take.
+    # Bytes that the noise of as many windows as are computed at a time may take.
     bytes: int = 32_000_000
 
 
@@ -101,14 +101,16 @@ def residual_covariance(
     n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
     # The noise of a rate is that of its pose.
     direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
-    bands = _in_pieces(functions.supports, rows, direct, lambda w: (w.first, _felt(w, entries, rows, direct)))
+    bands = _in_pieces(
+        functions.supports, rows, direct, lambda w: (w.first, _sensitivity(w, entries, rows, direct))
+    )
     if derived and t is not None:
         levels = {c: sigma[..., c - n] for c in derived}
         rates = _in_pieces(
             functions.supports,
             rows,
             levels,
-            lambda w: (w.first - 1, _differenced(_felt(w, entries, rows, levels), w, t)),
+            lambda w: (w.first - 1, _differenced(_sensitivity(w, entries, rows, levels), w, t)),
         )
         bands = banded_sum(bands, rates)
     return bands
@@ -118,7 +120,7 @@ def _in_pieces(
     windows: Supports,
     rows: Sequence[int],
     levels: Mapping[int, Array],
-    felt: Callable[[Supports], tuple[Index, Array]],
+    sensitivity: Callable[[Supports], tuple[Index, Array]],
 ) -> Array:
     """Products of the rows of all windows, a few windows and those that they overlap at a time."""
     count, width = windows.weights.shape[1:]
@@ -127,7 +129,7 @@ def _in_pieces(
     piece = max(BLOCKS.bytes // each - reach, reach)
     found = []
     for begin in range(0, count, piece):
-        bands = products(*felt(windows.part(slice(begin, begin + piece + reach))))
+        bands = products(*sensitivity(windows.part(slice(begin, begin + piece + reach))))
         found.append(bands[:, : len(rows) * piece])
     deepest = max(map(len, found))
     return np.hstack([np.pad(bands, ((0, deepest - len(bands)), (0, 0))) for bands in found])
@@ -139,13 +141,13 @@ def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
     return list(zip(kind, equation, slopes.column, np.ascontiguousarray(slopes.data.T), strict=True))
 
 
-def _felt(
+def _sensitivity(
     windows: Supports,
     entries: list[tuple[int, int, int, Array]],
     rows: Sequence[int],
     levels: Mapping[int, Array],
 ) -> Array:
-    """What each row feels of a unit of each channel's noise at each sample, (K, rows, W, channels)."""
+    """Sensitivity of each row to the noise of each channel at each sample, (K, rows, W, channels)."""
     row, channel = ({x: i for i, x in enumerate(them)} for them in (rows, levels))
     index = windows.index
     table = np.zeros((len(row), len(channel), *index.shape))
@@ -159,13 +161,13 @@ def _felt(
     return np.ascontiguousarray(table.transpose(2, 0, 3, 1))
 
 
-def _differenced(felt: Array, windows: Supports, t: Array) -> Array:
-    """What is felt of a pose whose central differences are felt like this; windows begin a sample earlier."""
+def _differenced(sensitivity: Array, windows: Supports, t: Array) -> Array:
+    """Sensitivity to a pose from that to its central differences; windows begin a sample earlier."""
     count = len(t)
     after, before = np.minimum(np.arange(count) + 1, count - 1), np.maximum(np.arange(count) - 1, 0)
     step = 1.0 / (t[after] - t[before])
-    rate = felt * step[windows.index][:, None, :, None]
-    # At its ends a log has no sample on the other side: the one there stands for it.
+    rate = sensitivity * step[windows.index][:, None, :, None]
+    # At its ends a log has no sample on the other side: the last one is used.
     first, last = (np.where(windows.index == end, 1.0, 0.0)[:, None, :, None] for end in (0, count - 1))
     size = list(rate.shape)
     size[2] += 2
@@ -210,7 +212,7 @@ def white_noise(t: Array, y: Array) -> float:
     less: then the lower one takes a fast signal for noise.
     """
     if len(t) <= NOISE.samples_for_order * NOISE.orders[0]:
-        return 0.0  # too few samples to tell noise from motion
+        return 0.0  # too few samples to distinguish noise from motion
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
     found = [_by_difference(y, even, k) for k in NOISE.orders if len(y) > NOISE.samples_for_order * k]
@@ -426,8 +428,12 @@ class WeakData:
         seconds = self.block_seconds
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
         within = ((self.time - start) // seconds).astype(np.intp)
-        pairs = np.column_stack([self.run_of, within])
-        return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+        return numbered(self.run_of, within)
+
+
+def numbered(*columns: Index) -> Index:
+    """Number of the group of each row, rows that are the same in all columns being one group."""
+    return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
 
 
 def prepare(
@@ -479,7 +485,7 @@ def _too_short(runs: Sequence[Run], family: Family) -> str:
     blurred = any(_spacing(r) > knot_spacing(r.t) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1)
     form = "integral form" if family is boxes else "weak form"
     why = (
-        "; the velocities were taken from a pose that tells nothing of faster motion: "
+        "; the velocities were taken from a pose that does not show faster motion: "
         "give longer runs, or measured velocities"
     )
     return (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .residual import WeakModel
-from .step import at_bounds, estimated, follower_errors, followers, inverse_of
+from .step import at_bounds, estimated, follower_errors, followers, inverse_of, prior_of
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,11 @@ class Fitted(ABC):
     def covariance(self) -> Array:
         """Covariance of the free parameters."""
 
+    @cached_property
+    def information(self) -> Array:
+        """What data and stated priors say together: J'J plus the weight of the priors."""
+        return self.gram + np.diag(prior_of(self.model)[1] ** 2)
+
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with fitted values and standard errors, those of tied parameters included."""
@@ -192,7 +198,7 @@ Verdict = Literal["identified", "weakly identified", "not identifiable"]
 def verdicts(fit: Fitted) -> dict[str, Verdict]:
     """Whether this experiment determines each parameter.
 
-    Not identifiable: within two standard errors of zero, or not felt by the data at all. Weakly identified:
+    Not identifiable: within two standard errors of zero, or without effect on the data. Weakly identified:
     within five, known only together with another, or at the limit of what is physical.
     """
     sure = t_values(fit)
@@ -211,7 +217,7 @@ def cramer_rao(fit: Fitted) -> dict[str, float]:
     """Least standard error that an unbiased estimator can have by the noise of the sensors, by parameter.
 
     What comes on top of it in the standard errors is what the model leaves beyond the noise. Stated priors
-    are no data, and do not count. For the weak form the data are the products with its test functions.
+    are not data, and do not count. For the weak form the data are the products with its test functions.
     """
     return dict(zip(fit.model.free, np.sqrt(np.diag(inverse_of(fit.noise_gram))).tolist(), strict=True))
 
@@ -234,7 +240,7 @@ def t_value(value: float, error: float) -> float:
 
 
 def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
-    """What speaks against fitted values: not identifiable, at a bound, far from the stated prior."""
+    """Doubts about fitted values: not identifiable, at a bound, far from the stated prior."""
     found: dict[str, list[str]] = {n: [] for n in fit.model.free}
     for part in (_unsure(fit), _tied(fit), _bound(fit), _moved(fit, stated)):
         for name, text in part.items():

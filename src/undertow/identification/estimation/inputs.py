@@ -40,7 +40,7 @@ def _at_work(t: Array, delay: float) -> Index:
 
 
 def without_gaps(u: Array) -> Array:
-    """Commands with the last known value where one is missing; nothing is judged inside such gaps."""
+    """Commands with the last known value where one is missing; no equation is used inside such gaps."""
     known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
     filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
     return np.nan_to_num(filled, nan=0.0)
@@ -92,7 +92,7 @@ class PropagatedState:
 
     `rate` and `output` are functions of the states and of the share of the interval that has passed; `free`
     are the parameters that derivatives are taken in. The states alone follow one after the other. At known
-    states, the derivatives of all intervals are worked out side by side; what is then left of propagating
+    states, the derivatives of all intervals are computed side by side; what is then left of propagating
     derivatives is one banded triangular solution.
     """
 
@@ -180,7 +180,7 @@ class DrivenSignal:
 
     value: Array  # (N, k) value at each sample, or mean over the interval that follows it
     slope: Array  # (N, k, n_free) its derivative
-    start: Array  # (N, k, n_states) its derivative in the states that it started from, which no log tells
+    start: Array  # (N, k, n_states) its derivative in the states that it started from, which no log has
 
 
 @dataclass(frozen=True)
@@ -225,19 +225,19 @@ class ActuatorStates:
     def moves(self) -> bool:
         """Whether the actuation depends on a free parameter or on states."""
         composition = self.functions.vehicle.composition
-        return self._has_states or bool(self._felt) or composition.dead_time != 0
+        return self._has_states or bool(self._dependent) or composition.dead_time != 0
 
     def _propagate(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         step = np.append(np.diff(t), 0.0)
         start, slope = (np.asarray(v) for v in self._rest(u[0], p, t[0]))
         _, _, mean, slopes = self._propagated.along(start[:, 0], slope, [u], p, t, step)
-        return _driven(mean, slopes, self._felt, len(self.free))
+        return _driven(mean, slopes, self._dependent, len(self.free))
 
     def _static(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         """A chain without states: its output in the middle of every interval."""
         middle = t + np.append(np.diff(t), 0.0) / 2
         value, slope = mapped(self._output, [u], p, middle)
-        return _driven(value[:, :, 0], slope, self._felt, len(self.free))
+        return _driven(value[:, :, 0], slope, self._dependent, len(self.free))
 
     @cached_property
     def _output(self) -> ca.Function:
@@ -253,14 +253,14 @@ class ActuatorStates:
         return ca.Function("rest", [f.u, f.p, f.t], [ca.densify(f.chain_rest), ca.densify(slope)])
 
     @cached_property
-    def _felt(self) -> list[int]:
+    def _dependent(self) -> list[int]:
         """Which of the free parameters the chain depends on."""
         f = self.functions
         return _dependence(f, self.free, ca.vertcat(f.chain_output, f.chain_rates, f.chain_rest))
 
     @property
     def _free(self) -> ca.SX:
-        return _chosen(self.functions, [self.free[k] for k in self._felt])
+        return _chosen(self.functions, [self.free[k] for k in self._dependent])
 
     @cached_property
     def _propagated(self) -> PropagatedState:
@@ -338,9 +338,9 @@ class Memory:
         if size == 0:
             return _nothing(count, len(self.free))
         columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
-        start, slope = np.zeros(size), np.zeros((size, len(self._felt)))
+        start, slope = np.zeros(size), np.zeros((size, len(self._dependent)))
         states, slopes, _, _ = self._propagated.along(start, slope, columns, p, t[:-1], np.diff(t))
-        return _driven(states, slopes, self._felt, len(self.free))
+        return _driven(states, slopes, self._dependent, len(self.free))
 
     @cached_property
     def _rates(self) -> ca.SX:
@@ -348,7 +348,7 @@ class Memory:
         return ca.substitute(f.memory_rates, ca.vertcat(f.eta, f.nu), self._true_motion)
 
     @cached_property
-    def _felt(self) -> list[int]:
+    def _dependent(self) -> list[int]:
         """Which of the free parameters the memory depends on."""
         return _dependence(self.functions, self.free, self._rates)
 
@@ -364,7 +364,7 @@ class Memory:
         return PropagatedState(
             f.memory,
             Inputs([self._measured, after, f.actuation, f.u], f.p, f.t, dt),
-            _chosen(f, [self.free[k] for k in self._felt]),
+            _chosen(f, [self.free[k] for k in self._dependent]),
             at,
             lambda state, share: ca.SX(0, 1),
         )
@@ -393,8 +393,8 @@ def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) 
     return [k for k, place in enumerate(free) if place in used]
 
 
-def _driven(value: Array, slopes: Array, felt: list[int], n_free: int) -> DrivenSignal:
+def _driven(value: Array, slopes: Array, dependent: list[int], n_free: int) -> DrivenSignal:
     """Values, and slopes put in the columns of the parameters that they belong to."""
     slope = np.zeros((*value.shape, n_free))
-    slope[:, :, felt] = slopes[:, :, : len(felt)]
-    return DrivenSignal(value, slope, slopes[:, :, len(felt) :])
+    slope[:, :, dependent] = slopes[:, :, : len(dependent)]
+    return DrivenSignal(value, slope, slopes[:, :, len(dependent) :])

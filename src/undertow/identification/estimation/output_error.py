@@ -18,7 +18,7 @@ from .data import NOISE, prepare
 from .fitted import Fitted
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
-from .step import Constraints, SearchSpace, clustered, prior_of
+from .step import Constraints, SearchSpace, clustered
 from .weak_form import fit_weak, free_parameters
 from .windows import Windows, cut
 
@@ -83,11 +83,10 @@ class OutputErrorFit(Fitted):
         """Covariance of the free parameters: at least what noise gives, robust to what the model leaves.
 
         Windows (or stretches of five seconds in longer ones) are taken as independent: a sandwich estimator
-        with clusters inflates the covariance where errors of one window hang together.
+        with clusters inflates the covariance where the errors of one window are correlated.
         """
-        information = self.gram + np.diag(prior_of(self.model)[1] ** 2)
         groups = len(self.at.scores)
-        return clustered(information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
+        return clustered(self.information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
 
     @property
     def cost(self) -> float:
@@ -101,7 +100,7 @@ class OutputErrorFit(Fitted):
 
 @dataclass(frozen=True)
 class State:
-    """Where a descent has come to."""
+    """A state of the minimisation."""
 
     p: Array  # (n_parameters,) all parameters
     starts: Array  # (b, 2n) true pose and velocity at the start of every window
@@ -132,7 +131,7 @@ class Descent:
         self._steps = 0
 
     def fit(self, p: Array) -> OutputErrorFit:
-        """Descend, weigh every channel by what the model leaves in it, until that settles."""
+        """Minimise, weight every channel by what the model leaves in it, until the weights converge."""
         starts = self._shooting.fitted_starts(p)
         dispersion = np.ones(len(self.windows.names))
         state = self.minimise(p, starts)
@@ -149,7 +148,7 @@ class Descent:
         )
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
-        """Descend with weights for each sample by its error, until the parameters settle."""
+        """Minimise with weights for each sample by its error, until the parameters converge."""
         starts = self._shooting.fitted_starts(p)
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         for round_ in range(SETTINGS.robust_rounds):
@@ -161,7 +160,7 @@ class Descent:
         return self._robust(state, scale, loss)
 
     def _weighed(self, state: State, loss: Loss) -> Array:
-        """Weigh channels and samples by their errors at a state; scale of the errors of each channel."""
+        """Weight channels and samples by their errors at a state; scale of the errors of each channel."""
         self._shooting.weight = self._weight
         errors = self._shooting.errors(state.p, state.starts)
         scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
@@ -191,7 +190,7 @@ class Descent:
         )
 
     def minimise(self, p: Array, starts: Array) -> State:
-        """Where steps from these parameters and starts lead, with the weights as they are."""
+        """Minimise from these parameters and starts, with the weights as they are."""
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         if not np.isfinite(state.at.cost):
             raise UndertowError(
@@ -337,7 +336,7 @@ def fit_output_error(
     start : mapping, optional
         Starting values; by default those of a weak-form fit.
     constraints : Constraints
-        What else is asked of the parameters.
+        Constraints on the parameters.
     loss : str
         "gaussian" squares every error; "huber" and "student-t" reweight each sample until the parameters
         converge, so that no outlier pulls without limit.

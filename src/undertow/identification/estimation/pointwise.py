@@ -165,6 +165,13 @@ class Pointwise:
         return true
 
     @cached_property
+    def true_motion_at(self) -> ca.Function:
+        """`true_motion` as a function of measured motion, actuation, memory, commands, p and t."""
+        f = self.functions
+        inputs = [self.measured, f.actuation, f.memory, f.u, f.p, f.t]
+        return ca.Function("true_motion", inputs, [ca.densify(self.true_motion)])
+
+    @cached_property
     def _inputs(self) -> list[ca.SX]:
         f = self.functions
         constant = ca.vertcat(*self.inverse.nonzeros()) if self.mass_is_constant else ca.SX(0, 1)
@@ -229,7 +236,7 @@ class Cut:
 class Limits:
     """Which parameters a model can have together: matrices that have to be positive.
 
-    Dissipative linear damping, D + D' >= 0, is only asked for by the user: at speed, the coefficients of a
+    Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
     hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
@@ -243,7 +250,7 @@ class Limits:
         ]
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
-        self._all, self._matrices = found, [matrix for matrix in found if matrix.felt]
+        self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]
 
     def cuts(self, p: Array) -> list[Cut]:
         """What a step from p has to do for every matrix to be positive; nothing where all are."""
@@ -279,7 +286,7 @@ class _Matrix:
         self._size = expression.shape[0]
         symmetric = ca.densify((expression + expression.T) / 2)
         slope = ca.jacobian(ca.vec(symmetric), free)
-        self.felt = slope.nnz() > 0
+        self.varies = slope.nnz() > 0
         self._function = ca.Function("limit", [functions.p], [symmetric, ca.densify(slope)])
         diagonal = np.diag(self._values(stated)[0])
         self._scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

@@ -1,4 +1,4 @@
-"""Prediction error: multiple shooting in which the motion may leave the model a little, at every window."""
+"""Prediction error: multiple shooting with process noise between windows."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
+from .data import numbered
 from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
@@ -23,7 +24,6 @@ from .step import (
     SearchSpace,
     clustered,
     inverse_of,
-    prior_of,
     require_rows,
     squared,
     summed_scores,
@@ -64,7 +64,7 @@ class Chained:
 
     @property
     def has_sensor_delay(self) -> bool:
-        """Whether a sensor reports late, so that windows hang together by more than the motion."""
+        """Whether a sensor reports late, so that windows depend on each other by more than the motion."""
         return self._predictor.sensor_delay.present
 
     def measured_starts(self, p: Array) -> Array:
@@ -151,7 +151,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Filtered:
-    """What a pass leaves."""
+    """The outcome of a pass."""
 
     table: Array  # (m, 1 + n_free) whitened innovations with their derivatives
     window: Index  # (m,) where each of them is from
@@ -207,10 +207,10 @@ class Smoothed:
     """The motion given all that is measured, and the noise that explains it."""
 
     motion: Array  # (b, 3n, 1 + n_free) change of every state, and its derivative in the free parameters
-    # (3n, 2) sum of the squared disturbances over their length, and how many of them the data tell, by
+    # (3n, 2) sum of the squared disturbances over their length, and how many of them the data determine, by
     # state
     disturbance: Array
-    # (2n, 2) sum of the squared errors of the channels, and how many are left to tell their noise
+    # (2n, 2) sum of the squared errors of the channels, and how many degrees of freedom are left
     errors: Array
 
 
@@ -237,7 +237,7 @@ def smoothed(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, p
 def _disturbance_sums(
     intensity: Array, seconds: float, inverse: Array, change: Array, shrink: Array
 ) -> Array:
-    """Squared disturbance of one window over its length, and the share of it that the data tell, by state."""
+    """Squared disturbance of one window over its length, and the share that the data determine, by state."""
     variance = intensity * seconds
     size = variance * (inverse @ change[:, 0])
     share = -variance * np.diag(inverse @ shrink @ inverse)
@@ -312,15 +312,14 @@ class PredictionErrorFit(Fitted):
         """Covariance of the free parameters: at least what noise and disturbance give.
 
         Stretches of five seconds are taken as independent: a sandwich estimator with clusters inflates the
-        covariance where innovations hang together.
+        covariance where innovations are correlated.
         """
         table = self.passed.table
         t = self.windows.t[self.passed.window, 0]
         within = np.floor((t - t.min(initial=0.0)) / SETTINGS.block).astype(np.intp)
-        pairs = np.column_stack([self.windows.run[self.passed.window], within])
-        block = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+        block = numbered(self.windows.run[self.passed.window], within)
         scores = summed_scores(table[:, 0], table[:, 1:], block)
-        return clustered(self.gram + np.diag(prior_of(self.model)[1] ** 2), scores)
+        return clustered(self.information, scores)
 
     @property
     def disturbance(self) -> dict[str, float]:
@@ -382,7 +381,7 @@ def fit_prediction_error(
 
 
 def _informative_samples(chained: Chained) -> int:
-    """Samples of the velocities, or of the pose where that tells more, beyond those that a start takes."""
+    """Samples of the velocities, or of the pose if more, beyond those that determine the starts."""
     by_channel = np.sum(chained.used, axis=(0, 1))
     beyond = np.maximum(by_channel - np.count_nonzero(chained.last), 0)
     half = len(beyond) // 2
@@ -407,7 +406,7 @@ def _without_derived(windows: Windows) -> Windows:
 
 @dataclass(frozen=True)
 class _State:
-    """Where a search has come to."""
+    """A state of the search."""
 
     p: Array
     starts: Array
@@ -434,7 +433,7 @@ class _Search:
         known = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 1.0) ** 2
         variance = np.maximum(known, self._finest)
         seconds = float(np.median(self._seconds))
-        # What no sensor measures is known as well as differences of the pose tell it.
+        # What no sensor measures is known as well as from differences of the pose.
         lacking, pose = weight[size // 2 :] == 0, variance[: size // 2]
         velocity = np.where(lacking, pose / seconds**2, variance[size // 2 :]) / seconds
         intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / SETTINGS.slow**2])
@@ -501,8 +500,8 @@ class _Search:
     def _match(self, back: Smoothed) -> None:
         """Bring the noise nearer to its most likely value.
 
-        A sum of squares over how many of its terms the data tell is a fixed point where the likelihood is
-        greatest, and is reached much faster than by expectation and maximisation.
+        A sum of squares over how many of its terms the data determine has a fixed point where the likelihood
+        is greatest, which is reached much faster than by expectation and maximisation.
         """
         known = self._noise.intensity
         ratio = _per_term(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
@@ -513,6 +512,6 @@ class _Search:
 
 
 def _per_term(sums: Array, least: float, known: Array) -> Array:
-    """Sums of squares per term that the data tell; what is known where they tell less than `least`."""
+    """Sums of squares per term that the data determine; what is known where those are fewer than `least`."""
     there = sums[:, 1] > least
     return np.where(there, sums[:, 0] / np.where(there, sums[:, 1], 1.0), known)

@@ -17,6 +17,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
+from .data import numbered
 from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
 from .pointwise import Pointwise
 from .residual import SensorDelay
@@ -168,8 +169,7 @@ def _first_windows(windows: Windows, first: Index) -> Windows:
 
 def _stretches(windows: Windows) -> list[Index]:
     """Windows of every stretch without gaps, in order of time."""
-    pairs = np.column_stack([windows.run, windows.segment])
-    number = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    number = numbered(windows.run, windows.segment)
     return [np.flatnonzero(number == i) for i in range(number.max() + 1)]
 
 
@@ -293,7 +293,7 @@ class Predictor:
         nothing = [np.zeros((count, v.shape[0])) for v in (f.actuation, f.memory)]
         late = self.sensor_delay.present
         start = windows.start_after(self.sensor_delay.seconds(p)) if late else windows.start
-        (motion,) = mapped(self._true_motion, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
+        (motion,) = mapped(self._points.true_motion_at, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
     def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
@@ -324,12 +324,6 @@ class Predictor:
         """Whether the sensors report pose and velocity as they are."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.is_equal(self.functions.reported, motion, 2))
-
-    @cached_property
-    def _true_motion(self) -> ca.Function:
-        f, points = self.functions, self._points
-        inputs = [points.measured, f.actuation, f.memory, f.u, f.p, f.t]
-        return ca.Function("true_motion", inputs, [ca.densify(points.true_motion)])
 
 
 # --- what sensors report late ---------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -38,7 +38,7 @@ class ResidualSettings:
     neighbours: int = 2
     # Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
     spike: float = 5.0
-    # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is no spike.
+    # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is not a spike.
     bend: float = 0.25
     spike_rounds: int = 30
 
@@ -73,7 +73,7 @@ class SensorDelay:
         return _moved(s, seconds) if _known(s, seconds) else s
 
     def residual(self, s: Segment, p: Array, of: Callable[[Segment], Linearised]) -> Linearised:
-        """Residual `of` a segment put in time, and its derivative in the delays as well.
+        """Residual `of` a segment at its true time, and its derivative in the delays as well.
 
         Test functions that reach beyond the last true value are marked as unknown.
         """
@@ -112,7 +112,7 @@ class SensorDelay:
 def _known(s: Segment, seconds: Array) -> int:
     """How many test functions lie before the last instant at which all channels are known, or none.
 
-    A stretch hardly longer than the delay tells nothing about it and counts as it was measured. If it dropped
+    A stretch hardly longer than the delay does not show it and is used as it was measured. If it dropped
     out, long delays would look good because little is left to be wrong about.
     """
     beyond = s.t + np.max(seconds) > s.t[-1]
@@ -182,13 +182,13 @@ class Linearised:
     r: Array  # (m,) residual
     J: Array  # (m, n_free) derivative in the free parameters
     start: Array  # (m, n_states) derivative in the effects' own states at the start of the segment
-    # Rows from here on need what was not measured yet when the segment ended, and count for nothing
+    # Rows from here on need what was not measured yet when the segment ended, and have no weight
     known: int | None = None
     unknown: int = 0  # How many of the last columns of `start` stand for a row each of which nothing is known
 
 
 class _At(NamedTuple):
-    """A model where it was last asked for on some data: a fit, its judges and its noise ask at one place."""
+    """The last linearisation on some data: a fit, its score and its noise need it at the same parameters."""
 
     data: WeakData
     p: Array
@@ -236,18 +236,16 @@ class WeakModel:
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
         driven = self._driven(data, p)
-        parts = [self._in_time(s, _cut(driven[s.run], s), data.rows, p) for s in data.segments]
-        known = [data.runs[s.run].t[0] + self._chain.seconds_late(p) for s in data.segments]
-        return [
-            _from(begin, part, s, data.rows, self._points.size)
-            for begin, part, s in zip(known, parts, data.segments, strict=True)
-        ]
+        found = []
+        for s in data.segments:
+            evaluate = partial(self._segment, actuation=_cut(driven[s.run], s), rows=data.rows, p=p)
+            part = self._sensor_delay.residual(s, p, evaluate)
+            known = data.runs[s.run].t[0] + self._chain.seconds_late(p)
+            found.append(_from(known, part, s, data.rows, self._points.size))
+        return found
 
     def _driven(self, data: WeakData, p: Array) -> list[Actuation]:
         return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
-
-    def _in_time(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
-        return self._sensor_delay.residual(s, p, lambda moved: self._segment(moved, actuation, rows, p))
 
     def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
@@ -330,9 +328,9 @@ def _cut(driven: Actuation, s: Segment) -> Actuation:
 
 
 def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
-    """A residual whose equations of force count for nothing where commands from before the log are at work.
+    """A residual whose equations of force have no weight where commands from before the log are at work.
 
-    What these were no log tells: each row that feels them has a direction of its own among the first states.
+    They are in no log: each row that depends on them has a direction of its own among the first states.
     A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
     because little is left to be wrong about.
     """
@@ -350,7 +348,7 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
     """All segments together, in units of their noise, without what unknown first states contribute.
 
-    `beside` (m,) is the whitened residual of a model that this one is judged against. What the unknown first
+    `beside` (m,) is the whitened residual of a model that this one is compared with. What the unknown first
     states take from this one is taken over from there, so that having them wins nothing.
     """
     lengths = np.cumsum([len(part.r) for part in parts])[:-1]
@@ -364,20 +362,20 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
     """Project out the directions of the first states: the rest of the residual does not depend on them."""
     table = whitening(np.column_stack([part.r, part.J, part.start]))
     if part.known is not None:
-        # Whitened rows depend on none that come later. Those that are known stand for the lost ones as well.
+        # Whitened rows depend on none that come later. The known ones represent the lost ones as well.
         table[part.known :] = 0.0
         table *= np.sqrt(len(table) / part.known)
     last = 1 + part.J.shape[1]
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
     # A start long ago is forgotten: what is left of it would underflow in the product below.
-    felt = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
-    if not felt.any():
+    present = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
+    if not present.any():
         return kept
     if beside is None:
-        # What is known stands for the rest: else, the more is unknown, the better a model would look.
+        # The known rows represent the rest: else, the more is unknown, the better a model would look.
         kept = kept * np.sqrt(len(kept) / (len(kept) - part.unknown))
-    start = start[:, felt] / size[felt]
+    start = start[:, present] / size[present]
     moved = kept.copy()
     if beside is not None:
         moved[:, 0] -= beside

@@ -98,7 +98,7 @@ def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
 def prior_of(model: WeakModel) -> tuple[Array, Array]:
     """Where stated priors are and how much they weigh."""
     values = [model.functions.vehicle.value_of(n) for n in model.free]
-    # A value without a stated error is no prior, and may be infinite (a limit that is not there).
+    # A value without a stated error is not a prior, and may be infinite (a limit that is not there).
     centre = np.array([0.0 if v.sigma is None else v.value for v in values])
     weight = np.array([0.0 if v.sigma is None else 1.0 / (PRIOR_WIDTH * v.sigma) for v in values])
     for k, name in enumerate(model.free):
@@ -125,7 +125,7 @@ def _both(centre: float, weight: float, value: float, sigma: float, factor: floa
 def step_limits(model: WeakModel) -> Array:
     """How far each free parameter moves at least in one step; without end for one that is linear.
 
-    Where the data hardly feel one, a place far off say, the linearised problem would send it to its bound.
+    Where the data hardly depend on one, the linearised problem would send it to its bound.
     """
     vehicle = model.functions.vehicle
     return np.array([_step_limit(vehicle.declaration(n)) for n in model.free])
@@ -238,14 +238,14 @@ def bounded_step(
     prior: tuple[Array, Array],
     cuts: Sequence[Cut] = (),
 ) -> Array:
-    """Bounded least-squares step of the linearised problem; what the data do not feel stays where it is."""
-    felt = np.sum(at.J**2, axis=0) + prior[1] ** 2 > SETTINGS.no_effect
+    """Bounded least-squares step of the linearised problem; what does not affect the data stays as it is."""
+    observed = np.sum(at.J**2, axis=0) + prior[1] ** 2 > SETTINGS.no_effect
     step = np.zeros(len(now))
-    if felt.any():
-        chosen = Linearised(at.r, at.J[:, felt], at.start)
-        kept = [Cut(c.slope[felt], c.lacking) for c in cuts]
-        limits, stated = ((a[felt], b[felt]) for a, b in (bounds, prior))
-        step[felt] = _step(chosen, now[felt], limits, stated, kept)
+    if observed.any():
+        chosen = Linearised(at.r, at.J[:, observed], at.start)
+        kept = [Cut(c.slope[observed], c.lacking) for c in cuts]
+        limits, stated = ((a[observed], b[observed]) for a, b in (bounds, prior))
+        step[observed] = _step(chosen, now[observed], limits, stated, kept)
     return step
 
 
@@ -327,7 +327,7 @@ _EQUALITY = re.compile(rf"\s*(\w+)\s*=\s*(?:({_NUMBER})(?:\s*\*\s*|\s+))?([A-Za-
 
 @dataclass(frozen=True)
 class Constraints:
-    """Demands on the parameters of a fit. That its mass matrix is positive is asked for in any case."""
+    """Constraints on the parameters of a fit, beside a mass matrix that is always positive definite."""
 
     # Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs
     equal: Mapping[str, tuple[str, float]] = field(default_factory=dict)
@@ -381,7 +381,7 @@ def _must_be_there(name: str, vehicle: Vehicle) -> None:
     if name not in vehicle.parameter_names:
         known = ", ".join(vehicle.parameter_names)
         raise UndertowError(
-            f"'{name}' is no parameter in the equations of '{vehicle.name}': they have {known}"
+            f"'{name}' is not a parameter in the equations of '{vehicle.name}': they have {known}"
         )
 
 
@@ -408,12 +408,12 @@ def _read(text: str) -> tuple[str, str, float]:
     match = _EQUALITY.fullmatch(text)
     if match is None:
         raise UndertowError(
-            f"{text!r} is no equality between two parameters: write Y_vdot = Z_wdot, or N_r = 0.5 M_q"
+            f"{text!r} is not an equality between two parameters: write Y_vdot = Z_wdot, or N_r = 0.5 M_q"
         )
     try:
         factor = float(match[2] or 1.0)
     except ValueError as error:
-        raise UndertowError(f"{text!r}: {match[2]} is no number") from error
+        raise UndertowError(f"{text!r}: {match[2]} is not a number") from error
     if not (np.isfinite(factor) and factor):
         raise UndertowError(f"{text!r}: the factor is {factor:g}: give one that is finite and not zero")
     return match[1], match[3], factor

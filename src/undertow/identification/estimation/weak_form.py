@@ -21,7 +21,6 @@ from .step import (
     Constraints,
     SearchSpace,
     clustered,
-    prior_of,
     require_equations,
     squared,
     summed_scores,
@@ -45,7 +44,7 @@ class WeakFormSettings:
     worth_without_disturbance: float = 30.0
     noise_rounds: int = 6
     noise_converged: float = 0.2  # change of the logarithm of an intensity with which the rounds end
-    # Relative change of a parameter from which the covariance by the sensors' noise is worked out anew.
+    # Relative change of a parameter from which the covariance by the sensors' noise is recomputed.
     noise_moved: float = 0.05
 
 
@@ -65,7 +64,7 @@ def mean_square_by(group: Index, r: Array, size: int) -> Array:
 
 
 def with_process_noise(sensor_noise: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
-    """A noise model with a disturbance of the given intensity in each equation."""
+    """A noise model with process noise of the given intensity in each equation."""
     level = disturbance[list(data.rows)]
     return [
         w.with_disturbance(np.tile(level, s.functions.count))
@@ -74,7 +73,7 @@ def with_process_noise(sensor_noise: list[Whitening], disturbance: Array, data: 
 
 
 def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
-    """Intensity that would explain the raw residual of the unfitted model all by itself."""
+    """Intensity of process noise that would explain the whole residual of the unfitted model."""
     raw = np.concatenate([part.r for part in model.linearise(data, p)])
     lengths = [float(np.mean(s.functions.held.sum(axis=1))) for s in data.segments]
     return np.nan_to_num(mean_square(raw, data)) / float(np.mean(lengths))
@@ -127,11 +126,6 @@ class WeakFit(Fitted):
         return np.asarray(J.T @ J)
 
     @cached_property
-    def information(self) -> Array:
-        """What data and stated priors say together: J' J plus the prior's weight."""
-        return self.gram + np.diag(prior_of(self.model)[1] ** 2)
-
-    @cached_property
     def covariance(self) -> Array:
         """Covariance of the free parameters: never less than noise alone gives, and robust to
         autocorrelation.
@@ -172,7 +166,7 @@ def fit_weak(
     Parameters
     ----------
     vehicle : Vehicle or WeakModel
-        Model with starting values; a WeakModel brings its own choice of free parameters.
+        Model with starting values; a WeakModel has its own free parameters.
     data : WeakData
         Prepared logs.
     free : sequence of str, optional
@@ -180,11 +174,11 @@ def fit_weak(
     start : mapping, optional
         Starting values that differ from the vehicle's.
     whitening, disturbance : optional
-        Noise model to use; worked out from the residual of the fit itself where not given.
+        Noise model to use; estimated from the residual of the fit itself where not given.
     enough : float
-        Share of the sum of squares that a step has to promise for another to follow.
+        Predicted reduction, as a share of the sum of squares, below which the search ends.
     constraints : Constraints
-        What else is asked of the parameters of a vehicle; a WeakModel brings its own.
+        Constraints on the parameters of a vehicle; a WeakModel has its own.
 
     Raises
     ------
@@ -206,10 +200,10 @@ def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constra
 
 
 def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> WeakFit:
-    """Match the noise model to what a fit leaves, and fit again, until neither changes."""
+    """Reestimate the noise from the residual of a fit, and fit again, until neither changes."""
     sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
-        # How the sensors' noise enters is dear to work out, and hangs on the parameters but little.
+        # The covariance by the sensors' noise is expensive, and depends on the parameters only weakly.
         if _moved(fit.p, at):
             sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
         disturbance = matched_disturbance(fit, sensor_noise)
@@ -224,7 +218,7 @@ def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> W
 def _without_disturbance(fit: WeakFit) -> WeakFit:
     """The fit under the noise of the sensors alone, if that explains what it leaves then.
 
-    A disturbance feeds on a poor fit and keeps it poor: where little is left, both ends are worth a look.
+    Process noise that explains a poor fit keeps it poor: where the residual is small, both are tried.
     """
     if not np.any(fit.disturbance):
         return fit
@@ -252,7 +246,7 @@ def start_fit(
     at: Linearised | None = None,
     steps: int = 0,
 ) -> WeakFit:
-    """A model where a search begins, after a few steps if any; `at` is the model there if it is known."""
+    """A model at the start of a search, after a few steps if any; `at` is its residual there if known."""
     p = _started(model.functions.vehicle, start)
     if at is not None:
         return WeakFit(model, p, data, whitening, at, disturbance, 0)

@@ -74,7 +74,7 @@ class Windows:
 
     @property
     def inside(self) -> Flags:
-        """Which samples are no padding, shape (b, k)."""
+        """Which samples are not padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
     def __len__(self) -> int:
@@ -148,7 +148,7 @@ def cut(
         If a channel is missing, or no stretch without gaps is as long as the horizon.
     """
     if horizon is not None and not horizon > 0:
-        raise UndertowError(f"horizon = {horizon:g} s is no length of a window: give a positive time")
+        raise UndertowError(f"horizon = {horizon:g} s is not the length of a window: give a positive time")
     stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, skip)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)
@@ -163,18 +163,6 @@ def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Win
         if not any(len(s.starts) for s in own):
             _refuse([run], own, length)
     return _windows_of(runs, vehicle, max(lengths), None, [s for own in found for s in own])
-
-
-def _windows_of(
-    runs: Sequence[Run],
-    vehicle: Vehicle,
-    horizon: float | None,
-    sigma: Array | None,
-    stretches: list[Stretch],
-) -> Windows:
-    names = (*vehicle.pose_names, *vehicle.velocity_names)
-    noise = channel_noise(runs, names) if sigma is None else sigma
-    return _side_by_side(tuple(runs), horizon, names, vehicle.command_names, noise, stretches)
 
 
 def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
@@ -233,24 +221,26 @@ def _columns(pairs: list[tuple[int, int]]) -> tuple[Index, Index]:
     return table[:, 0], table[:, 1]
 
 
-def _side_by_side(
-    runs: tuple[Run, ...],
+def _windows_of(
+    runs: Sequence[Run],
+    vehicle: Vehicle,
     horizon: float | None,
-    names: tuple[str, ...],
-    commands: tuple[str, ...],
-    sigma: Array,
+    sigma: Array | None,
     stretches: list[Stretch],
 ) -> Windows:
+    """The windows of all stretches side by side, padded to the longest."""
+    names = (*vehicle.pose_names, *vehicle.velocity_names)
+    sigma = channel_noise(runs, names) if sigma is None else sigma
     count = np.concatenate([s.stops - s.starts for s in stretches])
     most = int(count.max())
     pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in stretches]
     measured = np.concatenate([s.measured[i] for s, i in zip(stretches, pick, strict=True)])
     measured[np.arange(most) >= count[:, None]] = np.nan
     return Windows(
-        runs=runs,
+        runs=tuple(runs),
         horizon=horizon,
         names=names,
-        commands=commands,
+        commands=vehicle.command_names,
         sigma=sigma,
         run=np.concatenate([np.full(len(s.starts), s.run) for s in stretches]),
         first=np.concatenate([s.first + s.starts for s in stretches]),
@@ -352,7 +342,7 @@ class Drive:
         return Drive(self.u[rows], self.t[rows], self.held[rows], samples)
 
     def at_samples(self, values: Array) -> Array:
-        """What was worked out for every instant, (b, m, ...), at the samples alone, (b, k, ...)."""
+        """Values computed for every instant, (b, m, ...), at the samples alone, (b, k, ...)."""
         if self.samples is None:
             return values
         rest = (1,) * (values.ndim - 2)

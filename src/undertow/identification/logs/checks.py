@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,10 @@ class Measurable:
     # Largest magnitude of a value or time, SI. Values that stand for a missing one (1e20, 9.97e36, 1e308) are
     # larger, distances on Earth in nm are not; its powers up to the tenth are numbers.
     largest: float = 1e15
+    # Samples that a fit takes: four hours at 20 Hz. In surge alone, 10^6 take five minutes and 1.4 GB.
+    samples: int = 300_000
+    # Lines of a file per sample, at most: some are blank or comments. Only used to stop reading early.
+    rows_per_sample: int = 2
 
 
 MEASURABLE = Measurable()
@@ -154,3 +160,54 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
             f"run {run.name!r}: {text} over all {len(run.t)} samples (dead sensor, or motion not excited): "
             "leave the channel out of the log, or the degree of freedom out of the vehicle"
         )
+
+
+def refuse_twins(runs: Iterable[Run]) -> None:
+    """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double."""
+    seen: dict[str, str] = {}
+    for run in runs:
+        if run.sha256 and run.sha256 in seen:
+            raise UndertowError(
+                f"logs {seen[run.sha256]} and {run.source} have the same content: give each once, either to "
+                "work on or for validation"
+            )
+        seen[run.sha256] = run.source
+
+
+def refuse_too_many(samples: int, log: str | Path) -> None:
+    """Refuse more samples than a fit takes; `log` is the one with which they are too many."""
+    if samples > MEASURABLE.samples:
+        raise UndertowError(
+            f"log {log}: with it there are {samples} samples, a fit takes at most {MEASURABLE.samples}: take "
+            "a part of the logs with --from and --to, or thin them out (10 to 20 samples per second are "
+            "enough)"
+        )
+
+
+def check_fit(runs: Sequence[Run], validation: Sequence[Run], velocities: Sequence[str]) -> None:
+    """Refuse logs that nothing can be fitted to: given twice, too long, with a velocity that never changes.
+
+    Such a velocity would be explained by parameters that make the vehicle heavy or stiff.
+    """
+    total = 0
+    for run in (*runs, *validation):
+        total += len(run.t)
+        refuse_too_many(total, run.source or run.name)
+    refuse_twins([*runs, *validation])
+    dead = [constant_channels(run, velocities) for run in runs]
+    if dead:
+        refuse_constant(runs[0], [name for name in dead[0] if all(name in found for found in dead)])
+
+
+def with_distinct_names(runs: list[Run]) -> list[Run]:
+    """Runs with names that tell them apart: the folder is added where file names are the same."""
+    count = Counter(run.name for run in runs)
+    longer = [_with_folder(run) if count[run.name] > 1 else run for run in runs]
+    again = Counter(run.name for run in longer)
+    return [
+        replace(r, name=f"{r.name} ({i})") if again[r.name] > 1 else r for i, r in enumerate(longer, start=1)
+    ]
+
+
+def _with_folder(run: Run) -> Run:
+    return replace(run, name=f"{Path(run.source).resolve().parent.name}/{run.name}")

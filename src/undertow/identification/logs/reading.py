@@ -33,10 +33,12 @@ from undertow.identification.logs.table import (
 )
 from undertow.model.symbols import VELOCITY
 from undertow.model.units import scale_offset, si_unit
-from undertow.typing import Array
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
 
 from . import checks
 from .mapping import Column, CommandPolicy, LogMapping
+from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
 
 if TYPE_CHECKING:
@@ -92,6 +94,57 @@ def read_log(
     table = read_table(data, mapping, f"log {path}", path, limits)
     run = run_of_table(table, path, mapping, channels, window, missing_commands, also)
     return replace(run, sha256=hashlib.sha256(data).hexdigest())
+
+
+def read_logs(
+    paths: Sequence[Path],
+    vehicle: Vehicle,
+    mapping: LogMapping,
+    *,
+    window: tuple[float | None, float | None] = (None, None),
+    missing_commands: CommandPolicy | None = None,
+    to_fit: bool = False,
+    one_motion: bool = False,
+    progress: Progress = lambda done, words: None,
+) -> list[Run]:
+    """Read the logs of a vehicle, each with a name of its own, and with velocities, if need be from its pose.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        CSV, CSV.gz or Parquet files.
+    vehicle : Vehicle
+        The model, whose commands the logs must have.
+    mapping, window, missing_commands
+        As for `read_log`.
+    to_fit : bool
+        Refuse more samples than a fit takes as soon as they are read.
+    one_motion : bool
+        Whether a log may hold some of the motions and commands only, as one of a towing tank does.
+    progress : callable
+        Told how many logs are read.
+
+    Raises
+    ------
+    UndertowError
+        If a file cannot be read or does not fit the vehicle, or a log is given twice.
+    """
+    needed, also = ((), vehicle.command_names) if one_motion else (vehicle.command_names, ())
+    limits = WHOLE
+    if to_fit and window == (None, None) and mapping.time.disorder != "drop":
+        most = checks.MEASURABLE
+        limits = replace(WHOLE, rows=most.rows_per_sample * mapping.time.every * most.samples)
+    runs: list[Run] = []
+    for done, path in enumerate(paths):
+        progress(done, f"reading {path.name}")
+        run = read_log(
+            path, mapping, needed, also=also, window=window, missing_commands=missing_commands, limits=limits
+        )
+        if to_fit:
+            checks.refuse_too_many(sum(len(r.t) for r in (*runs, run)), path)
+        runs.append(run if one_motion else velocities_from_pose(run, vehicle.degrees_of_freedom))
+    checks.refuse_twins(runs)
+    return checks.with_distinct_names(runs)
 
 
 def run_of_table(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
+from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
 from undertow.typing import Array
 
 from .parameters import Planned

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from undertow.errors import UndertowError
 from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.trial import Bench, open_bench, scout
+from undertow.identification.diagnosis.trial import Bench, open_bench, screen
 from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
@@ -265,7 +265,7 @@ def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> 
     """The best of the fits from the effect's most promising start, or from values found before."""
     own = {p.name for p in candidate.parameters}
     found = {n: v for n, v in values.items() if n in own}
-    screened = scout(candidate, bench).values
+    screened = screen(candidate, bench)[0].values
     # Values that make up for what is missing may lead astray, and so may those of the file.
     starts = [screened, {n: v for n, v in screened.items() if n in own}]
     starts += [found, bench.base.values | found] if found else []

@@ -9,16 +9,9 @@ from undertow.typing import Array
 
 @dataclass(frozen=True)
 class Trace:
-    """One channel of one run, measured and simulated.
+    """One channel of one run, measured and simulated by two models; arrays of shape (n,).
 
-    Attributes
-    ----------
-    channel, unit : str
-        Name and unit of the channel.
-    t : (n,) array
-        Time, s.
-    measured, before, after : (n,) array
-        The measurement and the simulations by the two models; NaN breaks the line, None leaves it out.
+    NaN breaks a line, None leaves it out.
     """
 
     channel: str
@@ -40,20 +33,10 @@ class RunTraces:
 
 @dataclass(frozen=True)
 class ErrorMap:
-    """An error by degree of freedom and regime.
+    """An error of two models by degree of freedom and regime, arrays of shape (n_rows, n_regimes).
 
-    Attributes
-    ----------
-    rows : tuple of str
-        Degrees of freedom.
-    regimes : tuple of str
-        Columns; a regime may have a unit in its name ("0.2 to 0.4 m/s").
-    before, after : (n_rows, n_regimes) array
-        The error by both models; NaN where there are no data.
-    quantity : str
-        What the numbers are, with their unit.
-    floor : float, optional
-        Value that noise alone gives.
+    NaN where there are no data. `quantity` is what the numbers are, with their unit; `floor` what noise alone
+    gives.
     """
 
     rows: tuple[str, ...]
@@ -66,20 +49,9 @@ class ErrorMap:
 
 @dataclass(frozen=True)
 class ResidualCurve:
-    """Mean residual force of one degree of freedom in bins of one variable.
+    """Mean residual force (N or N m) of one degree of freedom in bins of one variable, by two models.
 
-    Attributes
-    ----------
-    degree_of_freedom, unit : str
-        What the force acts on, and its unit (N or N m).
-    variable, variable_unit : str
-        What it is plotted against.
-    centre : (m,) array
-        Middle of the bins.
-    before, after : (m,) array
-        Mean residual in each bin by both models.
-    before_error, after_error : (m,) array
-        Half the 95 % interval of the mean.
+    Arrays have shape (m,): the middle of the bins, the mean, and half the 95 % interval of the mean.
     """
 
     degree_of_freedom: str
@@ -112,26 +84,10 @@ class Listing:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything that a report draws.
+    """Everything that a report draws of two models, `before` and `after`, on the validation runs.
 
-    Attributes
-    ----------
-    before, after : str
-        What the two models are called ("model as given", "with ocean_current").
-    headlines : tuple of str
-        Where the models fail most, one sentence each.
-    maps : tuple of ErrorMap
-        Error maps.
-    runs : tuple of RunTraces
-        Kept-aside runs, the most telling first.
-    residuals : tuple of ResidualCurve
-        Residual force against the variables.
-    budgets : tuple of Budget
-        Force budgets of the final model.
-    fits : Listing, optional
-        Fit and prediction error by channel.
-    settings, versions : mapping
-        What the diagnosis was told, and the programs that worked it out.
+    `headlines` say where the models fail most, `budgets` are those of the final model, `settings` and
+    `versions` record how it was worked out.
     """
 
     before: str = "model as given"

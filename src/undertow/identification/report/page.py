@@ -13,9 +13,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from undertow.figures import svg, unit_text
 from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Verdict
-from undertow.identification.figures import svg, unit_text
-from undertow.model.symbols import POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.symbols import MOTION_UNITS
 
 from .data import ReportData
 from .pictures import (
@@ -105,7 +105,7 @@ def meaning(diagnosis: Diagnosis) -> Meaning:
     more = []
     if any(run.role == "blocks" for run in diagnosis.runs):
         more.append(
-            "How the model does on another day: the data kept aside are blocks of the same runs, not whole "
+            "How the model does on another day: the validation data are blocks of the same runs, not whole "
             "runs (give some with --holdout)."
         )
     return Meaning(found.title, found.says, (*found.not_shown, *more))
@@ -160,20 +160,12 @@ def percent(share: float | None) -> str:
 
 # A page with the channels of many runs would take minutes to open.
 _MOST_RUNS = 3
-_CHANNEL_UNITS = dict(zip((*POSE, *VELOCITY), (*("m",) * 3, *("rad",) * 3, *VELOCITY_UNITS), strict=True))
 
 
 def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
     """One self-contained HTML page: no script, and nothing is loaded from anywhere.
 
-    Names out of files are escaped, in the text and inside the pictures.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Outcome of a diagnosis.
-    data : ReportData, optional
-        What the pictures of the comparison show; a section without data says so.
+    Names out of files are escaped, in the text and inside the pictures. A section without data says so.
     """
     shown = data or ReportData()
     return _template().render(
@@ -182,7 +174,7 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         meaning=meaning(diagnosis),
         in_part_means=IN_PART_MEANS,
         runs=shown.runs[:_MOST_RUNS],
-        units=_CHANNEL_UNITS,
+        units=MOTION_UNITS,
         left_out=[run.run for run in shown.runs[_MOST_RUNS:]],
         pictures=_Pictures(diagnosis, shown),
     )

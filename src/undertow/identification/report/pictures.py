@@ -10,8 +10,14 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from undertow.errors import UndertowError
+from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
 from undertow.identification.diagnosis.result import Ranked, Step
-from undertow.identification.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
+from undertow.identification.doctor.examine import Examined
+from undertow.identification.doctor.findings import percent
+from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.logs.run import UNITS
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
@@ -43,7 +49,7 @@ def before_and_after(before: Mapping[str, float], after: Mapping[str, float]) ->
 
 
 def falling_error(steps: Sequence[Step]) -> Figure:
-    """The error on kept-aside data against the effects added, down to the noise floor."""
+    """The error on validation data against the effects added, down to the noise floor."""
     with look():
         picture, axes = figure(3.4)
         axis = axes[0, 0]
@@ -58,7 +64,7 @@ def falling_error(steps: Sequence[Step]) -> Figure:
         axis.set_xticks(range(len(errors)), [_step_name(step, i) for i, step in enumerate(steps)])
         axis.set_xlim(-0.4, max(len(errors) - 0.4, 1.0))
         _log_axis(axis, [*errors, 1.0])
-        axis.set_ylabel("kept-aside error [times noise]")
+        axis.set_ylabel("validation error [times noise]")
         axis.grid(axis="y")
     return picture
 
@@ -86,7 +92,7 @@ _TICKS = [m * 10.0**e for e in range(-3, 7) for m in (1, 2, 5)]
 
 
 def ranking(ranked: Sequence[Ranked]) -> Figure:
-    """The leading candidates: fall of the mean square on kept-aside data, with 95 % intervals."""
+    """The leading candidates: fall of the mean square on validation data, with 95 % intervals."""
     shown = list(ranked)[:_MOST_CANDIDATES]
     with look():
         picture, axes = figure(1.1 + 0.32 * max(len(shown), 1))
@@ -102,7 +108,7 @@ def ranking(ranked: Sequence[Ranked]) -> Figure:
         axis.xaxis.set_major_formatter(_plain_number)
         axis.set_yticks(range(len(shown)), [plain(c.effect) for c in shown])
         axis.invert_yaxis()
-        axis.set_xlabel("fall of the kept-aside mean square [times noise variance]; filled: more than chance")
+        axis.set_xlabel("fall of the validation mean square [times noise variance]; filled: more than chance")
         axis.grid(axis="x")
     return picture
 
@@ -191,13 +197,7 @@ def _limits(axis: Any, trace: Trace) -> None:
 
 
 def thinned(t: Array, values: Array) -> tuple[Array, Array]:
-    """At most `_POINTS` points that look the same: the smallest and largest value of every bucket, gaps kept.
-
-    Parameters
-    ----------
-    t, values : (n,) array
-        Time and values; NaN is a gap.
-    """
+    """At most `_POINTS` points that look the same: the least and largest value of every bucket, gaps kept."""
     if len(t) <= _POINTS:
         return t, values
     kept = []
@@ -264,3 +264,52 @@ def force_budget(budgets: Sequence[Budget]) -> Figure:
         for axis in axes.ravel()[len(budgets) :]:
             axis.set_visible(False)
     return picture
+
+
+# Points of a panel; share of the outliers at either end that its axes leave out.
+_SCATTERED, _OUTLIERS = 1500, 0.002
+
+
+def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
+    """One row for each pose coordinate: rate of the pose against what the velocities make of it.
+
+    Raises
+    ------
+    UndertowError
+        If the logs have no pose with a velocity of its own.
+    """
+    kinematics = Kinematics(examined.given, vehicle)
+    if not kinematics:
+        raise UndertowError(
+            f"no picture: the logs of '{vehicle.name}' have no pose with a measured velocity beside it"
+        )
+    pairs = [("as given", examined.given, BEFORE)]
+    if examined.edits:
+        pairs.append(("mistakes undone", examined.mended, AFTER))
+    with look():
+        picture, axes = figure(2.5 * len(kinematics.rows) + 0.5, len(kinematics.rows), len(pairs))
+        for column, (title, runs, colour) in enumerate(pairs):
+            rates = kinematics.rates(runs)
+            share = kinematics.of_rates(rates).share
+            for row, name in enumerate(kinematics.rows):
+                block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
+                heading = f"{title}: mismatch {percent(share[block])}"
+                _panel(axes[row, column], (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
+    return picture
+
+
+def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour: str) -> None:
+    step = max(1, len(points[0]) // _SCATTERED)
+    x, y = (p[::step] for p in points)
+    low, high = (float(np.quantile(np.concatenate([x, y]), q)) for q in (_OUTLIERS, 1 - _OUTLIERS))
+    margin = 0.05 * (high - low) or 1.0
+    ends = (low - margin, high + margin)
+    axis.plot(ends, ends, color=FAINT, linestyle="--", zorder=1)
+    axis.scatter(x, y, s=5, color=colour, alpha=0.5, linewidths=0, zorder=2)
+    axis.set_xlim(*ends)
+    axis.set_ylim(*ends)
+    unit = f"{UNITS[name]}/s"
+    axis.set_xlabel(f"from the velocities [{unit}]")
+    axis.set_ylabel(f"rate of {plain(name)} [{unit}]")
+    axis.set_title(title)
+    axis.grid(visible=True)

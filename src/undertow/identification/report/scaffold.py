@@ -8,7 +8,7 @@ import math
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import isfinite, pi
 from pathlib import Path
@@ -35,16 +35,9 @@ from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, sig
 
 @dataclass(frozen=True)
 class Wave:
-    """Angular frequency of a periodic force: a parameter of its own.
+    """Angular frequency of a periodic force, a parameter of its own, rad/s.
 
-    Attributes
-    ----------
-    name : str
-        Name of the parameter.
-    value : float
-        What the diagnosis found, rad/s.
-    near : float
-        Half the distance at which the logs can tell two frequencies apart, rad/s.
+    `near` is half the distance at which the logs can tell two frequencies apart.
     """
 
     name: str
@@ -56,16 +49,8 @@ class Wave:
 class Coefficient:
     """One term of a force: a parameter times factors.
 
-    Attributes
-    ----------
-    name, unit, about : str
-        The parameter.
-    row : int
-        Which of the six forces and moments it is part of.
-    column : Column
-        Factors, as the diagnosis writes them.
-    wave : Wave, optional
-        What the term swings with; `column` is then ``("cos",)`` or ``("sin",)``.
+    `row` is which of the six forces and moments it is part of, `column` the factors as the diagnosis writes
+    them; with a `wave` that the term swings with, ``("cos",)`` or ``("sin",)``.
     """
 
     name: str
@@ -80,20 +65,8 @@ class Coefficient:
 class Suggestion:
     """What an effect file is written from.
 
-    Attributes
-    ----------
-    about : str
-        First line of the docstring.
-    origin : tuple of str
-        Paragraphs that say where the terms come from.
-    signature : str
-        What in a log gives the effect away.
-    reference : str
-        What stands for a reference until there is one.
-    terms : tuple of Coefficient
-        The terms.
-    left_out : tuple of str
-        What was found and cannot be stated by an effect, with the reason.
+    `about` is the first line of its docstring, `origin` paragraphs on where the terms come from, `signature`
+    what in a log gives the effect away; `left_out` is what no effect can state, with the reason.
     """
 
     about: str
@@ -118,20 +91,7 @@ def example() -> Suggestion:
 
 
 def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
-    """Terms for all that a diagnosis found a residual force to go with.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        What was found.
-    source : str
-        Name of the file that it was read from.
-
-    Raises
-    ------
-    UndertowError
-        If it found nothing that an effect can state, or something that is no term.
-    """
+    """Terms for all that a diagnosis, read from the file `source`, found a residual force to go with."""
     near = pi / (2 * max((r.duration for r in diagnosis.runs), default=1.0))
     terms = [t for left in diagnosis.remaining for t in _terms(left, near)]
     left_out = tuple(line for left in diagnosis.remaining for line in _left_out(left))
@@ -147,7 +107,7 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
         about=f"Force that goes with {_listed([t for left in described for t in _labels(left)])}.",
         origin=(
             f"Suggested by 'undertow effects new' from {source}: vehicle {diagnosis.vehicle}{added}, "
-            f"logs {logs}, undertow {diagnosis.undertow}. On the data kept aside:",
+            f"logs {logs}, undertow {diagnosis.undertow}. On the validation data:",
             *(f"- {left.summary}" for left in described),
         ),
         signature="; ".join(left.summary for left in described),
@@ -162,7 +122,7 @@ def _is_described(left: Remaining) -> bool:
 
 
 def _labels(left: Remaining) -> Iterator[str]:
-    yield from (told.term for told in left.depends_on)
+    yield from (found.term for found in left.depends_on)
     if left.spectrum is not None and left.spectrum.in_step:
         yield f"a period of {left.spectrum.period:.3g} s"
 
@@ -177,15 +137,16 @@ def _terms(left: Remaining, near: float) -> Iterator[Coefficient]:
     if left.degree_of_freedom not in DOFS:
         raise UndertowError(f"'{left.degree_of_freedom}' is no degree of freedom: is this a diagnosis?")
     row = DOFS.index(left.degree_of_freedom)
-    for told in left.depends_on:
-        yield from _dependent(told, row)
+    for found in left.depends_on:
+        yield from _dependent(found, row)
     if left.spectrum is not None and left.spectrum.in_step:
         yield from _periodic(left.spectrum, row, near)
 
 
-def _dependent(told: Dependence, row: int) -> Iterator[Coefficient]:
+def _dependent(dependence: Dependence, row: int) -> Iterator[Coefficient]:
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
-    for factors, value, error in zip(told.columns, told.coefficients, told.standard_errors, strict=False):
+    d = dependence
+    for factors, value, error in zip(d.columns, d.coefficients, d.standard_errors, strict=False):
         column = _checked(factors)
         about = f"{what} per {label_of(column)}" if column else what
         unit = coefficient_unit(FORCE_UNITS[row], column)
@@ -230,7 +191,7 @@ def _distinct(terms: list[Coefficient]) -> Iterator[Coefficient]:
         while name in used or name in taken_names():
             name, count = f"{term.name}_{count}", count + 1
         used.add(name)
-        yield Coefficient(name, term.unit, term.about, term.row, term.column, term.wave)
+        yield replace(term, name=name)
 
 
 # --- what no effect can say -------------------------------------------------------------------
@@ -241,9 +202,10 @@ def _left_out(left: Remaining) -> Iterator[str]:
             f"the period of {left.spectrum.period:.3g} s in {dof}, since its phase differs from run to run "
             "and the parameters of an effect do not"
         )
-    for told in left.between_runs:
+    for found in left.between_runs:
         yield (
-            f"the {told.of} in {dof}, since it differs from run to run and the parameters of an effect do not"
+            f"the {found.of} in {dof}, since it differs from run to run and the parameters of an effect do "
+            "not"
         )
 
 
@@ -256,13 +218,7 @@ _LONGEST_TEXT = 400
 
 
 def check_id(effect_id: str) -> None:
-    """Refuse an id that no new effect can have.
-
-    Raises
-    ------
-    UndertowError
-        If it is no word in snake case, a word of Python, or the id of an effect of the catalogue.
-    """
+    """Refuse an id that is no word in snake case, a word of Python, or that of an effect of the catalogue."""
     if not _ID.fullmatch(effect_id) or len(effect_id) > _LONGEST or keyword.iskeyword(effect_id):
         raise UndertowError(
             f"'{effect_id[: 2 * _LONGEST]}' is no id for an effect: write small letters, digits and single "
@@ -307,13 +263,7 @@ _HOW = "give the file that 'undertow diagnose --json FILE' wrote"
 
 
 def read_diagnosis(path: Path) -> Diagnosis:
-    """Read a diagnosis.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read or is no diagnosis.
-    """
+    """Read what `undertow diagnose --json` wrote."""
     try:
         diagnosis = Diagnosis.model_validate_json(read_json(path, "diagnosis"))
     except ValidationError as error:
@@ -342,17 +292,7 @@ _USED = {"s", "sm", "self", "t", *POSE, *VELOCITY, *DOFS}
 
 
 def effect_file(effect_id: str, file: str, suggestion: Suggestion) -> str:
-    """Text of a Python file with one effect.
-
-    Parameters
-    ----------
-    effect_id : str
-        Id of the effect.
-    file : str
-        Name that the file will have.
-    suggestion : Suggestion
-        Terms of the effect, and where they come from.
-    """
+    """Text of a Python file, which will be called `file`, with one effect."""
     return str(_template().render(**_content(effect_id, file, suggestion))).rstrip() + "\n"
 
 
@@ -399,12 +339,7 @@ def _wrapped(text: str, indent: str) -> str:
 def _split(text: str) -> list[str]:
     """A long text as literals that Python joins."""
     lines = textwrap.wrap(plain(text), _WIDTH - 20, drop_whitespace=False) or [""]
-    return [literal_kept(line) for line in lines]
-
-
-def literal_kept(line: str) -> str:
-    """A literal that keeps blanks at its ends."""
-    return f'"{line}"'
+    return [f'"{line}"' for line in lines]  # blanks at the ends are kept
 
 
 # --- code -------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison, Profile
 from undertow.identification.estimation.windows import Prediction
@@ -15,6 +16,7 @@ from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import FORCE_UNITS, VELOCITY
 from undertow.typing import Array
 
+from . import pictures
 from .data import Budget, ErrorMap, Listing, ReportData, ResidualCurve, RunTraces, Trace
 from .page import percent, quantity
 
@@ -127,6 +129,25 @@ def leading(found: Sequence[ResidualCurve], dof: str, most: int = _CURVES) -> li
     return [c for c in found if c.degree_of_freedom == dof][:most]
 
 
+def comparison_pictures(comparison: Comparison) -> dict[str, Figure]:
+    """All pictures of one model on its logs, by a name that a file may have."""
+    names, found = (comparison.result.vehicle, ""), curves(comparison)
+    drawn = {
+        "error_map": pictures.error_map(error_map(comparison), names),
+        "force_budget": pictures.force_budget(budgets(comparison)),
+    }
+    for dof in comparison.result.degrees_of_freedom:
+        drawn[f"residual_{dof}"] = pictures.residual_against(leading(found, dof), names)
+    for kind, free in (("ahead", False), ("free_run", True)):
+        for i, run in enumerate(traces(comparison, free=free), start=1):
+            drawn[f"{kind}_{i}_{_safe(run.run)}"] = pictures.measured_vs_simulated(run, names)
+    return drawn
+
+
+def _safe(name: str) -> str:
+    return "".join(c if (c.isalnum() and c.isascii()) or c in "-_." else "_" for c in name)[:60]
+
+
 # Panels for each degree of freedom: those of the variables that the residual follows most.
 _MOST_VARIABLES = 6
 _PROGRAMS = ("numpy", "scipy", "casadi", "sympy")
@@ -141,14 +162,8 @@ def report_data(
 ) -> ReportData:
     """What a report shows of a model, and of the same model with something added, on the same logs.
 
-    Parameters
-    ----------
-    before, after : Comparison
-        Comparisons of both models with the same kept-aside logs; without `after` one model is shown.
-    names : (str, str)
-        What pictures call the two.
-    settings : mapping, optional
-        Further lines for the record of what was done.
+    Without `after` one model is shown; pictures call the two by their `names`; `settings` are further lines
+    of the record of what was done.
     """
     result = before.result
     both = [c for c in (before, after) if c is not None]

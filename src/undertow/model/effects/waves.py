@@ -51,9 +51,9 @@ class Waves(Flow, Wrench):
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
-        if "beat" not in seen:
+        if "dominant_frequency" not in seen:
             return []
-        low, high = seen["beat"]
+        low, high = seen["dominant_frequency"]
         still = {"wave_cos": 0.0, "wave_sin": 0.0}
         return [
             still | {"wave_frequency": low + share * (high - low), "wave_direction": towards}

@@ -22,6 +22,8 @@ FLOOR = "#009e73"
 # Stands for the colour of text; a page replaces it by its own, so that pictures suit a dark screen.
 INK = "#1a1c1e"
 FAINT = "#8a8f94"
+# Lines that stand side by side.
+COLOURS = (AFTER, BEFORE, FLOOR, "#cc79a7", "#e69f00", "#56b4e9")
 WIDTH = 9.0
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LONGEST = 48
@@ -96,13 +98,7 @@ def unit_text(unit: str) -> str:
 
 
 def save_png(picture: Figure, path: Path) -> None:
-    """Write a picture with a white background.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be written.
-    """
+    """Write a picture with a white background."""
     stream = io.BytesIO()
     with _quietly():
         picture.savefig(stream, format="png", dpi=_DPI, facecolor="white")
@@ -112,12 +108,7 @@ def save_png(picture: Figure, path: Path) -> None:
 def svg(picture: Figure, prefix: str) -> str:
     """A picture as an ``<svg>`` element for a page: no links, its ids its own, text in the page's colour.
 
-    Parameters
-    ----------
-    picture : Figure
-        The picture.
-    prefix : str
-        Letters and digits that no other picture of the page has.
+    `prefix` is letters and digits that no other picture of the page has.
     """
     stream = io.StringIO()
     with _quietly():

@@ -27,31 +27,23 @@ SAME: dict[str, tuple[str, ...]] = {
 
 
 def true_values(parameters: Iterable[Parameter], values: Mapping[str, float]) -> dict[str, float]:
-    """What is told of an effect's parameters; the rest the refit has to find.
-
-    Parameters
-    ----------
-    parameters : iterable of Parameter
-        Those of the catalogue's effect.
-    values : mapping
-        What the simulator drew, by its own names.
-    """
-    told = {new: value for name, value in values.items() for new in (name, *SAME.get(name, ()))}
-    told |= _converted(values)
+    """What is known of an effect's parameters; the rest the refit has to find."""
+    known = {new: value for name, value in values.items() for new in (name, *SAME.get(name, ()))}
+    known |= _converted(values)
     # A linear parameter is found from anywhere, and may be scaled otherwise here.
-    return {p.name: told[p.name] for p in parameters if p.name in told and not p.linear}
+    return {p.name: known[p.name] for p in parameters if p.name in known and not p.linear}
 
 
 def _converted(values: Mapping[str, float]) -> dict[str, float]:
     """What the catalogue states by other numbers."""
-    told: dict[str, float] = {}
+    known: dict[str, float] = {}
     if "period" in values:
-        told["wave_frequency"] = 2 * pi / values["period"]
+        known["wave_frequency"] = 2 * pi / values["period"]
     if "winch_z" in values:  # counted from the attachment of a level vehicle that heads north
-        told |= {f"{axis}_anchor": -values[f"{axis}_a"] for axis in "xyz"}
-        told["z_anchor"] += values["winch_z"]
+        known |= {f"{axis}_anchor": -values[f"{axis}_a"] for axis in "xyz"}
+        known["z_anchor"] += values["winch_z"]
     for name, part in (("z_w", "D"), ("y_w", "E")):
         if name in values:
-            told |= {"fade_N": 0.0, "fade_E": 0.0, "fade_D": 0.0, "fade_0": values[name] / values["L"]}
-            told[f"fade_{part}"] = 1.0 / values["L"]
-    return told
+            known |= {"fade_N": 0.0, "fade_E": 0.0, "fade_D": 0.0, "fade_0": values[name] / values["L"]}
+            known[f"fade_{part}"] = 1.0 / values["L"]
+    return known

@@ -1,0 +1,120 @@
+"""What each number of the diagnosis is good for: a fixed sample answered with each of them switched off."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from benchmarks.results.text import table
+from undertow.identification.diagnose import diagnose
+from undertow.identification.diagnosis.settings import About, Settings
+
+from .cases import Planned, plan
+from .material import simulated, written_to_memory
+from .measure import Record, answer_of
+
+#: Every so many cases of the first round of the plan, without those whose size has to be searched for.
+EVERY = 3
+INTRODUCTION = """\
+# The numbers that decide a verdict
+
+All of them stand in `undertow.identification.diagnosis.settings.Settings`. The command below switches each of
+them off in turn, where that is possible, and diagnoses a fixed sample of the cases of the
+[trust benchmark](trust.md) again. The table counts the answers (verdict, effects named, sets) that differ
+from those of the default settings. A number that makes no difference on the whole sample is to be removed;
+where fewer cases were run than the sample has, no difference is no evidence. A number with * was added for
+a single case of a benchmark.
+
+"""
+HOW = """
+    python -m benchmarks.trust ablate --source ablation.jsonl --out docs/ablation.md
+    python -m benchmarks.trust ablate --source ablation.jsonl --number named_share --cases 5
+"""
+
+
+@dataclass(frozen=True)
+class Ablated(Planned):
+    """A case that is diagnosed with one number switched off, or none where `number` is empty."""
+
+    number: str = ""
+
+    @property
+    def id(self) -> str:
+        """The case and the number, as one word."""
+        return f"{super().id}:{self.number or 'default'}"
+
+    @property
+    def settings(self) -> Settings:
+        """The settings without that number."""
+        off = {self.number: Settings.about()[self.number].off} if self.number else {}
+        return replace(Settings(), **off)  # type: ignore[arg-type]
+
+
+def sample() -> list[Planned]:
+    """The fixed cases: effects, pairs, complete models and effects outside the catalogue."""
+    return [case for case in plan(1) if not case.aim][::EVERY]
+
+
+def switchable() -> list[str]:
+    """Numbers that can be switched off."""
+    return [name for name, about in Settings.about().items() if about.off is not None]
+
+
+def ablations(cases: Sequence[Planned], numbers: Sequence[str] = ()) -> list[Ablated]:
+    """Every case as it is, and with each of these numbers switched off, by default all that can be."""
+    for name in numbers:
+        if name not in switchable():
+            raise ValueError(f"--number {name!r} cannot be switched off: choose of {', '.join(switchable())}")
+    return [Ablated(**asdict(case), number=n) for case in cases for n in ("", *(numbers or switchable()))]
+
+
+def answered(case: Planned) -> Record:
+    """The answer of the diagnosis to a case."""
+    assert isinstance(case, Ablated)
+    data = written_to_memory(simulated(case))
+    began = time.perf_counter()
+    answer = answer_of(diagnose(*data, settings=case.settings).diagnosis)
+    said = {name: getattr(answer, name) for name in ("verdict", "named", "sets")}
+    return {"id": case.id, "number": case.number, "answer": said, "seconds": time.perf_counter() - began}
+
+
+def ablation_page(records: Iterable[Record]) -> str:
+    """The page of numbers, Markdown."""
+    kept = [r for r in records if "failure" not in r]
+    commits = ", ".join(sorted({str(r.get("commit", "unknown")) for r in kept})) or "none"
+    whole = len(sample())
+    run = f"The sample has {whole} cases. Diagnoses so far: {len(kept)}, with commit {commits}.\n"
+    head = ("number", "meaning", "value", "off", "chosen by", "cases run", "answers changed")
+    rows = [_row(name, about, kept) for name, about in Settings.about().items()]
+    changed = [line for name in switchable() for line in _changes(name, kept)]
+    parts = [INTRODUCTION, run, HOW, "\n", table(head, rows, left=5)]
+    return "".join([*parts, *(["\n## Answers that changed\n\n", *changed] if changed else [])])
+
+
+def _row(name: str, about: About, records: Sequence[Record]) -> list[str]:
+    value, unit = getattr(Settings(), name), "" if about.unit == "1" else f" {about.unit}"
+    off = "–" if about.off is None else f"{about.off:g}"
+    pairs = _pairs(name, records)
+    counts = [str(len(pairs)), str(sum(a != b for _, a, b in pairs))] if pairs else ["–", "not run"]
+    source = f"{about.source} ({about.one_case})" if about.one_case else about.source
+    return [f"`{name}`{'*' * bool(about.one_case)}", about.meaning, f"{value}{unit}", off, source, *counts]
+
+
+def _changes(name: str, records: Sequence[Record]) -> list[str]:
+    changed = [(case, a, b) for case, a, b in _pairs(name, records) if a != b]
+    return [f"- `{name}` off, `{case}`: {_words(a)} becomes {_words(b)}\n" for case, a, b in changed]
+
+
+def _words(answer: dict[str, Any]) -> str:
+    sets = "".join(f", set of {' or '.join(s)}" for s in answer["sets"])
+    return f"{answer['verdict']} {' + '.join(answer['named'])}".strip() + sets
+
+
+def _pairs(name: str, records: Sequence[Record]) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
+    """Cases with their answers by the default settings and without a number, where there are both."""
+    by_id = {r["id"]: r["answer"] for r in records}
+    own = [r["id"].rpartition(":")[0] for r in records if r["number"] == name]
+    found = ((case, by_id.get(f"{case}:default"), by_id[f"{case}:{name}"]) for case in own)
+    return [(case, a, b) for case, a, b in found if a is not None]

@@ -1,0 +1,231 @@
+"""Options that many commands share, and the reading of what they name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, is_dataclass
+from inspect import Parameter, Signature, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from undertow.errors import UndertowError
+
+from ._terminal import progress
+
+if TYPE_CHECKING:
+    from undertow.identification.logs.chunks import LongLog
+    from undertow.identification.logs.mapping import LogMapping
+    from undertow.identification.logs.run import Run
+    from undertow.model.effect import Effect
+    from undertow.model.vehicle import Vehicle
+
+Fill = Literal["refuse", "hold", "gap"]
+VehicleArgument = Annotated[
+    str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
+]
+LogsArgument = Annotated[list[Path], typer.Argument(metavar="LOG", help="Logs: CSV, CSV.gz or Parquet.")]
+HoldoutOption = Annotated[
+    list[Path] | None,
+    typer.Option("--holdout", metavar="LOG", help="Logs for validation, up to the next option."),
+]
+MapOption = Annotated[
+    Path | None,
+    typer.Option("--map", metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
+]
+EffectsOption = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE", help="Python file with effects of your own; it is executed."),
+]
+FillOption = Annotated[
+    Fill | None,
+    typer.Option(
+        "--fill",
+        help="Where a command has no sample: refuse the log, hold the last value, or leave a gap.",
+        show_default="refuse, or what the mapping file says",
+    ),
+]
+TrustOption = Annotated[
+    bool,
+    typer.Option("--trust-log", help="Use logs that would be refused: wrong units, contradicting channels."),
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
+]
+InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Change the vehicle file itself.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+JsonFileOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the whole result as JSON.")
+]
+NewForceOption = Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How the logs of a command are read."""
+
+    map: MapOption = None
+    effects: EffectsOption = None
+    since: Annotated[
+        float | None, typer.Option("--from", metavar="SECONDS", help="Leave out what is earlier in the logs.")
+    ] = None
+    until: Annotated[
+        float | None, typer.Option("--to", metavar="SECONDS", help="Leave out what is later in the logs.")
+    ] = None
+    fill: FillOption = None
+
+    @property
+    def files(self) -> list[str | Path]:
+        """Files that are read, besides the vehicle and the logs."""
+        return [*(self.effects or ()), *filter(None, [self.map])]
+
+    @property
+    def mapping(self) -> LogMapping:
+        """What the columns of the logs mean."""
+        from undertow.identification.logs.mapping import LogMapping, read_mapping
+
+        return LogMapping() if self.map is None else read_mapping(self.map)
+
+    @property
+    def known(self) -> dict[str, type[Effect]]:
+        """The catalogue with the effects of the user."""
+        return known_effects(self.effects)
+
+    def load(
+        self,
+        vehicle: str,
+        logs: Sequence[Path],
+        holdout: Sequence[Path] | None = None,
+        *,
+        to_fit: bool = False,
+        in_any_order: bool = False,
+        one_motion: bool = False,
+    ) -> tuple[Vehicle, list[Run], list[Run]]:
+        """The vehicle, its logs and those for validation, with a progress bar.
+
+        `to_fit` refuses more samples than a fit takes as soon as they are read; `in_any_order` drops rows
+        that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank).
+        """
+        from undertow.identification.logs.reading import read_logs
+        from undertow.model.loading import load_vehicle
+
+        model, mapping = load_vehicle(vehicle, effect_files=self.effects or ()), self.mapping
+        if in_any_order:
+            mapping = mapping.model_copy(
+                update={"time": mapping.time.model_copy(update={"disorder": "drop"})}
+            )
+        paths = [*logs, *(holdout or ())]
+        with progress("reading logs", total=len(paths)) as report:
+            runs = read_logs(
+                paths,
+                model,
+                mapping,
+                window=(self.since, self.until),
+                missing_commands=self.fill,
+                to_fit=to_fit,
+                one_motion=one_motion,
+                progress=report,
+            )
+        return model, runs[: len(logs)], runs[len(logs) :]
+
+    def load_in_parts(self, vehicle: str, logs: Sequence[Path]) -> tuple[Vehicle, list[LongLog]]:
+        """The vehicle, and logs that are read in parts, later."""
+        from undertow.identification.logs.chunks import LongLog
+        from undertow.model.loading import load_vehicle
+
+        model, mapping = load_vehicle(vehicle, effect_files=self.effects or ()), self.mapping
+        window = (self.since, self.until)
+        return model, [LongLog(path, mapping, model.command_names, window, self.fill) for path in logs]
+
+
+@dataclass(frozen=True)
+class LogOptions(ReadOptions):
+    """The same, with the option that takes logs as they are."""
+
+    trust_log: TrustOption = False
+
+
+def bundled(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Let a command take the fields of a dataclass, one of its parameters, as options of its own."""
+    given = signature(command, eval_str=True).parameters.values()
+    bundle = next(p for p in given if is_dataclass(p.annotation))
+    fields = signature(bundle.annotation, eval_str=True).parameters
+    parameters = [*(p for p in given if p is not bundle), *fields.values()]
+
+    def expanded(**values: Any) -> Any:
+        options = bundle.annotation(**{name: values.pop(name) for name in fields})
+        return command(**values, **{bundle.name: options})
+
+    expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
+    expanded.__annotations__ = {p.name: p.annotation for p in parameters}
+    keywords = [p.replace(kind=Parameter.KEYWORD_ONLY) for p in parameters]
+    expanded.__signature__ = Signature(keywords)  # type: ignore[attr-defined]
+    return expanded
+
+
+def known_effects(files: Iterable[Path] | None) -> dict[str, type[Effect]]:
+    """The catalogue with the effects of the files of a user."""
+    from undertow.model.catalogue import catalogue, load_effects, merge
+
+    return merge(catalogue(), [cls for file in files or () for cls in load_effects(file)])
+
+
+def target_of(vehicle: str, out: Path | None, in_place: bool) -> Path | None:
+    """The vehicle file to be written, or None; one that the user has not asked to be replaced is refused."""
+    from undertow.model.loading import bundled_vehicles, resolve_vehicle
+
+    path = resolve_vehicle(vehicle)
+    if out is not None and in_place:
+        raise UndertowError("both --out and --in-place are given: choose one")
+    if in_place and path in bundled_vehicles().values():
+        raise UndertowError(f"'{vehicle}' comes with undertow and stays as it is: use --out")
+    if out is not None and out.exists() and out.samefile(path):
+        raise UndertowError(f"--out '{out}' is the vehicle file itself: name another, or give --in-place")
+    return path if in_place else out
+
+
+def new_file(target: Path, force: bool, inputs: Iterable[str | Path]) -> Path:
+    """A file that is to be written and replaced with --force only."""
+    from undertow.files import check_writable
+
+    check_writable(target, inputs=list(inputs))
+    if target.exists() and not force:
+        raise UndertowError(f"'{target}' exists already: name another file with --out, or give --force")
+    return target
+
+
+def names_and_values(option: str, texts: Iterable[str], example: str) -> list[tuple[str, str]]:
+    """Names and values out of "u=0.5" and "x=1,z=2"."""
+    parts = [word.partition("=") for word in words(texts)]
+    wrong = [name for name, mark, value in parts if not (mark and name.strip() and value.strip())]
+    if wrong:
+        raise UndertowError(f"{option} {wrong[0]}: write NAME=VALUE, such as {example}")
+    names = [name.strip() for name, _, _ in parts]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise UndertowError(f"{option} names {twice[0]} twice: name it once")
+    return [(name.strip(), value.strip()) for name, _, value in parts]
+
+
+def words(texts: Iterable[str]) -> list[str]:
+    """The parts of texts that have commas in them."""
+    return [word for one in texts for word in one.split(",")]
+
+
+def number_or_text(value: str) -> float | str:
+    """A number where the text is one, else the text with its unit."""
+    try:
+        return float(value)
+    except ValueError:
+        return value
+
+
+def in_si(option: str, value: str | float, unit: str) -> float:
+    """A value in SI: a plain number, or one with a unit."""
+    from undertow.model.units import to_si
+
+    try:
+        return to_si(number_or_text(value) if isinstance(value, str) else value, unit)
+    except UndertowError as error:
+        raise UndertowError(f"{option}: {error}") from error

@@ -1,0 +1,160 @@
+"""Pictures of closed loops: coordinates and commands over time, and the control strategy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+from undertow.figures import COLOURS, FAINT, INK, figure, look, plain
+
+from .record import Record
+
+_STYLES = ("-", "--", "-.", ":")
+_TITLES = {
+    "x": "Position to the north",
+    "y": "Position to the east",
+    "z": "Depth",
+    "phi": "Roll",
+    "theta": "Pitch",
+    "psi": "Heading",
+}
+
+
+def pictures(records: Sequence[Record]) -> dict[str, Figure]:
+    """Pictures of some runs by name: each coordinate, the commands, and the strategy if it has a gate."""
+    names = [n for n in _TITLES if all(n in r.result.to for r in records)]
+    drawn = {name: coordinate(records, name) for name in names}
+    drawn["commands"] = commands(records)
+    if all(r.result.gate_passed is not None for r in records):
+        drawn["strategy"] = strategy()
+    return drawn
+
+
+def coordinate(records: Sequence[Record], name: str) -> Figure:
+    """One coordinate of several runs over time, with the set-point."""
+    angle = records[0].result.of(name).unit == "rad"
+    scale, unit = (180 / np.pi, "deg") if angle else (1.0, "m")
+    with look():
+        picture, axes = figure(3.6)
+        axis = axes[0, 0]
+        goal = scale * records[0].result.to[name]
+        axis.axhline(
+            goal, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), label=f"set-point {goal:.4g} {unit}"
+        )
+        for i, record in enumerate(records):
+            axis.plot(record.t, scale * record.state[name], label=plain(record.result.controller), **_line(i))
+            if record.result.gate_passed is not None and name in "xy":
+                _mark_gate(axis, record, scale * record.result.start[name], i)
+        axis.set_title(f"{_TITLES[name]} of {plain(records[0].result.vehicle)}")
+        axis.set_xlabel("time [s]")
+        axis.set_ylabel(f"{_TITLES[name].lower()} {name} [{unit}]")
+        axis.grid()
+        axis.legend(loc="best")
+    return picture
+
+
+def _line(i: int) -> dict[str, Any]:
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": _STYLES[i % len(_STYLES)]}
+
+
+def _mark_gate(axis: Any, record: Record, height: float, i: int) -> None:
+    axis.plot(record.result.gate_passed, height, "o", color=_line(i)["color"], markersize=4)
+
+
+def commands(records: Sequence[Record]) -> Figure:
+    """The commands of several runs over time, one panel for each."""
+    names = list(records[0].commands)
+    with look():
+        picture, axes = figure(1.1 + 1.4 * len(names), len(names), 1, sharex=True)
+        for axis, name in zip(axes[:, 0], names, strict=True):
+            for i, record in enumerate(records):
+                if name in record.commands:
+                    axis.plot(
+                        record.t, record.commands[name], label=plain(record.result.controller), **_line(i)
+                    )
+            axis.set_ylabel(plain(name))
+            axis.grid()
+        axes[0, 0].set_title("Commands, in their units, mean from row to row")
+        axes[-1, 0].set_xlabel("time [s]")
+        picture.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return picture
+
+
+# --- the control strategy ---------------------------------------------------------------------------
+_BOXES = {
+    "goal": (0.2, 2.8, 1.6, 0.9, "set-point\nx, y, z"),
+    "heading": (2.7, 4.2, 2.2, 0.9, "heading to\nthe goal, (42)"),
+    "gate": (2.7, 2.8, 2.2, 0.9, "gate: opens once\nheading is reached"),
+    "yaw": (6.4, 4.2, 1.9, 0.9, "heading control"),
+    "plane": (6.4, 2.8, 1.9, 0.9, "x-y control"),
+    "depth": (6.4, 1.4, 1.9, 0.9, "depth control"),
+    "allocation": (9.3, 2.8, 1.9, 0.9, "thrust allocation\n(4), (5)"),
+    "vehicle": (12.0, 2.8, 1.4, 0.9, "vehicle"),
+}
+# From the side of one box to that of another (right, left, above or below), words, and where they stand.
+_ARROWS = (
+    ("goal", "above", "heading", "left", "", 0.0),
+    ("goal", "right", "gate", "left", "x, y", 2.25),
+    ("goal", "below", "depth", "left", "z", 4.0),
+    ("heading", "right", "yaw", "left", "desired psi", 5.5),
+    ("heading", "below", "gate", "above", "", 0.0),
+    ("gate", "right", "plane", "left", "", 0.0),
+    ("yaw", "right", "allocation", "above", "yaw moment", 9.4),
+    ("plane", "right", "allocation", "left", "force", 8.95),
+    ("depth", "right", "allocation", "below", "heave force", 9.4),
+    ("allocation", "right", "vehicle", "left", "", 0.0),
+)
+_LAW = (6.1, 1.1, 2.5, 4.3)
+
+
+def strategy() -> Figure:
+    """Block diagram of the schedule: first the heading, then x and y; depth all the time."""
+    with look():
+        picture, axes = figure(3.6)
+        axis = axes[0, 0]
+        axis.set_xlim(0, 13.6)
+        axis.set_ylim(0, 5.6)
+        axis.axis("off")
+        axis.set_title("Control strategy: heading first, then x and y; depth in parallel")
+        _box(axis, *_LAW, "", edgecolor=FAINT, linestyle="--")
+        for box in _BOXES.values():
+            _box(axis, *box, edgecolor=INK)
+        for arrow in _ARROWS:
+            _arrow(axis, *arrow)
+        low, law = 0.45, _LAW[0] + _LAW[2] / 2
+        right, bottom = _side("vehicle", "below")
+        _path(axis, [(right, bottom), (right, low), (law, low), (law, _LAW[1])])
+        words = "measured pose and velocity, to all of the law and to the gate"
+        axis.text((law + right) / 2, low - 0.08, words, ha="center", va="top", fontsize=8)
+    return picture
+
+
+def _box(axis: Any, x: float, y: float, width: float, height: float, words: str, **style: Any) -> None:
+    round_off = "round,pad=0,rounding_size=0.1"
+    axis.add_patch(FancyBboxPatch((x, y), width, height, boxstyle=round_off, facecolor="white", **style))
+    axis.text(x + width / 2, y + height / 2, words, ha="center", va="center", fontsize=8.5)
+
+
+def _side(name: str, side: str) -> tuple[float, float]:
+    x, y, width, height, _ = _BOXES[name]
+    places = {"left": (0, 0.5), "right": (1, 0.5), "above": (0.5, 1), "below": (0.5, 0)}
+    across, up = places[side]
+    return x + across * width, y + up * height
+
+
+def _arrow(axis: Any, source: str, leaves: str, target: str, enters: str, words: str, middle: float) -> None:
+    begin, end = _side(source, leaves), _side(target, enters)
+    corner = (begin[0], end[1]) if leaves in ("above", "below") else (end[0], begin[1])
+    _path(axis, list(dict.fromkeys([begin, corner, end])))
+    height = begin[1] if begin[1] == corner[1] else end[1]
+    axis.text(middle, height + 0.08, words, ha="center", va="bottom", fontsize=7.5)
+
+
+def _path(axis: Any, points: Sequence[tuple[float, float]]) -> None:
+    axis.plot(*zip(*points[:-1], strict=True), color=INK, linewidth=1)
+    arrow = {"arrowstyle": "-|>", "color": INK, "shrinkA": 0, "shrinkB": 0, "linewidth": 1}
+    axis.annotate("", points[-1], points[-2], arrowprops=arrow)

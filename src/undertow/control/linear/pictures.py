@@ -1,0 +1,221 @@
+"""Pictures of a linear analysis: Bode diagrams, step responses, poles and root loci."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from undertow.errors import UndertowError
+from undertow.figures import BEFORE, COLOURS, FAINT, INK, figure, look, plain, unit_text
+
+from .analysis import Line, duration, frequencies, locus, response, step
+from .report import Analysis, Channel
+
+# Ratio of the largest to the smallest pole from which axes are logarithmic.
+_SPREAD = 100.0
+
+
+def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
+    """A picture of one kind: "bode", "step", "poles" or "root-locus".
+
+    Raises
+    ------
+    UndertowError
+        If there is nothing to draw, as for a channel that connects nothing.
+    """
+    draw = {"bode": _bode, "step": _steps, "poles": _poles, "root-locus": _loci}[kind]
+    alive = [c for c in channels if c.system.nstates]
+    if not channels and kind != "poles":
+        raise UndertowError(f"'{found.vehicle.name}' has no thruster, so only --plot poles: state a thruster")
+    if not alive and kind != "poles":
+        raise UndertowError(f"{channels[0].name} is not connected: choose another --input or --output")
+    with look():
+        return draw(found, alive)
+
+
+def _title(found: Analysis, what: str) -> str:
+    values = {**found.trim.states, **found.trim.commands}
+    held = [f"{n} = {values[n]:.4g}" for n in found.trim.wanted.given if values[n]]
+    law = f", {found.gains.name}" if found.gains else ""
+    return plain(f"{found.vehicle.name}{law} ({', '.join(held) or 'hovering'}): {what}", 110)
+
+
+# --- Bode -----------------------------------------------------------------------------------------
+def _bode(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    drawn, what, unit = _opened(found, channels)
+    omega = frequencies([system for _, system in drawn])
+    shown, axes = figure(6.0, 2, sharex=True)
+    (size,), (angle,) = axes
+    for colour, (name, system) in zip(_cycle(len(drawn)), drawn, strict=True):
+        for member in _members(found, name, channels):
+            _bode_line(size, angle, response("", member, omega), color=colour, alpha=0.12, linewidth=0.7)
+        line = response(name, system, omega)
+        _bode_line(size, angle, line, color=colour, label=plain(name))
+    size.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
+    angle.axhline(-180.0, color=FAINT, linewidth=0.8, linestyle=":")
+    size.set_ylabel(f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
+    angle.set(ylabel="phase [deg]", xlabel="frequency [rad/s]", xlim=(omega[0], omega[-1]))
+    angle.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 1.5, 3, 4.5, 9, 10], min_n_ticks=3))
+    size.set_title(_title(found, what))
+    size.legend()
+    _grids(axes)
+    return shown
+
+
+def _opened(found: Analysis, channels: Sequence[Channel]) -> tuple[list[tuple[str, Any]], str, str]:
+    """Systems by name, what they are, and the unit of their gain if it is one for all."""
+    if found.loop and all(c.source in found.loop.references for c in channels):
+        forces = dict(zip(found.loop.references, found.loop.forces, strict=True))
+        wanted = dict.fromkeys(forces[c.source] for c in channels)
+        drawn = [(f, found.loop.cut(f)) for f in wanted]
+        return [(n, s) for n, s in drawn if s.nstates], "loop of each force, the others closed", "1"
+    units = {_per(found, c) for c in channels}
+    named = [(f"{c.name} [{_per(found, c)}]" if len(units) > 1 else c.name, c.system) for c in channels]
+    return named, "from input to output", next(iter(units)) if len(units) == 1 else "SI"
+
+
+def _per(found: Analysis, c: Channel) -> str:
+    top, below = found.units[c.output], found.units[c.source]
+    return unit_text(
+        "1" if top == below else f"({top})/({below})" if " " in below or "/" in top else f"{top}/{below}"
+    )
+
+
+def _bode_line(size: Any, angle: Any, line: Line, **style: Any) -> None:
+    magnitude = np.abs(line.y)
+    size.semilogx(line.x, 20 * np.log10(np.maximum(magnitude, 1e-300)), **style)
+    phase = np.degrees(np.unwrap(np.angle(line.y)))
+    # Whole turns are open: the last value is put where a proper system of low order has it.
+    angle.semilogx(line.x, phase - 360.0 * np.ceil((phase[-1] - 45.0) / 360.0), **style)
+
+
+# --- steps ----------------------------------------------------------------------------------------
+def _steps(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    seconds = duration([c.system for c in channels])
+    shown, axes = figure(1.0 + 2.0 * len(channels), len(channels), sharex=True)
+    for axis, colour, c in zip(axes[:, 0], _cycle(len(channels)), channels, strict=True):
+        for member in found.members_of(c.source, c.output):
+            line = step("", member, seconds)
+            axis.plot(line.x, line.y.real, color=colour, alpha=0.15, linewidth=0.7)
+        line = step(c.name, c.system, seconds)
+        axis.plot(line.x, line.y.real, color=colour)
+        if found.loop:
+            axis.axhline(1.0, color=FAINT, linewidth=0.8, linestyle=":")
+        unit, below = unit_text(found.units[c.output]), unit_text(found.units[c.source])
+        axis.set_ylabel(f"{plain(c.output)} [{unit}]")
+        axis.set_title(plain(f"{c.output} after a step of 1 {below} in {c.source}", 100))
+        axis.set_xlim(0.0, seconds)
+    axes[-1, 0].set_xlabel("time [s]")
+    shown.suptitle(_title(found, "step responses of the linear system"), x=0.01, ha="left", fontsize=10)
+    _grids(axes)
+    return shown
+
+
+# --- poles ----------------------------------------------------------------------------------------
+def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    shown, axes = figure(5.6)
+    axis = axes[0, 0]
+    if found.family:
+        poles = np.array([q for m in found.family.members for q in _both(m.modes)])
+        axis.plot(poles.real, poles.imag, ".", color=FAINT, markersize=3, alpha=0.5, label="family", zorder=1)
+    own = np.array(_both(found.modes))
+    axis.plot(own.real, own.imag, "x", color=INK, markersize=8, markeredgewidth=1.6, label="poles", zorder=3)
+    for colour, c in zip(_cycle(len(channels)), channels, strict=True):
+        if c.zeros:
+            at = np.array(c.zeros)
+            axis.plot(
+                at.real,
+                at.imag,
+                "o",
+                color=colour,
+                fillstyle="none",
+                markersize=7,
+                label=f"zeros, {plain(c.name)}",
+            )
+    _stretch(axis, own)
+    _plane(axis)
+    axis.set_title(_title(found, "poles of the loop" if found.loop else "poles"))
+    axis.legend()
+    _grids(axes)
+    return shown
+
+
+def _both(modes: Sequence[Any]) -> list[complex]:
+    """Poles of modes, of pairs both."""
+    return [q for m in modes for q in ({m.pole, m.pole.conjugate()})]
+
+
+def _stretch(axis: Any, poles: Any) -> None:
+    """Logarithmic axes, linear around zero, where poles are of very different size."""
+    sizes = np.abs(poles[np.abs(poles) > 0])
+    if sizes.size and sizes.max() > _SPREAD * sizes.min():
+        least = 10.0 ** np.floor(np.log10(float(sizes.min())))
+        axis.set_xscale("symlog", linthresh=least)
+        axis.set_yscale("symlog", linthresh=least)
+
+
+def _plane(axis: Any) -> None:
+    axis.axvline(0.0, color=INK, linewidth=0.8)
+    axis.axhline(0.0, color=FAINT, linewidth=0.6)
+    low, high = axis.get_xlim()
+    if high > 0:
+        axis.axvspan(0.0, high, color=BEFORE, alpha=0.07, linewidth=0)
+    axis.set_xlim(low, high)
+    scale = ", logarithmic but near zero" if axis.get_xscale() == "symlog" else ""
+    axis.set(xlabel=f"real part [1/s]{scale}", ylabel=f"imaginary part [rad/s]{scale}")
+
+
+# --- root locus -----------------------------------------------------------------------------------
+def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    drawn, what, _ = _opened(found, channels[:3])
+    shown, axes = figure(1.0 + 3.6 * len(drawn), len(drawn))
+    for axis, colour, (name, system) in zip(axes[:, 0], _cycle(len(drawn)), drawn, strict=True):
+        _, paths = locus(system)
+        axis.plot(paths.real, paths.imag, color=colour, linewidth=1.1)
+        begin, end = system.poles(), np.asarray(system.zeros())
+        axis.plot(begin.real, begin.imag, "x", color=INK, label="gain 0")
+        axis.plot(end.real, end.imag, "o", color=INK, fillstyle="none", label="gain without end")
+        now = _closed_poles(system)
+        words = "gain 1 (the law as it is)" if found.loop else "gain 1"
+        axis.plot(now.real, now.imag, "s", color=BEFORE, markersize=5, label=words)
+        _frame(axis, now)
+        _plane(axis)
+        axis.set_title(plain(name, 90))
+        axis.legend()
+    shown.suptitle(_title(found, f"root locus, {what}"), x=0.01, ha="left", fontsize=10)
+    _grids(axes)
+    return shown
+
+
+def _frame(axis: Any, points: Any) -> None:
+    """A window around what matters: branches run away without end."""
+    wide = max(1.8 * float(np.max(np.abs(points), initial=0.0)), 1e-3)
+    right = max(0.3 * wide, 1.5 * float(np.max(points.real, initial=0.0)))
+    axis.set(xlim=(-wide, right), ylim=(-wide, wide))
+
+
+def _closed_poles(system: Any) -> Any:
+    a = system.A - system.B @ system.C / (1 + system.D[0, 0])
+    return np.linalg.eigvals(a)
+
+
+# --- shared ---------------------------------------------------------------------------------------
+def _members(found: Analysis, name: str, channels: Sequence[Channel]) -> list[Any]:
+    """What stands behind a line of a Bode picture."""
+    for c in channels:
+        if name.startswith(c.name):
+            return found.members_of(c.source, c.output)
+    return found.members_of(name, None)
+
+
+def _cycle(count: int) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(count)]
+
+
+def _grids(axes: Any) -> None:
+    for axis in axes.ravel():
+        axis.grid()

@@ -1,0 +1,48 @@
+"""Two effects of which neither shows alone: named where they leave only noise and nothing else does."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from undertow.identification.diagnosis.search import only_one_in_evidence
+from undertow.identification.diagnosis.settings import DEFAULT
+
+_BLOCKS, _PER_BLOCK = 40, 10
+_ROWS = _BLOCKS * _PER_BLOCK
+
+
+def _score(size: float, seed: int) -> SimpleNamespace:
+    r = size * np.random.default_rng(seed).standard_normal(_ROWS)
+    return SimpleNamespace(r=r, error=float(np.sqrt(np.mean(r**2))))
+
+
+def _bench(base: float) -> SimpleNamespace:
+    """Data of which the model alone leaves `base` times the noise."""
+    data = SimpleNamespace(block=np.arange(_ROWS) // _PER_BLOCK)
+    return SimpleNamespace(base_score=_score(base, 99), test=data, settings=DEFAULT)
+
+
+def _pair(i: int, size: float) -> SimpleNamespace:
+    """A pair that leaves `size` times the noise."""
+    return SimpleNamespace(fit=size, score=_score(size, i), pair=i)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "base", "named"),
+    [
+        ([1.0, 2.5, 2.8], 3.0, 0),
+        ([2.5, 1.0], 3.0, 1),
+        ([1.0, 1.0], 3.0, None),  # two pairs do equally well: neither is in evidence
+        ([1.5, 2.5], 3.0, None),  # the best of them leaves more than noise
+        ([1.0, 1.4], 1.11, None),  # so small a fall the best of 190 pairs makes by chance
+    ],
+)
+def test_a_pair_is_named_where_it_alone_leaves_only_noise(
+    sizes: list[float], base: float, named: int | None
+) -> None:
+    tried = [_pair(i, size) for i, size in enumerate(sizes)]
+    found = only_one_in_evidence(tried, _bench(base), 190, lambda fit, data: fit < 1.1)
+    assert (None if found is None else found.pair) == named

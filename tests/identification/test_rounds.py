@@ -1,0 +1,64 @@
+"""One step of the search: what is fitted again under the noise model of the leading candidate."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from undertow.identification.diagnosis.evidence import FoundEffect, as_good
+from undertow.identification.diagnosis.rounds import far_behind
+from undertow.identification.diagnosis.search import much_plainer, possible_rivals
+from undertow.identification.diagnosis.settings import DEFAULT
+
+_BENCH = SimpleNamespace(test=SimpleNamespace(block=np.arange(400) // 10), settings=DEFAULT)
+
+
+def _score(size: float, seed: int = 1) -> SimpleNamespace:
+    return SimpleNamespace(r=size * np.random.default_rng(seed).standard_normal(400), error=size)
+
+
+def _effect(name: str, parameters: int = 1, error: float = 1.0) -> FoundEffect:
+    own = [SimpleNamespace(name=f"{name}_{i}") for i in range(parameters)]
+    fit = SimpleNamespace(model=SimpleNamespace(free=[p.name for p in own]))
+    candidate = SimpleNamespace(parameters=own)
+    trial = SimpleNamespace(score=_score(error), fit=fit, candidate=candidate, id=name)
+    return FoundEffect(trial, None, 1.0, 0.0, True)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("left", "a_step_on", "behind"), [(1.5, 1.5, False), (3.0, 2.5, True), (3.0, 1.1, False)]
+)
+def test_what_a_step_brings_near_the_best_is_not_far_behind(
+    left: float, a_step_on: float, behind: bool
+) -> None:
+    """Cubic drag that was left with one of four coefficients must not lose to square drag for that, nor
+    square drag, that was fitted roughly, to a cable.
+    """
+    assert far_behind(left, 1.0, lambda: a_step_on) is behind
+
+
+@pytest.mark.parametrize(("effects", "expected"), [(("tether", "friction"), ["trim"]), (("tether",), [])])
+def test_what_may_stand_for_one_effect_of_a_pair_is_tried_beside_the_other(
+    effects: tuple[str, ...], expected: list[str]
+) -> None:
+    """Alone it does worse than both of the pair: that says nothing of it beside the other one."""
+    found = {n: _effect(n, error=1.0 + i) for i, n in enumerate(("tether", "friction", "trim"))}
+    effect_set = SimpleNamespace(findings=[found[n] for n in effects], score=_score(1.0))
+    rounds = [SimpleNamespace(findings=list(found.values()))]
+    tried = possible_rivals(effect_set, 0, rounds, _BENCH)  # type: ignore[arg-type]
+    assert [f.id for f in tried if f.id not in effects] == expected
+
+
+@pytest.mark.parametrize(("parameters", "expected"), [(3, ["trim"]), (6, [])])
+def test_a_plain_effect_is_looked_at_again_beside_one_with_many_parameters(
+    parameters: int, expected: list[str]
+) -> None:
+    tether, trim = _effect("tether", 8, 1.06), _effect("trim", parameters, 1.1)
+    assert [f.id for f in much_plainer(tether, 1.06, [tether, trim])] == expected
+
+
+@pytest.mark.parametrize(("size", "expected"), [(1.0, True), (3.0, False)])
+def test_models_are_as_good_unless_one_leaves_more_by_more_than_chance(size: float, expected: bool) -> None:
+    assert as_good(_score(1.0, 7), _score(size, 8), _BENCH) is expected  # type: ignore[arg-type]
