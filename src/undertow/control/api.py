@@ -183,11 +183,11 @@ def update(
     """
     from undertow.figures import save_png
 
-    from .linear.numeric import as_input_error as failures_told
+    from .linear.numeric import as_input_error
     from .linear.report import snapshot
 
     export = Export(vehicle)
-    with failures_told():
+    with as_input_error():
         sets = {name: load_gains(name, vehicle) for name in gains}
         controllers = {name: ControllerExport(Controller(g)) for name, g in sets.items()}
         _check_apart({name: one.folder.name for name, one in controllers.items()}, "folder", {})
