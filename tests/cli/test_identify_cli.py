@@ -108,7 +108,7 @@ def test_a_long_log_is_read_in_parts_where_that_can_be_done(
 def test_mistakes_are_one_line(logs: Path, capsys: Capture) -> None:
     (logs / "still.csv").write_text("t,u,tau_X\n0,0,1\n0.2,0,1\n0.4,0,1\n")
     for words, said in (
-        (["ahead.csv", "--cases", "12"], "'12' is no case"),
+        (["ahead.csv", "--cases", "12"], "'12' is not a case"),
         (["still.csv"], "holds no velocity of 'mini-auv' that changes"),
         (["missing.csv"], "missing.csv"),
         (["ahead.csv", "--cases", "8", "--out", "new.toml"], "no case of any motion is physical"),

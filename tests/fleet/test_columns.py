@@ -86,7 +86,7 @@ def test_a_vehicle_with_nothing_to_estimate_is_refused(fleet: Path, tmp_path: Pa
     known.write_text((fleet / "craft.toml").read_text().replace("estimate = true", "estimate = false"))
     with pytest.raises(UndertowError, match="no parameter of 'craft' is to be estimated"):
         with_fingerprint(Job(str(known)))
-    with pytest.raises(UndertowError, match="'currant' is no effect"):
+    with pytest.raises(UndertowError, match="'currant' is not an effect"):
         with_fingerprint(Job(str(fleet / "craft.toml"), daily=("currant",)))
 
 
