@@ -185,7 +185,7 @@ def test_a_long_run_in_parts_is_the_same_as_at_once(monkeypatch: pytest.MonkeyPa
         assert one.steady_error == pytest.approx(other.steady_error, abs=1e-14)
     for a, b in zip(in_parts.result.commands, at_once.result.commands, strict=True):
         assert astuple(a)[1:] == pytest.approx(astuple(b)[1:], rel=1e-12)
-    assert all((in_parts.told[n] == at_once.told[n]).all() for n in at_once.told)
+    assert all((in_parts.reported[n] == at_once.reported[n]).all() for n in at_once.reported)
 
 
 def test_noise_is_as_stated_and_the_same_for_a_seed() -> None:
@@ -193,11 +193,11 @@ def test_noise_is_as_stated_and_the_same_for_a_seed() -> None:
         run("paper-pd", duration=20.0, dt=0.01, noise=n, seed=s, log_interval=0.01)
         for n, s in (({}, 0), ({"z": 0.02}, 1), ({"z": 0.02}, 1), ({"z": 0.02}, 2))
     )
-    error = noisy.told["z"] - noisy.state["z"]
+    error = noisy.reported["z"] - noisy.state["z"]
     assert error.std() == pytest.approx(0.02, rel=0.05)
-    assert (quiet.told["z"] == quiet.state["z"]).all()
-    assert (noisy.told["z"] == again.told["z"]).all()
-    assert (noisy.told["z"] != other.told["z"]).any()
+    assert (quiet.reported["z"] == quiet.state["z"]).all()
+    assert (noisy.reported["z"] == again.reported["z"]).all()
+    assert (noisy.reported["z"] != other.reported["z"]).any()
 
 
 def test_a_push_displaces_by_force_over_stiffness() -> None:

@@ -202,8 +202,8 @@ def _this_processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
     except OSError:
         return " ".join(platform.uname())
-    told = ("vendor_id", "cpu family", "model", "stepping", "flags", "CPU", "Features")
-    return "\n".join(line for line in lines if line.startswith(told))
+    wanted = ("vendor_id", "cpu family", "model", "stepping", "flags", "CPU", "Features")
+    return "\n".join(line for line in lines if line.startswith(wanted))
 
 
 def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:

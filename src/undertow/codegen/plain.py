@@ -134,7 +134,7 @@ class _Body:
         return self._words.spread.format(value)
 
     def unused(self) -> list[str]:
-        """Inputs without a use and outputs without an entry, told to the compiler."""
+        """Inputs without a use and outputs without an entry, declared to the compiler."""
         empty = [n for n, (size, _) in zip(self._outputs, self._place, strict=True) if not size]
         return [f"(void){n};" for n in [*self._inputs, *empty] if n not in self._read]
 

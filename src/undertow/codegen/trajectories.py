@@ -302,7 +302,7 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
         As for `Simulator.products`.
     """
     used, measured = weight != 0, np.where(weight == 0, 0.0, measured)
-    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is told as such
+    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is reported as such
         error = np.where(used, (value - measured) * weight, 0.0)
         rows = np.where(used[..., None], slope * weight[..., None], 0.0)
         squares = np.sum(error**2, axis=1)

@@ -41,7 +41,7 @@ class Parts:
         self._check("command", controller.command_names, vehicle.command_names)
         self.reported_names = (*vehicle.pose_names, *vehicle.velocity_names)
         wanted = (*known.pose_names, *known.velocity_names)
-        self.told = [self.reported_names.index(name) for name in wanted]
+        self.controller_inputs = [self.reported_names.index(name) for name in wanted]
         self.commanded = [vehicle.command_names.index(name) for name in controller.command_names]
 
     def _check(self, what: str, needed: tuple[str, ...], present: tuple[str, ...]) -> None:
@@ -93,7 +93,7 @@ class Parts:
         names = function.name_in()
         y = ca.SX.sym("y", len(self.reported_names))
         others = [ca.SX.sym(n, function.size1_in(n)) for n in names[1:]]
-        commands, *results = function(y[self.told], *others)
+        commands, *results = function(y[self.controller_inputs], *others)
         u = ca.SX.zeros(self.functions.u.numel(), 1)
         u[self.commanded] = commands
         outputs = [ca.densify(o) for o in (u, *results)]
@@ -123,10 +123,10 @@ class Parts:
     @cached_property
     def late(self) -> tuple[float, np.ndarray]:
         """Dead time of the commands and of each report, s."""
-        commands, reports = self.lateness(self.parameters[None])
+        commands, reports = self.delays(self.parameters[None])
         return float(commands[0]), reports[0]
 
-    def lateness(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def delays(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Dead time of commands, shape (b,), and of each report, (b, ny), for parameters (b, np)."""
         f, b = self.functions, len(p)
         late = ca.Function("late", [f.p], [ca.densify(ca.vertcat(f.dead_time(f.p), f.report_age))])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .scenario import Scenario
     from .stepping import Rows
 
-# Smallest amplitude of an oscillation that is told of, as a part of the largest error, and in m or rad.
+# Smallest amplitude of an oscillation that is mentioned, as a part of the largest error, and in m or rad.
 _LEAST, _TINY = 2e-3, 1e-5
 
 
@@ -81,7 +81,7 @@ class Record:
         Times of the rows, s.
     state : mapping
         True pose and velocity, by name.
-    told : mapping
+    reported : mapping
         What the sensors report, noise included, by name.
     commands : mapping
         Mean of each command from its row to the next, so that the impulse is the true one.
@@ -95,7 +95,7 @@ class Record:
 
     t: np.ndarray
     state: Mapping[str, np.ndarray]
-    told: Mapping[str, np.ndarray]
+    reported: Mapping[str, np.ndarray]
     commands: Mapping[str, np.ndarray]
     force: Mapping[str, np.ndarray]
     errors: Mapping[str, np.ndarray]
@@ -103,7 +103,7 @@ class Record:
 
     def to_csv(self) -> str:
         """A log as undertow reads it: t, what the sensors report, and the commands."""
-        columns = {"t": self.t, **self.told, **self.commands}
+        columns = {"t": self.t, **self.reported, **self.commands}
         stream = io.StringIO()
         np.savetxt(
             stream,

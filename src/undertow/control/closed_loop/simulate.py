@@ -266,7 +266,7 @@ class ClosedLoop:
         return start, to
 
     # --- running --------------------------------------------------------------------------------
-    @np.errstate(over="ignore", invalid="ignore")  # what diverges is told of in words
+    @np.errstate(over="ignore", invalid="ignore")  # what diverges is reported in words
     def run(self, scenario: Scenario, progress: Progress | None = None) -> Record:
         """Simulate.
 

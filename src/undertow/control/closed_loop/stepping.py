@@ -78,7 +78,7 @@ class Rows:
     Attributes
     ----------
     x, y, u, s, tau : ndarray, shape (b, rows, n)
-        True state, what the controller was told, its commands, its states after the sample, and the force
+        True state, what the controller was reported, its commands, its states after the sample, and the force
         that the law asked for.
     """
 
@@ -184,7 +184,7 @@ def _at_rest(parts: Parts, start: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
     """Samples that commands and each report are late, the same in all runs."""
-    late, ages = parts.lateness(p)
+    late, ages = parts.delays(p)
     samples = np.rint(np.column_stack([late, ages]) / dt).astype(np.int64)
     other = np.flatnonzero((samples != samples[0]).any(axis=1))
     if other.size:
@@ -321,19 +321,19 @@ class VirtualLoop:
     def _sample(self, problem: LoopProblem, block: Block, i: int) -> dict[str, np.ndarray]:
         sample, ring = block.first + i, problem.input_delay + 1
         t, x = sample * problem.dt, problem.x.copy()
-        told = self._told(problem, sample, t)
+        reported = self._reported(problem, sample, t)
         if block.noise is not None:
-            told = told + block.noise[:, i]
+            reported = reported + block.noise[:, i]
         hold = 0.0 if problem.continuous else problem.dt
-        u, s, tau = self._evaluate("control", told, problem.r, problem.s, problem.k, hold)
+        u, s, tau = self._evaluate("control", reported, problem.r, problem.s, problem.k, hold)
         problem.s[:] = s
         problem.command[:] = problem.commands[:, sample % ring] = u
         sent = problem.commands[:, (sample + 1) % ring] if sample >= problem.input_delay else np.zeros_like(u)
         extra = np.zeros(u.shape[1]) if block.extra is None else block.extra[i]
         self._advance(problem, sent + extra, extra, t)
-        return {"x": x, "y": told, "u": u, "s": s, "tau": tau}
+        return {"x": x, "y": reported, "u": u, "s": s, "tau": tau}
 
-    def _told(self, problem: LoopProblem, sample: int, t: float) -> np.ndarray:
+    def _reported(self, problem: LoopProblem, sample: int, t: float) -> np.ndarray:
         (y,) = self._evaluate("outputs", problem.x, problem.command, problem.p, t)
         size = problem.reports.shape[1]
         problem.reports[:, sample % size] = y

@@ -264,8 +264,8 @@ def _errors_left(
     inverse = function_of(list(plant.eta), plant.J_inverse.tolist())
     pushed = [i for i, d in enumerate(plant.vehicle.degrees_of_freedom) if d not in gains.unactuated]
     turns = np.array([c in ANGLES for c in names])
-    begun = np.abs([starts[c][0] for c in names])
-    scale = np.array([max(begun[turns == turn]) for turn in turns])
+    first = np.abs([starts[c][0] for c in names])
+    scale = np.array([max(first[turns == turn]) for turn in turns])
     error = states[:, : len(names)] - np.array([rest[c] for c in names])
     error = np.where(turns, (error + np.pi) % (2 * np.pi) - np.pi, error)
     found = []
