@@ -308,6 +308,8 @@ def check_writable(
     read = [Path(path) for path in inputs]
     for i, path in enumerate(outputs):
         _check_target(path)
+        if not os.access(path if _is_special(path) else path.parent, os.W_OK):
+            raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
         if not _is_special(path):
             _try_folder(path)
         taken = next((other for other in read if other.is_file() and _same(path, other)), None)

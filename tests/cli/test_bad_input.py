@@ -482,11 +482,11 @@ class Pull(Wrench):
     '''Constant pull.'''
     id = "pull"
     family = "tether"
-    parameters = (Parameter("X_pull", "N", "pull"),)
+    X_pull = Parameter("N", "pull")
     reference = "none"
     def wrench(self, s):
         {}
-        return sm.Matrix([sm.Symbol("X_pull"), 0, 0, 0, 0, 0])
+        return sm.Matrix([self.X_pull, 0, 0, 0, 0, 0])
 """
 
 

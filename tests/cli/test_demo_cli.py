@@ -11,9 +11,11 @@ from typing import Any
 
 import pytest
 
-from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.demo import DATA
+
+# `make demo` runs the same; both are in CONTRIBUTING.
+pytestmark = pytest.mark.slow
 
 AUV = ("diagnosis.json", "error-map.png", "falling-error.png", "measured-vs-simulated.png")
 WRITTEN = {
@@ -44,7 +46,7 @@ class Told:
         return self.words[self.words.index(SECOND) :]
 
 
-@pytest.fixture(scope="module", params=first_quick(["0", "1"]), ids=["compiler", "no compiler"])
+@pytest.fixture(scope="module", params=["0", "1"], ids=["compiler", "no compiler"])
 def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Told:
     """In a folder that has nothing to do with the repository."""
     here = tmp_path_factory.mktemp("elsewhere")

@@ -170,7 +170,7 @@ def test_nothing_beside_a_vehicle_file_is_imported(case: Path, capsys: Capture) 
 _MAY = {
     "exec_module": "model/catalogue.py",  # effect files that the user has named with --effects
     "spec_from_file_location": "model/catalogue.py",
-    "lambdify": "model/evaluation.py",  # expressions of effects, never text
+    "lambdify": "model/composition.py",  # expressions of effects, never text
 }
 _READERS = {
     "eval",

@@ -200,8 +200,8 @@ def test_what_is_taken_out_does_not_come_back() -> None:
     second = rest.strongest()
     assert second is not None
     assert {first.term.label, second.term.label} == {"first", "pair"}
-    assert rest.samples.aside.square == pytest.approx(start.samples.aside.square - first.gain)
-    assert rest.without(second).samples.aside.square < 1.2 * 400
+    assert rest.samples.validation.square == pytest.approx(start.samples.validation.square - first.gain)
+    assert rest.without(second).samples.validation.square < 1.2 * 400
 
 
 def test_slow_noise_goes_with_nothing() -> None:

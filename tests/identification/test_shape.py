@@ -108,7 +108,7 @@ def test_energy_does_not_depend_on_axes_or_origin() -> None:
     # The old origin moves with v: the new one, from which it lies at `offset`, with v - omega x offset.
     at_new_origin = np.concatenate([v - np.cross(omega, offset), omega])
     assert at_new_origin @ transformed(matrix, np.eye(3), offset) @ at_new_origin == pytest.approx(energy)
-    with pytest.raises(UndertowError, match="no right-handed rotation"):
+    with pytest.raises(UndertowError, match="not a right-handed rotation"):
         transformed(matrix, np.diag([1.0, 1.0, -1.0]))
 
 
