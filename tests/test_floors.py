@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import os
 import subprocess
 import sys
@@ -96,3 +98,23 @@ def test_a_breach_is_seen(tmp_path: Path, module: str, line: str, complaint: str
     done = _check(tmp_path, ROOT / "pyproject.toml")
     assert done.returncode == 1
     assert complaint in " ".join(done.stdout.split()), done.stdout
+
+
+def test_benchmarks_and_pages_import_what_there_is() -> None:
+    """They run seldom; a name that has moved would show late."""
+    missing = []
+    for path in [*(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "docs" / "_ext").glob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("undertow"):
+                missing += [
+                    f"{path.name}:{node.lineno} {n.name}" for n in node.names if not _is_there(node, n)
+                ]
+    assert not missing, missing
+
+
+def _is_there(node: ast.ImportFrom, name: ast.alias) -> bool:
+    try:
+        module = importlib.import_module(str(node.module))
+    except ModuleNotFoundError:
+        return False
+    return hasattr(module, name.name) or importlib.util.find_spec(f"{node.module}.{name.name}") is not None

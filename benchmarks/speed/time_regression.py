@@ -16,7 +16,7 @@ import pytest
 
 from undertow.codegen import Compiled
 from undertow.codegen.gram import layout
-from undertow.codegen.plain import operation_forms
+from undertow.codegen.source import FORMS
 from undertow.identification.estimation.fitted import Triangle
 from undertow.paper.linear_fit import LinearFit
 
@@ -123,7 +123,7 @@ class ByNumPy:
             elif operation == "OP_CONST":
                 value[into[0]] = constant
             else:
-                binary = "{1}" in operation_forms()[getattr(ca, operation)]
+                binary = "{1}" in FORMS[operation]
                 value[into[0]] = _ODD[operation](*(value[i] for i in operands[: 1 + binary]))
 
 

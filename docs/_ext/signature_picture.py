@@ -19,9 +19,9 @@ import numpy as np
 import sympy as sm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from undertow.identification.figures import FAINT, look, svg, unit_text
-from undertow.identification.figures import figure as new_figure
 
+from undertow.figures import FAINT, look, svg, unit_text
+from undertow.figures import figure as new_figure
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import Statement, commands_of, function_of, statement_of
 from undertow.model.effect import Effect
