@@ -24,7 +24,8 @@ SMALL, MANY = 60, 25
 EFFECTS = "undertow.model.effects"
 JOURNEYS = {
     "a log column to a verdict": "undertow.cli.diagnose",
-    "a gain to its conditions": "undertow.cli.gains",
+    "a gain to its conditions": "undertow.control.conditions.check",
+    "a gain to all that `gains` prints": "undertow.cli.gains",
 }
 _REACHED = """
 import sys

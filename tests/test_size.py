@@ -42,12 +42,17 @@ def test_a_package_is_measured(tmp_path: Path) -> None:
     (package / "cli" / "diagnose.py").write_text(
         "def late():\n    from undertow.model import vehicle\n    from undertow.cli import gains\n"
     )
+    (package / "control" / "conditions").mkdir(parents=True)
+    for folder in (package / "control", package / "control" / "conditions"):
+        (folder / "__init__.py").write_text("")
+    (package / "control" / "conditions" / "check.py").write_text("from undertow.model import vehicle\n")
     (package / "loop.c").write_text("/* two\n   lines */\n\nint answer; // here\n// alone\n")
     found = measure(tmp_path)
-    assert found["lines, C included"] == 1 + (SMALL + 1) + len(PYTHON.splitlines()) + 3 + 5
-    assert found["lines of code"] == 1 + (SMALL + 1) + 5 + 3 + 1
-    assert found["modules"] == 8
-    assert found["the same without effects and __init__"] == 2
+    assert found["lines, C included"] == 1 + (SMALL + 1) + len(PYTHON.splitlines()) + 3 + 1 + 5
+    assert found["lines of code"] == 1 + (SMALL + 1) + 5 + 3 + 1 + 1
+    assert found["modules"] == 11
+    assert found["the same without effects and __init__"] == 3
     # diagnose, vehicle, gains; the effect does not count.
     assert found["modules from a log column to a verdict"] == 3
-    assert found["modules from a gain to its conditions"] == 1
+    assert found["modules from a gain to its conditions"] == 2
+    assert found["modules from a gain to all that `gains` prints"] == 1
