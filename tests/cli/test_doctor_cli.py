@@ -118,6 +118,7 @@ def test_the_help_teaches_by_an_example(capsys: pytest.CaptureFixture[str]) -> N
     assert 'heading = { channel = "psi", unit = "deg" }' in out
 
 
+@pytest.mark.slow
 def test_diagnose_tells_the_mistake_before_it_blames_physics(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

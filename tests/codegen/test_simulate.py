@@ -10,7 +10,7 @@ import pytest
 import sympy as sm
 
 from tests.codegen.support import BUNDLED, functions_of, random_parameters, vehicle_with
-from tests.quick import first_quick
+from tests.quick import first_quick, quick_if
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator, simulate
 from undertow.codegen.compiler import Compiler, find_compiler
@@ -117,7 +117,7 @@ def _batch(functions: Functions, runs: int, samples: int) -> tuple[np.ndarray, n
 
 @pytest.mark.parametrize("compiled", first_quick([True, False]))
 @pytest.mark.parametrize("runs", first_quick([21, 3]))  # in two groups and in one
-@pytest.mark.parametrize("name", [*BUNDLED, "full"])
+@pytest.mark.parametrize("name", quick_if(BUNDLED.__contains__, [*BUNDLED, "full"]))
 def test_the_driver_in_c_and_the_virtual_machine_agree(
     name: str, runs: int, compiled: bool, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
 ) -> None:

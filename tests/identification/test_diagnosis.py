@@ -82,6 +82,7 @@ def test_nothing_is_named_where_nothing_is_missing(
     assert not any(r.significant for r in d.ranking)
 
 
+@pytest.mark.slow
 def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("ocean_current", "thruster_lag"), 3, duration=30.0)
     known = {i: catalogue()[i] for i in ("ocean_current", "thruster_lag", "constant_force")}
@@ -107,6 +108,7 @@ def test_the_same_logs_give_the_same_answer(tmp_path: Path) -> None:
     assert first.model_dump(exclude=drop) == second.model_dump(exclude=drop)
 
 
+@pytest.mark.slow
 def test_blocks_are_kept_aside_where_no_run_is_given(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=60.0)
     outcome = diagnose(model, runs[:3], known=_FEW)
