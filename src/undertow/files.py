@@ -308,8 +308,6 @@ def check_writable(
     read = [Path(path) for path in inputs]
     for i, path in enumerate(outputs):
         _check_target(path)
-        if not os.access(path if _is_special(path) else path.parent, os.W_OK):
-            raise UndertowError(f"cannot write '{path}': permission denied: {_REMEDIES[errno.EACCES]}")
         if not _is_special(path):
             _try_folder(path)
         taken = next((other for other in read if other.is_file() and _same(path, other)), None)
@@ -327,8 +325,12 @@ def check_folder(path: str | os.PathLike[str]) -> None:
         raise UndertowError(
             f"cannot write into '{folder}': '{existing}' is not a folder; choose another place"
         )
-    if not os.access(existing, os.W_OK):
-        raise UndertowError(f"cannot write into '{folder}': permission denied: {_REMEDIES[errno.EACCES]}")
+    _refuse_closed(existing, f"into '{folder}'")
+
+
+def _refuse_closed(folder: Path, place: str) -> None:
+    if not os.access(folder, os.W_OK):
+        raise UndertowError(f"cannot write {place}: permission denied: {_REMEDIES[errno.EACCES]}")
 
 
 def _check_target(path: Path) -> None:
@@ -345,6 +347,7 @@ def _check_target(path: Path) -> None:
 
 def _try_folder(path: Path) -> None:
     """Make a file without a name there: where no file can be (/proc), permissions do not show it."""
+    _refuse_closed(path.parent, f"'{path}'")
     try:
         with TemporaryFile(dir=path.resolve().parent):
             pass

@@ -37,7 +37,7 @@ _KEPT_FOR = 90 * 86400.0
 _LEFT_FOR = 3600.0
 
 
-class Compiler(Protocol):
+class LibraryBuilder(Protocol):
     """What makes a library out of a source: a command with its options."""
 
     @property
@@ -49,7 +49,7 @@ class Compiler(Protocol):
     def build(self, source: Path, library: Path) -> None: ...
 
 
-def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
+def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = None) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
@@ -60,7 +60,7 @@ def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> 
     ----------
     source : str
         C source.
-    compiler : Compiler
+    compiler : LibraryBuilder
         Compiler to use.
     folder : Path, optional
         Folder of the cache; by default the user's own.
@@ -94,7 +94,7 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
     return library if fits else None
 
 
-def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, str]) -> Path:
+def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict[str, str]) -> Path:
     try:
         with _workshop(manifest.parent) as workshop:
             (workshop / "model.c").write_text(source, encoding="utf-8")
