@@ -276,13 +276,13 @@ def _family(found: Family) -> object:
     stated, *corners = [m for m in found.members if m not in draws]
     other = [m.name for m in corners if m.stable != stated.stable]
     rows = [
-        ("as stated", _LINEAR_STABLE[stated.stable]),
+        ("as stated", _STABLE_WORDS[stated.stable]),
         ("draws", f"{len(draws)}, of which {len(unstable)} are unstable"),
         ("redrawn", f"{found.refused} that no vehicle can have"),
         ("corners", f"{len(corners)}, of which {len([m for m in corners if not m.stable])} are unstable"),
     ]
-    rows += [(f"{_LINEAR_STABLE[not stated.stable]} at", name) for name in other]
+    rows += [(f"{_STABLE_WORDS[not stated.stable]} at", name) for name in other]
     return table(("", ""), rows)
 
 
-_LINEAR_STABLE = {True: "stable", False: "unstable"}
+_STABLE_WORDS = {True: "stable", False: "unstable"}

@@ -559,7 +559,7 @@ def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     specimen = cls.specimen()
-    names = _contract_names(specimen)
+    names = _names_of(specimen)
     taken = _taken_names(cls, known)
     for name in names:
         if not _NAME.fullmatch(name):
@@ -574,7 +574,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"
 
 
-def _contract_names(specimen: Effect) -> list[str]:
+def _names_of(specimen: Effect) -> list[str]:
     """Names of parameters, with both directions of those that may differ, and of states."""
     parameters = specimen.parameters
     sides = (f"{p.name}_{way}" for p in parameters for way in WAYS if p.motion is not None)
@@ -586,7 +586,7 @@ def _taken_names(cls: type[Effect], known: Catalogue) -> dict[str, str]:
     for other in known.values():
         if other is not cls and other.id != getattr(cls, "id", None):
             specimen = other.specimen()
-            taken |= dict.fromkeys(_contract_names(specimen), f"effect '{other.id}'")
+            taken |= dict.fromkeys(_names_of(specimen), f"effect '{other.id}'")
     return taken
 
 

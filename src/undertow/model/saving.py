@@ -367,7 +367,7 @@ def save_vehicle(
         raise UndertowError(
             f"'{out}' is the file {path} itself: choose another name, or give that path to replace it"
         )
-    text = _saving_text(vehicle, path, history)
+    text = _file_text(vehicle, path, history)
     _check(text, vehicle, path)
     write_whole(out, text)
 
@@ -385,7 +385,7 @@ def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
     return vehicle
 
 
-def _saving_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None) -> str:
+def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None) -> str:
     signs = read_vehicle_table(path).signs  # also: nothing is changed in a file that is not understood
     try:
         document = tomlkit.parse(path.read_bytes().decode("utf-8-sig"))

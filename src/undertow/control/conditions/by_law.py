@@ -204,18 +204,18 @@ ROUTH = Condition(
 )  # fmt: skip
 
 # --- sliding modes --------------------------------------------------------------------------------
-_SLIDING_PAPER = "mini-AUV paper (2021), text of (34) and (35)"
+_SLIDING_REFERENCE = "mini-AUV paper (2021), text of (34) and (35)"
 
 REACHES = Condition(
     "K_Z", "printed", "K_Z > 0", "K_Z ≻ 0",
     "S' S_dot = -sum K_Z |S| is negative: the surface is reached in the time |S|/K_Z.",
-    _SLIDING_PAPER,
+    _SLIDING_REFERENCE,
     lambda s: s.K_Z,
 )  # fmt: skip
 SLIDES = Condition(
     "Lambda", "printed", "Λ > 0", "Λ ≻ 0",
     "On the surface e_dot = -Λ e, so that the error dies out.",
-    _SLIDING_PAPER,
+    _SLIDING_REFERENCE,
     lambda s: s.Lambda,
 )  # fmt: skip
 DERIVED_REACHES = replace(

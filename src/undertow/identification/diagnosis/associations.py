@@ -430,10 +430,10 @@ def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | N
 
 def power(series: Series, grid: Array) -> Array:
     """Sum of squares that a sine of each frequency takes away, over all runs, phases free."""
-    return np.asarray(sum(_spectrum_power(s, grid) for s in series.runs))
+    return np.asarray(sum(_power_of_run(s, grid) for s in series.runs))
 
 
-def _spectrum_power(s: Series, grid: Array) -> Array:
+def _power_of_run(s: Series, grid: Array) -> Array:
     wave = np.exp(-2j * np.pi * np.outer(grid, s.t - s.t[0]))
     return np.asarray(2.0 / len(s.t) * np.abs(wave @ s.r) ** 2)
 

@@ -230,7 +230,7 @@ def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array
     if here is None or moved is None:
         return None
     late = (moved - here) / small
-    table = np.column_stack([at.fit.at.J, late, *([late * _late_along(at)] if drifts else [])])
+    table = np.column_stack([at.fit.at.J, late, *([late * _place_in_run(at)] if drifts else [])])
     rows = len(at.data.rows)
     value, error = clustered_least_squares(table, -here, SETTINGS.cluster * rows)
     known = at.fit.at.J.shape[1]
@@ -244,7 +244,7 @@ def _residual(at: Dynamics, undo: Undo) -> Array | None:
     return None if data is None else whitened(at.fit.model.linearise(data, at.fit.p), at.fit.whitening).r
 
 
-def _late_along(at: Dynamics) -> Array:
+def _place_in_run(at: Dynamics) -> Array:
     """Time of every residual as a share of its run, from -1/2 to 1/2."""
     ends = np.array([(r.t[0], r.t[-1]) for r in at.runs])[at.data.run_of]
     return (at.data.time - ends[:, 0]) / (ends[:, 1] - ends[:, 0]) - 0.5
