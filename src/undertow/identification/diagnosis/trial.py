@@ -16,7 +16,7 @@ from undertow.identification.estimation.step import (
     bounded_step,
     bounds_of,
     inverse_of,
-    prior_of,
+    search_prior,
     step_limits,
     within_limits,
 )
@@ -414,7 +414,7 @@ def _promising(
     Parameters keep within their bounds: a negative mass may promise what no mass can do.
     """
     model = candidate.model()
-    bounds, prior, reach = bounds_of(model), prior_of(model), step_limits(model)
+    bounds, prior, reach = bounds_of(model), search_prior(model), step_limits(model)
     costs = []
     for start in starts:
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
