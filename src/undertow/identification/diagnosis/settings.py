@@ -133,6 +133,12 @@ class Settings:
         off=1,
         one_case="micro-auv:tether_drag+constant_force:x1:n1:closed:plain:89518168",
     )
+    moved_far: float = _number(
+        3.0,
+        "standard deviations, stated or by default, of a refitted value from which fits also begin as stated",
+        "usual level of a test; a vehicle whose file lacks its righting moment",
+        off=_NEVER,
+    )
     closer_steps: int = _number(2, "Gauss-Newton steps before several starts are compared", _DEVELOPMENT)
     line_periods: float = _number(
         3.0, "periods in the longest run from which a frequency is no trend", _DEVELOPMENT

@@ -21,10 +21,10 @@ from undertow.typing import Array
 class ScaleSettings:
     """Numbers by which the size of a vehicle becomes a weak prior of its parameters."""
 
-    # Standard deviation of the default prior as a share of the largest value that counts as possible. With
-    # a hundred natural sizes for that, what data determine to within its natural size moves by less than
-    # 3 % of its standard error for each natural size that the stated value is off.
-    deviation: float = 0.3
+    # Standard deviation of the default prior, as a share of the largest value that counts as possible: 0.6
+    # for added mass in units of the inertia. Like a stated one it is widened by `StepSettings.prior_width`:
+    # what data determine moves by a hundredth of its standard error or less.
+    deviation: float = 0.06
 
 
 SETTINGS = ScaleSettings()

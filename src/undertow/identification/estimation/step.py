@@ -125,14 +125,24 @@ def search_prior(model: WeakModel) -> tuple[Array, Array]:
     not contain it.
     """
     centre, weight = prior_of(model)
-    value = np.array([model.functions.vehicle.value_of(n).value for n in model.free])
-    weak = default_weights(model) * (weight == 0.0)
-    return np.where(weak > 0.0, value, centre), weight + weak
+    weak = default_weights(model)
+    return np.where(weak > 0.0, _values(model), centre), weight + weak
 
 
 def default_weights(model: WeakModel) -> Array:
-    """One over the standard deviation of the default prior of every free parameter; zero without one."""
-    return 1.0 / (SCALES.deviation * model.largest)
+    """Weight of the default prior of every free parameter; zero where one is stated, or none follows."""
+    deviation = PRIOR_WIDTH * SCALES.deviation * model.largest
+    return np.where(prior_of(model)[1] > 0.0, 0.0, 1.0 / deviation)
+
+
+def moved(model: WeakModel, p: Array) -> Array:
+    """Distance of the free parameters from their stated values, in standard deviations, stated or by default."""
+    return np.asarray(PRIOR_WIDTH * search_prior(model)[1] * np.abs(p[list(model.places)] - _values(model)))
+
+
+def _values(model: WeakModel) -> Array:
+    """Stated values of the free parameters; zero for a limit that is not there."""
+    return np.nan_to_num([model.functions.vehicle.value_of(n).value for n in model.free], posinf=0.0)
 
 
 def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
