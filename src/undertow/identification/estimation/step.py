@@ -136,7 +136,7 @@ def default_weights(model: WeakModel) -> Array:
 
 
 def moved(model: WeakModel, p: Array) -> Array:
-    """Distance of the free parameters from their stated values, in standard deviations, stated or by default."""
+    """Distance of the free parameters from what is stated, in standard deviations, stated or by default."""
     return np.asarray(PRIOR_WIDTH * search_prior(model)[1] * np.abs(p[list(model.places)] - _values(model)))
 
 
