@@ -110,13 +110,13 @@ def fit(
 
 def show(done: Refit) -> None:
     """Print parameters, how far they can be trusted, and the error before and after."""
-    from undertow.identification.estimation.fitted import remarks
+    from undertow.identification.estimation.fitted import notes, remarks
 
     section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
     console().print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
     for line in [*_tied(done), *done.fit.active, *_process_noise(done.fit)]:
         say(f"  {line}")
-    for line in _combined(done.fit):
+    for line in [*notes(done.fit), *_combined(done.fit)]:
         say(f"  {line}", "yellow")
     for name, said in remarks(done.fit, done.stated).items():
         if said:

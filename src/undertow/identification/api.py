@@ -300,6 +300,7 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.

@@ -425,6 +425,7 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)

@@ -133,11 +133,10 @@ class Settings:
         off=1,
         one_case="micro-auv:tether_drag+constant_force:x1:n1:closed:plain:89518168",
     )
-    moved_far: float = _number(
-        3.0,
-        "standard deviations, stated or by default, of a refitted value from which fits also begin as stated",
-        "usual level of a test; a vehicle whose file lacks its righting moment",
-        off=_NEVER,
+    worth_adding: float = _number(
+        0.1,
+        "share by which the error of prediction has to fall for an effect that forces do not show",
+        _LEVEL,
     )
     closer_steps: int = _number(2, "Gauss-Newton steps before several starts are compared", _DEVELOPMENT)
     line_periods: float = _number(

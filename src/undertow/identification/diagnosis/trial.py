@@ -133,7 +133,7 @@ class Bench:
         otherwise empty.
         """
         model = self.base.model
-        if not np.any(moved(model, self.base.p) > self.settings.moved_far):
+        if not np.any(moved(model, self.base.p) > self.settings.moved):
             return {}
         values = {n: model.functions.vehicle.value_of(n).value for n in model.free}
         return {n: v for n, v in values.items() if np.isfinite(v)}

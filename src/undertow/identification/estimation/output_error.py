@@ -53,6 +53,7 @@ class OutputErrorSettings:
 
 
 SETTINGS = OutputErrorSettings()
+NO_WORSE = SETTINGS.no_worse
 
 
 @dataclass(frozen=True)
@@ -402,7 +403,7 @@ def final_fit(
     if len(fits) == 1:
         return weak
     errors = horizon_error(fits, validation)
-    limit = (1.0 + SETTINGS.no_worse) * np.min(errors)
+    limit = (1.0 + NO_WORSE) * np.min(errors)
     return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
 
 

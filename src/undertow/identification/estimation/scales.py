@@ -49,6 +49,30 @@ def largest_values(functions: Functions, names: Sequence[str]) -> Array:
     return np.array([_largest(vehicle, n, size, known, rows) for n, rows in zip(names, acts, strict=True)])
 
 
+def scale_directions(functions: Functions, names: Sequence[str], p: Array) -> dict[str, Array]:
+    """By degree of freedom, the change of free parameters that makes all of its forces larger by one share.
+
+    Its inertia grows with them, so that the motion stays the same, unless a force in it is known. Degrees of
+    freedom whose inertia is known are left out. Entries of a direction (k,) are in the order of `names`.
+    """
+    f = functions
+    places = [f.parameter_names.index(n) for n in names]
+    acts = _acts(f, names) if names else []
+    inertia = ca.diag(f.mass_matrix)
+    at_rest = [ca.SX.zeros(x.shape) for x in (f.eta, f.nu, f.t)]
+    inertia = ca.substitute(inertia, ca.vertcat(f.eta, f.nu, f.t), ca.vertcat(*at_rest))
+    outputs = [ca.densify(inertia), ca.densify(ca.jacobian(inertia, f.p))]
+    mass, slope = (np.asarray(v) for v in ca.Function("inertia", [f.p], outputs)(p))
+    found = {}
+    for i, (dof, place) in enumerate(zip(f.vehicle.degrees_of_freedom, f.vehicle.dof_indices, strict=True)):
+        own = np.array([rows == {place} for rows in acts], dtype=float)
+        share = slope[i, places] * own
+        if np.any(share):
+            still = np.where(share != 0.0, 0.0, p[places]) * own
+            found[dof] = still + share * mass[i, 0] / float(share @ share)
+    return found
+
+
 def _acts(functions: Functions, names: Sequence[str]) -> list[set[int]]:
     """Which motions, of the six, each parameter acts on directly."""
     free = ca.vertcat(*[functions.p[functions.parameter_names.index(n)] for n in names])
