@@ -255,7 +255,7 @@ def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
 
 
 def held_by_size(fit: Fitted) -> list[str]:
-    """Parameters that the default prior holds, from the vehicle's mass, inertia and length, and not the data."""
+    """Parameters that the default prior, from mass, inertia and length, holds more than the data do."""
     weight = default_weights(fit.model) ** 2
     share = weight * np.diag(inverse_of(fit.information + np.diag(weight)))
     return [n for n, part in zip(fit.model.free, share, strict=True) if part > SETTINGS.held]
