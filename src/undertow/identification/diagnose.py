@@ -32,12 +32,14 @@ from undertow.version import __version__
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
+from .diagnosis.reference import predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
     Diagnosis,
     Equivalent,
     Indistinguishable,
+    Predictability,
     Ranked,
     Remaining,
     RunInfo,
@@ -60,6 +62,7 @@ from .diagnosis.verdict import (
     instead_of_effects,
     judge,
     judge_selection,
+    only_disturbance,
     reliefs,
     unique_ids,
     with_values,
@@ -123,20 +126,38 @@ class ResultBuilder:
         """The fit with what is named, or the refitted model where nothing is."""
         return self.fits[len(self.judgement.effects)]
 
+    @cached_property
+    def _left(self) -> list[Remaining]:
+        return remaining(self.after, self.bench.train, self.bench.test)
+
+    @cached_property
+    def _predictable(self) -> list[Predictability]:
+        """What of the remaining forces depends on the logged signals, where more than noise is left."""
+        if self._residual_is_noise:
+            return []
+        return predictable(self.after, self.bench.train, self.bench.test)
+
+    @cached_property
+    def _verdict(self) -> Judgement:
+        """The judgement, or that nothing is missing which these logs could show."""
+        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+            return self.judgement
+        found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
+        return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
+
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
         doubts += self._repeated_commands() if self.judgement.effects else []
-        left = remaining(self.after, self.bench.train, self.bench.test)
-        doubts += self._nowhere_alone(left)
+        doubts += self._nowhere_alone(self._left)
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
             degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
             signs=self.vehicle.signs,
             runs=infos,
-            verdict=self.judgement.verdict,
+            verdict=self._verdict.verdict,
             headline=" ".join([self._headline(), *doubts]),
             effects=unique_ids(self.judgement.effects),
             helps=unique_ids(self.judgement.helps),
@@ -146,7 +167,8 @@ class ResultBuilder:
             indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(equivalent),
-            remaining=left,
+            remaining=self._left,
+            predictable=self._predictable,
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
@@ -164,7 +186,7 @@ class ResultBuilder:
 
     def _headline(self) -> str:
         values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self.judgement, values, self._residual_is_noise)
+        return with_values(self._verdict, values, self._residual_is_noise)
 
     def _equivalents(self) -> list[Equivalent]:
         model, bench = self.found.vehicle, self.bench
@@ -176,7 +198,7 @@ class ResultBuilder:
         return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
-        nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
+        nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
         if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
         return ["It stands out in the force of no degree of freedom by itself."]
