@@ -132,7 +132,7 @@ def _round(r: int, base: int) -> list[Planned]:
     complete = [_complete(label, NULLS_PER_ROUND * r + i, base)
                 for label in COMPLETE for i in range(NULLS_PER_ROUND)]  # fmt: skip
     pairs = [_pair(PAIRS_PER_ROUND * r + i, base) for i in range(PAIRS_PER_ROUND)]
-    return _mixed([singles, outsiders, complete, pairs], _random(base, "order", r))
+    return mixed([singles, outsiders, complete, pairs], seeded_generator(base, "order", r))
 
 
 def _one(name: str, r: int, base: int) -> Planned:
@@ -145,7 +145,7 @@ def _faint(name: str, r: int, base: int) -> Planned:
     """A case in which the truth is worth little, for these decide how good a method is."""
     vehicle = _turn(EFFECTS[name].vehicles, r, base, f"{name} faint vehicle")
     low, high = np.log(FAINT)
-    aim = float(f"{np.exp(_random(base, f'{name} faint', r).uniform(low, high)):.3g}")
+    aim = float(f"{np.exp(seeded_generator(base, f'{name} faint', r).uniform(low, high)):.3g}")
     recipe = (vehicle, (name,), 1.0, *_conduct(f"{name} faint", r, base), "plain")
     return _seeded(recipe, r, base, aim)
 
@@ -163,7 +163,7 @@ def _complete(label: str, number: int, base: int) -> Planned:
 def _pair(number: int, base: int) -> Planned:
     vehicle = _turn(tuple(NOMINAL), number, base, "pair vehicle")
     names = [n for n in SINGLES if vehicle in EFFECTS[n].vehicles]
-    rng = _random(base, "pair", number)
+    rng = seeded_generator(base, "pair", number)
     while True:
         first, second = (names[int(i)] for i in rng.permutation(len(names))[:2])
         if {first, second} not in _ALIKE:
@@ -183,14 +183,15 @@ def _seeded(
 def _turn(options: Sequence[T], number: int, base: int, purpose: str) -> T:
     """One option after the other in random order, each once before any comes again."""
     lap, place = divmod(number, len(options))
-    return options[int(_random(base, purpose, lap).permutation(len(options))[place])]
+    return options[int(seeded_generator(base, purpose, lap).permutation(len(options))[place])]
 
 
-def _random(base: int, purpose: str, number: int) -> np.random.Generator:
+def seeded_generator(base: int, purpose: str, number: int) -> np.random.Generator:
+    """Dice of their own for each purpose, so that none depends on what else is drawn."""
     return np.random.default_rng([base, zlib.crc32(purpose.encode()), number])
 
 
-def _mixed(kinds: Iterable[list[Planned]], rng: np.random.Generator) -> list[Planned]:
+def mixed(kinds: Iterable[list[T]], rng: np.random.Generator) -> list[T]:
     """All cases, every kind shuffled and spread evenly over the whole."""
     placed = []
     for cases in kinds:
