@@ -1,4 +1,4 @@
-"""The plan: every log as it is, with a term of its model taken out, with an effect put in, and for the peers."""
+"""The plan: every log as it is, for the peers, with a term of its model taken out, with an effect put in."""
 
 from __future__ import annotations
 

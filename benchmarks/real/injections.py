@@ -1,5 +1,4 @@
-"""Known effects put exactly into real logs: what was measured is kept, and what would have been read instead is
-worked out from it."""
+"""Known effects put exactly into real logs: what would have been logged is worked out from what was."""
 
 from __future__ import annotations
 
@@ -103,7 +102,7 @@ def _wrong(
 # --- the water, and what the sensors make of the motion -----------------------------------------
 @_injected("current", "ocean_current", sizes=(0.1, 0.25, 0.5), scale="speed")
 def current(run: Run, speed: float, commands: Commands) -> Run:
-    """The ground moves: p + V t and v + R' V; the motion through the water, and so every force, is the same."""
+    """The ground moves: p + V t, v + R' V; the motion through the water, and so every force, is the same."""
     return _drifting(run, speed, over_ground=True)
 
 

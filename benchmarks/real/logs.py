@@ -107,7 +107,7 @@ SETS: dict[str, LogSet] = {
             "mass",
             "buoyancy",
         ),
-    ),  # fmt: skip
+    ),
     "roll-38-37": replace(
         _roll(kvlcc2.WAYS[0]), scales=_ROLL, injections=_ROLL_CHANGES, removals=_ROLL_TERMS
     ),

@@ -96,7 +96,7 @@ def measured(given: Material, horizons: Sequence[float]) -> Record:
 
 
 def with_truth(given: Material, outcome: DiagnosisResult, windows: Sequence[Windows]) -> Errors:
-    """Errors of the model with what is true added, refitted; of several names the best at the last horizon."""
+    """Errors of the model with what is true added and refitted; of several names the best far ahead."""
     found = []
     for effect in given.right[: given.known]:
         try:
