@@ -122,7 +122,7 @@ def predicted(given: Material, horizons: Sequence[float]) -> Record:
     for name, method in peers.METHODS.items():
         began = time.perf_counter()
         try:
-            model = method(given.vehicle, refit.train)
+            model = method(given.vehicle, refit.train, longest_of(refit.train, given.vehicle, horizons[1]))
             errors[name] = [finite(prediction_error(model.predicted(w))) for w in windows]
         except (peers.NotApplicable, ImportError) as error:
             failures[name] = str(error)
@@ -132,12 +132,14 @@ def predicted(given: Material, horizons: Sequence[float]) -> Record:
 
 def cut_all(vehicle: Vehicle, test: Sequence[Run], horizons: Sequence[float]) -> list[Windows]:
     """Windows of all lengths; where no stretch is so long, windows as long as it is."""
-    longest = max(
-        float(run.t[piece.stop - 1] - run.t[piece.start])
-        for run in test
-        for piece in run.segments([*vehicle.velocity_names, *vehicle.command_names])
-    )
-    return [cut(test, vehicle, min(horizon, longest)) for horizon in horizons]
+    return [cut(test, vehicle, longest_of(test, vehicle, horizon)) for horizon in horizons]
+
+
+def longest_of(runs: Sequence[Run], vehicle: Vehicle, horizon: float) -> float:
+    """The horizon, or the longest stretch without gaps where none is so long."""
+    needed = [*vehicle.velocity_names, *vehicle.command_names]
+    pieces = ((run, piece) for run in runs for piece in run.segments(needed))
+    return min(horizon, max(float(run.t[p.stop - 1] - run.t[p.start]) for run, p in pieces))
 
 
 def ahead(vehicle: Vehicle, windows: Sequence[Windows]) -> Errors:

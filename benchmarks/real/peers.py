@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.hidden_effects.plant import euler_rates, rotation
 from benchmarks.trust.terms import filled, smoothed
-from undertow.identification.estimation.windows import Prediction, Windows
+from undertow.identification.estimation.windows import Prediction, Windows, cut, prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
@@ -28,8 +28,9 @@ DELAYS = np.arange(0.0, 2.01, 0.1)
 SHORTEST = 4.0
 #: Up to so many velocities and commands the polynomial has all products of three of them.
 FEW = 5
-#: Ridge of the least squares, as a share of the mean square of the columns: only against columns alike.
-RIDGE = 1e-8
+#: Ridges of the least squares that are tried, in units of the columns: the first only against columns alike,
+#: the others because a model that fits accelerations best may be unstable when it is simulated.
+RIDGES = (1e-8, 1e-3, 1e-2, 0.1)
 #: Thresholds of STLSQ that are tried, in units of the rms acceleration; share of the logs that chooses.
 THRESHOLDS = np.geomspace(0.003, 0.3, 12)
 CHOOSES = 0.3
@@ -115,10 +116,17 @@ class Terms:
 
     of: from states (m, 2n) and commands (m, k) to columns (m, f).
     allowed: (f, n), which column may be in the equation of which degree of freedom.
+    part: (f,), 0 for columns that are always there, 1 and 2 for two kinds that may be left out.
     """
 
     of: Callable[[Array, Array], Array]
     allowed: NDArray[np.bool_]
+    part: NDArray[np.intp]
+
+    def variants(self) -> list[NDArray[np.bool_]]:
+        """`allowed` with both kinds, with either, and with none."""
+        without = [[], [1], [2], [1, 2]]
+        return [self.allowed & ~np.isin(self.part, gone)[:, None] for gone in without]
 
 
 def _tilts(vehicle: Vehicle, state: Array) -> list[Array]:
@@ -137,7 +145,9 @@ def grey_terms(vehicle: Vehicle) -> Terms:
         own = [np.ones(len(nu)), *nu.T, *(np.abs(nu) * nu).T]
         return np.column_stack([*own, *cross, *_tilts(vehicle, state), *commands.T])
 
-    return Terms(of, np.ones((_width(of, vehicle), n), dtype=bool))
+    part = np.zeros(_width(of, vehicle), dtype=np.intp)
+    part[1 + n : 1 + 2 * n], part[1 + 2 * n : 1 + 2 * n + n * (n - 1) // 2] = 1, 2
+    return Terms(of, np.ones((len(part), n), dtype=bool), part)
 
 
 def polynomial_terms(vehicle: Vehicle, *, symmetric: bool = True) -> Terms:
@@ -159,7 +169,8 @@ def polynomial_terms(vehicle: Vehicle, *, symmetric: bool = True) -> Terms:
     parity = [0, *(int(np.prod([sides[i] for i in p])) for p in powers), *sides[n:], *[0] * tilts]
     equations = np.array(sides[:n])
     table = np.array(parity)[:, None]
-    return Terms(of, (table == 0) | (table == equations[None]) | (not symmetric))
+    part = np.array([0, *(len(p) - 1 for p in powers), *[1] * m, *[0] * tilts])
+    return Terms(of, (table == 0) | (table == equations[None]) | (not symmetric), part)
 
 
 def _powers(n: int, m: int) -> list[tuple[int, ...]]:
@@ -189,15 +200,17 @@ def _width(of: Callable[[Array, Array], Array], vehicle: Vehicle) -> int:
     ).shape[1]
 
 
-def _least_squares(columns: Array, rate: Array, allowed: NDArray[np.bool_]) -> Array:
+def _least_squares(
+    columns: Array, rate: Array, allowed: NDArray[np.bool_], ridge: float = RIDGES[0]
+) -> Array:
     """Coefficients (f, n) of each equation, of its own columns only."""
     size = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
     out = np.zeros(allowed.shape)
     for i, own in enumerate(allowed.T):
         a = columns[:, own] / size[own]
-        ridge = np.sqrt(RIDGE * len(a)) * np.eye(a.shape[1])
-        y = np.concatenate([rate[:, i], np.zeros(len(ridge))])
-        out[own, i] = np.linalg.lstsq(np.vstack([a, ridge]), y, rcond=None)[0] / size[own]
+        rows = np.sqrt(ridge * len(a)) * np.eye(a.shape[1])
+        y = np.concatenate([rate[:, i], np.zeros(len(rows))])
+        out[own, i] = np.linalg.lstsq(np.vstack([a, rows]), y, rcond=None)[0] / size[own]
     return out
 
 
@@ -284,23 +297,31 @@ def delay_of(vehicle: Vehicle, runs: Sequence[Run]) -> float:
     return float(min(DELAYS, key=left))
 
 
-def _regressed(vehicle: Vehicle, runs: Sequence[Run], terms: Terms, delay: float) -> Accelerating:
+def _regressed(vehicle: Vehicle, runs: Sequence[Run], horizon: float, terms: Terms) -> Accelerating:
+    """Least squares with the terms and the ridge that simulate the training runs best."""
+    delay = delay_of(vehicle, runs)
     known = samples(vehicle, runs, delay)
-    found = _least_squares(terms.of(known.state, known.commands), known.rate, terms.allowed)
-    return _linear(vehicle, terms, found, delay, known)
+    columns = terms.of(known.state, known.commands)
+    windows = cut(runs, vehicle, horizon)
+    found = [
+        _linear(vehicle, terms, _least_squares(columns, known.rate, allowed, ridge), delay, known)
+        for allowed in terms.variants()
+        for ridge in RIDGES
+    ]
+    return min(found, key=lambda model: prediction_error(model.predicted(windows)))
 
 
-def grey_box(vehicle: Vehicle, runs: Sequence[Run]) -> Accelerating:
+def grey_box(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating:
     """Least squares with linear thrusters, their delay and cross terms."""
-    return _regressed(vehicle, runs, grey_terms(vehicle), delay_of(vehicle, runs))
+    return _regressed(vehicle, runs, horizon, grey_terms(vehicle))
 
 
-def abkowitz(vehicle: Vehicle, runs: Sequence[Run]) -> Accelerating:
+def abkowitz(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating:
     """Least squares with the polynomial of Abkowitz."""
-    return _regressed(vehicle, runs, polynomial_terms(vehicle), delay_of(vehicle, runs))
+    return _regressed(vehicle, runs, horizon, polynomial_terms(vehicle))
 
 
-def sindy(vehicle: Vehicle, runs: Sequence[Run]) -> Accelerating:
+def sindy(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating:
     """STLSQ of PySINDy on all products, its threshold chosen on the last part of the training logs."""
     from pysindy.optimizers import STLSQ  # type: ignore[import-untyped]
 
@@ -323,7 +344,7 @@ def sindy(vehicle: Vehicle, runs: Sequence[Run]) -> Accelerating:
     return _linear(vehicle, terms, found, delay, known)
 
 
-def boosting(vehicle: Vehicle, runs: Sequence[Run]) -> Accelerating:
+def boosting(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating:
     """Gradient-boosted trees of scikit-learn on velocities, tilts and commands, one for each acceleration."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
 
@@ -399,7 +420,7 @@ class StateSpace:
         return u, y
 
 
-def state_space(vehicle: Vehicle, runs: Sequence[Run]) -> StateSpace:
+def state_space(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> StateSpace:
     """N4SID of the package nfoursid on the longest stretch, its order chosen by simulation of that."""
     if not vehicle.command_names:
         raise NotApplicable("nothing is commanded")
@@ -447,7 +468,8 @@ def _matrices(method: Any, order: int, size: int) -> tuple[Array, Array, Array, 
     return a, b, c, d, gain
 
 
-Method = Callable[[Vehicle, Sequence[Run]], Peer]
+#: Of a vehicle, training runs, and the length of windows (s) by whose simulation a method may choose.
+Method = Callable[[Vehicle, Sequence[Run], float], Peer]
 #: Grey boxes, which somebody could write down in an hour, and black ones.
 GREY: dict[str, Method] = {
     "linear thrusters, delay, cross terms": grey_box,
