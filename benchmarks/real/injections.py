@@ -219,8 +219,9 @@ def curve(run: Run, square: float, commands: Commands) -> Run:
 
 @_injected("droop", "supply_droop", sizes=(0.1, 0.25, 0.5), scale="1/duration")
 def droop(run: Run, rate: float, commands: Commands) -> Run:
-    """Commands give (1 - d t) c: they were the logged ones over 1 - d t."""
-    return _distorted(run, commands, lambda c: c / (1.0 - rate * run.t))
+    """Commands give (1 - d t) c: they were the logged ones over 1 - d t, t in the middle of their steps."""
+    middle = run.t + 0.5 * float(np.median(np.diff(run.t)))
+    return _distorted(run, commands, lambda c: c / (1.0 - rate * middle))
 
 
 @_injected("command-delay", "actuation_delay", sizes=(0.2, 0.5, 1.0), scale="time")
@@ -235,30 +236,32 @@ def command_delay(run: Run, delay: float, commands: Commands) -> Run:
 @_wrong("mass", "entrained_water", sizes=(0.1, 0.25, 0.5))
 def mass(vehicle: Vehicle, share: float) -> Vehicle:
     """The file has too little mass: (1 - s) m."""
-    return _with_value(vehicle, "m", lambda m: (1.0 - share) * m)
+    return _with_values(vehicle, ("m", "mx_g", "my_g", "mz_g"), lambda value: (1.0 - share) * value)
 
 
 @_wrong("centre", "added_mass_coupling", "entrained_water", sizes=(0.05, 0.1, 0.2), scale="length")
 def centre(vehicle: Vehicle, shift: float) -> Vehicle:
     """The file has the centre of gravity too far forward: x_g + s."""
-    return _with_value(vehicle, "x_g", lambda x: x + shift)
+    moment = shift * vehicle.value_of("m").value
+    return _with_values(vehicle, ("mx_g",), lambda value: value + moment)
 
 
 @_wrong("buoyancy", "net_buoyancy", sizes=(0.005, 0.015, 0.05))
 def buoyancy(vehicle: Vehicle, share: float) -> Vehicle:
-    """The file has too little buoyancy: (1 - s) B."""
-    return _with_value(vehicle, "B", lambda b: (1.0 - share) * b)
+    """The file has too little buoyancy and the right moment: (1 - s) B."""
+    return _with_values(vehicle, ("B",), lambda value: (1.0 - share) * value)
 
 
 @_wrong("righting-arm", "trim_offset", sizes=(0.2, 0.4, 0.6))
 def righting_arm(vehicle: Vehicle, share: float) -> Vehicle:
-    """The file has the centre of buoyancy too low: (1 - s) z_b."""
-    return _with_value(vehicle, "z_b", lambda z: (1.0 - share) * z)
+    """The file has the centre of buoyancy too low, and so too small a righting moment: (1 - s) S_z."""
+    return _with_values(vehicle, ("S_z",), lambda value: (1.0 - share) * value)
 
 
-def _with_value(vehicle: Vehicle, name: str, change: Callable[[float], float]) -> Vehicle:
-    known = vehicle.value_of(name)
-    return vehicle.with_values({name: replace(known, value=change(known.value))})
+def _with_values(vehicle: Vehicle, names: Sequence[str], change: Callable[[float], float]) -> Vehicle:
+    """The vehicle with those of the values changed that it has."""
+    known = {n: vehicle.values[n] for n in names if n in vehicle.values}
+    return vehicle.with_values({n: replace(v, value=change(v.value)) for n, v in known.items()})
 
 
 # --- channels -----------------------------------------------------------------------------------

@@ -93,7 +93,7 @@ SETS: dict[str, LogSet] = {
     "cse1-mixed-back": _ship(7),
     "cse1-waves": _ship(8),
     "cse1-waves-back": _ship(9),
-    "sf30k-6": replace(_rov(0), scales=_SF30K, injections=("righting-arm", "buoyancy", "current")),
+    "sf30k-6": replace(_rov(0), scales=_SF30K, injections=("righting-arm", "buoyancy", "current", "compass")),
     "sf30k-4": replace(
         _rov(1),
         scales=_SF30K,
