@@ -122,7 +122,7 @@ def test_the_effect_that_was_put_in_explains_all(name: str, ship: Vehicle, saile
     late = round(size / STEP) + 1 if name == "sensor-delay" else 0
     said, measured = reported(with_effect(vehicle, effect, values), run, true)
     # A supply that droops within a step is taken at its middle.
-    np.testing.assert_allclose(said[late:], measured[late:], atol=1e-6 if name == "droop" else 2e-7)
+    np.testing.assert_allclose(said[late:], measured[late:], atol=1e-5 if name == "droop" else 2e-7)
     # And without it something is to be explained.
     said, measured = reported(vehicle, run, true)
     assert np.nanmax(np.abs(said - measured)[late:]) > 1e-3
@@ -139,8 +139,8 @@ def test_commands_come_back_through_what_distorts_them(sailed: Run) -> None:
     np.testing.assert_allclose(wide - np.clip(wide, -0.3, 0.3), c, atol=1e-12)
     np.testing.assert_allclose(np.where(weak < 0, 0.6 * weak, weak), c, atol=1e-12)
     np.testing.assert_allclose(bent + 0.7 * np.abs(bent) * bent, c, atol=1e-12)
+    uneven = Run("uneven", sailed.t**1.1, sailed.channels)
     with pytest.raises(ValueError, match="uneven steps"):
-        uneven = Run("uneven", sailed.t**1.1, sailed.channels)
         INJECTIONS["command-delay"].run(uneven, 0.5, names)  # type: ignore[misc]
 
 
@@ -247,7 +247,7 @@ def test_goals_and_page_count_what_was_stored(tmp_path: Path) -> None:
     records = [record("baseline", Answer("unexplained")), record("injection", found), peers_said]
     assert all(goal.met for goal in goals(graded(records)))
     near, far = predictions(records, peers.GREY, peers.BLACK)
-    assert near.best == 0.1
+    assert near.error == 0.1
     assert near.met
     assert near.over(near.black) == 2.0
     assert far.met

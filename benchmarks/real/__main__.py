@@ -73,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     paging = commands.add_parser("page", help="the tables of a run")
     paging.add_argument("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
     paging.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    paging.add_argument("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
     return parser
 
 
@@ -138,10 +139,12 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace) -> int:
-    missing = [p for p in options.source if not p.is_file()]
+    earlier = [options.before] if options.before else []
+    missing = [p for p in [*options.source, *earlier] if not p.is_file()]
     if missing:
         raise ValueError(f"{missing[0]} is not there: give the file that run wrote")
-    text = page({r["id"]: r for p in options.source for r in records(p)}.values())
+    stored = {r["id"]: r for p in options.source for r in records(p)}
+    text = page(stored.values(), [r for p in earlier for r in records(p)])
     if options.out is None:
         print(text)
     else:

@@ -28,8 +28,8 @@ _GOALS = ("", "measured (95 % interval)", "goal", "")
 _CASE = ("case", "size", "error before → with the truth", "place", "verdict", "named", "s")
 
 
-def page(records: Iterable[Record]) -> str:
-    """The whole page, Markdown."""
+def page(records: Iterable[Record], earlier: Iterable[Record] = ()) -> str:
+    """The whole page, Markdown; answers for logs as they are stand beside those of an earlier run."""
     kept = list(records)
     cases, ahead = graded(kept), predictions(kept, GREY, BLACK)
     parts = [
@@ -38,7 +38,7 @@ def page(records: Iterable[Record]) -> str:
         "## Goals\n",
         table(_GOALS, [g.row for g in [*goals(cases), prediction_goal(ahead)]]),
         "## Every log as it is\n",
-        _as_logged(kept),
+        _as_logged(kept, earlier),
         "## Terms taken out\n",
         REMOVAL,
         _table([c for c in cases if c.record["kind"] == "removal"]),
@@ -56,6 +56,7 @@ def page(records: Iterable[Record]) -> str:
         _not_run(kept),
         "## All cases\n",
         _table([c for c in cases if c.record["kind"] == "injection"]),
+        seconds(kept),
         MAKING,
     ]
     return "\n".join(parts)
@@ -77,18 +78,29 @@ def errors(values: Sequence[float | None] | None) -> str:
 
 
 # --- the log as it is ---------------------------------------------------------------------------
-def _as_logged(records: Sequence[Record]) -> str:
-    own = [r for r in records if r["kind"] == "baseline" and "failure" not in r]
-    head = ("logs", "verdict", "named", "s ahead", *STAGES.values(), "s")
+def _as_logged(records: Sequence[Record], earlier: Iterable[Record]) -> str:
+    own = _baselines(records)
+    before = {r["vehicle"]: _before(r) for r in _baselines(earlier)}
+    head = ("logs", "verdict", "named", "before", "s ahead", *STAGES.values(), "s")
     rows = [
         [
-            f"{r['vehicle']} ({r['title']})", r["answer"]["verdict"], _named(r), _lengths(r),
+            f"{r['vehicle']} ({r['title']})", r["answer"]["verdict"], _named(r),
+            before.get(r["vehicle"], MISSING), _lengths(r),
             *(errors(r.get("errors", {}).get(stage)) for stage in STAGES), number(r["seconds"]),
         ]
         for r in own
     ]  # fmt: skip
     said = "\n".join(f"- {r['vehicle']}: {r['headline']}" for r in own)
-    return AS_LOGGED + table(head, rows, left=4) + "\nIn its own words:\n\n" + said + "\n"
+    return AS_LOGGED + table(head, rows, left=5) + "\nIn its own words:\n\n" + said + "\n"
+
+
+def _baselines(records: Iterable[Record]) -> list[Record]:
+    return [r for r in records if r["kind"] == "baseline" and "failure" not in r]
+
+
+def _before(record: Record) -> str:
+    """Verdict, names and seconds of an earlier run."""
+    return f"{record['answer']['verdict']}, {_named(record)}, {number(record['seconds'])} s"
 
 
 def _lengths(record: Record) -> str:
@@ -160,7 +172,7 @@ def _prediction(found: Sequence[Predicted]) -> str:
     wins = [p for p in found if p.over(p.black) > 1.0]
     lines = [
         f"- {p.logs}, {p.horizon:g} s: {min((e, n) for n, e in p.black.items() if e is not None)[1]} leaves "
-        f"{percent(p.best / p.over(p.black))}, ours {percent(p.best)}.\n"
+        f"{percent(p.error / p.over(p.black))}, ours {percent(p.error)}.\n"
         for p in wins
     ]
     told = "\nWhere a black box wins, which is what is still missing:\n\n" + "".join(lines) if wins else ""
@@ -217,7 +229,7 @@ logged with it. Beside each stands the answer for the log as it is.
 AS_LOGGED = """\
 Errors here and below: simulated velocities of the runs that were kept aside, in % of the motion (geometric
 mean over the degrees of freedom), from the measured state every so many seconds. A dash: it diverged, or
-there is none.
+there is none. Before: what was said before the changes of this version.
 
 """
 REMOVAL = f"""\
@@ -234,8 +246,8 @@ the log as it is. Where velocities are derived from the pose, a wrong pose is a 
 both names are right.
 """
 PREDICTION = """\
-The same windows of the same runs for all, fitted to the same training runs. The refitted model is the better
-of `undertow fit` and of the fit inside the diagnosis. Grey boxes: least squares on smoothed accelerations
+The same windows of the same runs for all, fitted to the same training runs. Refitted: by `undertow fit`; ours
+in the last columns is the model that the diagnosis ends with. Grey boxes: least squares on smoothed accelerations
 with linear thrusters, the best delay of the commands and products of two velocities; the polynomial of
 Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees (scikit-learn), and a
 linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**

@@ -138,19 +138,19 @@ class Predicted:
     black: dict[str, float | None]
 
     @property
-    def best(self) -> float:
-        """The best of the models that we give: refitted, or with what was found."""
-        return _least(self.ours.get(k) for k in ("refitted", "found"))
+    def error(self) -> float:
+        """Error of the model that the diagnosis ends with."""
+        return _least([self.ours.get("found")])
 
     def over(self, others: dict[str, float | None]) -> float:
         """Our error over the best of others; NaN where either is not there."""
         least = _least(others.values())
-        return self.best / least if least < float("inf") and self.best < float("inf") else float("nan")
+        return self.error / least if least < float("inf") and self.error < float("inf") else float("nan")
 
     @property
     def met(self) -> bool:
         """Whether ours is at most `AS_GOOD` of the best grey box."""
-        return self.best <= AS_GOOD * _least(self.grey.values())
+        return self.error <= AS_GOOD * _least(self.grey.values())
 
 
 def _least(errors: Iterable[float | None]) -> float:
@@ -168,14 +168,9 @@ def predictions(records: Iterable[Record], grey: Iterable[str], black: Iterable[
         for i, horizon in enumerate(peers["horizons"]):
             of = [{k: e[i] for k in names if (e := errors.get(k))} for errors, names in (
                 (own["errors"], STAGES), (peers["errors"], grey), (peers["errors"], black))]  # fmt: skip
-            # The file's own `fit`, which may end elsewhere than the fit inside a diagnosis.
-            of[0]["refitted"] = _or_none(_least([of[0].get("refitted"), peers["errors"]["undertow fit"][i]]))
+            of[0]["refitted"] = peers["errors"]["undertow fit"][i]
             found.append(Predicted(logs, horizon, *of))
     return found
-
-
-def _or_none(error: float) -> float | None:
-    return error if error < float("inf") else None
 
 
 def prediction_goal(found: Sequence[Predicted]) -> Goal:
