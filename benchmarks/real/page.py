@@ -247,9 +247,9 @@ both names are right.
 """
 PREDICTION = """\
 The same windows of the same runs for all, fitted to the same training runs. Refitted: by `undertow fit`; ours
-in the last columns is the model that the diagnosis ends with. Grey boxes: least squares on smoothed accelerations
-with linear thrusters, the best delay of the commands and products of two velocities; the polynomial of
-Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees (scikit-learn), and a
+in the last columns is the model that the diagnosis ends with. Grey boxes: least squares on smoothed
+accelerations with linear thrusters, the best delay of the commands and products of two velocities; the
+polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and a
 linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**
 marks where ours is not below 0.95 of the best grey box.
 """

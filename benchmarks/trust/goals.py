@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .cases import COMPLETE
+from .cases import COMPLETE, HARD
 from .tally import VISIBLE, Scored, Share, of_kind, share
 
 WHOLE_CATALOGUE_SECONDS = 30.0
@@ -71,7 +71,7 @@ def _found(cases: Sequence[Scored]) -> list[Goal]:
 def _silent(cases: Sequence[Scored]) -> list[Goal]:
     complete = of_kind(cases, "complete")
     found = [at_most("complete models: false alarms", share(complete, lambda c: c.answer.claims), 0.01)]
-    for label in COMPLETE:
+    for label in (*COMPLETE, *HARD):
         own = [c for c in complete if c.record["label"] == label]
         found.append(at_most(f"– {label}", share(own, lambda c: c.answer.claims), 0.01))
     return found
@@ -106,7 +106,7 @@ def _costs(cases: Sequence[Scored]) -> list[Goal]:
 
 
 def _time(cases: Sequence[Scored]) -> Goal:
-    six = [c.record for c in cases if len(c.record["motions"]) == 6]
+    six = [c.record for c in cases if len(c.record["motions"]) == 6 and c.record["variant"] != "20min"]
     # The goal is for two cores; cases that ran side by side had one each.
     cores = max((r.get("cores", 1) for r in six), default=1)
     seconds = [r["seconds"] for r in six if r.get("cores", 1) == cores]
