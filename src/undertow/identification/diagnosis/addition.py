@@ -21,7 +21,7 @@ from undertow.identification.diagnosis.trial import (
 )
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.output_error import NO_WORSE, final_fit, horizon_error
+from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
@@ -95,7 +95,7 @@ class Addition:
         """
         before, after = self.ahead
         explains = self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
-        return after < (1.0 + NO_WORSE if explains else 1.0 - DEFAULT.worth_adding) * before
+        return after < (1.0 + NO_WORSE if explains else 1.0 - DEFAULT.worth) * before
 
 
 def set_up_addition(
@@ -174,7 +174,7 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
 
 def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
     # What `fit` ends with, from where it begins: both commands give the same model.
-    fit, base = (final_fit(f, setup.train, setup.test) for f in (weak, setup.bench.base))
+    fit, base = (setup.validator.final(f)[0] for f in (weak, setup.bench.base))
     without, with_it = (float(horizon_error([f], setup.test)[0]) for f in (base, fit))
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.free)

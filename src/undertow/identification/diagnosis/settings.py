@@ -133,11 +133,6 @@ class Settings:
         off=1,
         one_case="micro-auv:tether_drag+constant_force:x1:n1:closed:plain:89518168",
     )
-    worth_adding: float = _number(
-        0.1,
-        "share by which the error of prediction has to fall for an effect that forces do not show",
-        _LEVEL,
-    )
     closer_steps: int = _number(2, "Gauss-Newton steps before several starts are compared", _DEVELOPMENT)
     line_periods: float = _number(
         3.0, "periods in the longest run from which a frequency is no trend", _DEVELOPMENT
