@@ -68,6 +68,25 @@ class Worth:
         _, *longer = sorted(self.falls)
         return not self.worse and any(self.falls[h] > 0.0 and self.largest[h] >= least for h in longer)
 
+    def something(self, least: float) -> bool:
+        """Whether predictions over any horizon get better by as much as matters."""
+        return max(self.largest.values()) >= least
+
+
+def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
+    """How often each candidate predicts best when the windows are drawn anew, shape (len(candidates),).
+
+    candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    """
+    rng = np.random.default_rng(settings.seed)
+    total = np.zeros((settings.resamples, len(candidates)))
+    for horizon in candidates[0]:
+        count = len(candidates[0][horizon])
+        weight = rng.multinomial(count, np.full(count, 1.0 / count), settings.resamples) / count
+        squares = np.stack([weight @ c[horizon] for c in candidates], axis=1)
+        total += np.mean(np.log(np.maximum(squares, 1e-12)), axis=2)
+    return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
+
 
 # --- whether it says the same everywhere ----------------------------------------------------------
 @dataclass(frozen=True)
@@ -96,9 +115,9 @@ class Agreement:
         mean = float(np.sum(weight * self.value) / weight.sum())
         return float(np.sum(weight * (self.value - mean) ** 2))
 
-    def doubt(self, settings: Settings = DEFAULT) -> str:
-        """How the parts disagree, in words; empty where they agree."""
-        if len(self.value) < 2 or chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
+    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
+        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
+        if among * chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
             return ""
         if self.spread < settings.size_change:
             return ""
@@ -117,7 +136,10 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
     kinds = {
         "runs": _numbered([_runs(data) for _, data in pairs]),
         "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
-        "speeds": _levels(np.concatenate([_speeds(data) for _, data in pairs]), bench.settings),
+    }
+    kinds |= {
+        f"levels of {name}": _levels(np.concatenate(values), bench.settings)
+        for name, values in _signals([data for _, data in pairs]).items()
     }
     found = [_agreement(over, before, change, part, block, bench.settings) for over, part in kinds.items()]
     return [a for a in found if len(a.value) > 1]
@@ -133,7 +155,7 @@ def _agreement(
     table = np.zeros((int(part.max()) + 1, int(block.max()) + 1))
     np.add.at(table, (part, block), score)
     error = np.sqrt(np.maximum(np.sum(table**2, axis=1), power)) / np.maximum(power, 1e-300)
-    known = (power > 0.0) & (error < settings.size_error)
+    known = (power > 0.0) & (error < settings.part_error)
     return Agreement(over, size[known], error[known])
 
 
@@ -161,15 +183,24 @@ def _times(data: WeakData, settings: Settings) -> Index:
     return _per_row(data, shares).astype(np.intp)
 
 
-def _speeds(data: WeakData) -> Array:
-    """Speed at the test functions, each velocity in units of its standard deviation."""
-    half = len(data.names) // 2
-    spread = np.nanstd(np.vstack([s.measured[:, half:] for s in data.segments]), axis=0)
-    found = []
-    for s in data.segments:
-        speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
-        found.append(np.interp(s.functions.centre, s.t, speed))
-    return _per_row(data, found)
+def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
+    """Motion and commands, and the speed in units of each velocity's scatter, in the rows of each data."""
+    names, commands = data[0].names, data[0].commands
+    half = len(names) // 2
+    spread = np.nanstd(np.vstack([s.measured[:, half:] for d in data for s in d.segments]), axis=0)
+    found: dict[str, list[Array]] = {}
+    for d in data:
+        rows: dict[str, list[Array]] = {}
+        for s in d.segments:
+            table = np.column_stack([s.measured, s.u])
+            speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
+            for name, values in (*zip((*names, *commands), table.T, strict=True), ("the speed", speed)):
+                if name not in ("x", "y") and np.isfinite(values).all():
+                    rows.setdefault(name, []).append(np.interp(s.functions.centre, s.t, values))
+        for name, values in rows.items():
+            if len(values) == len(d.segments):
+                found.setdefault(name, []).append(_per_row(d, values))
+    return {name: values for name, values in found.items() if len(values) == len(data)}
 
 
 def _levels(values: Array, settings: Settings) -> Index:
@@ -272,27 +303,34 @@ class _Selector:
         """The best candidate that is worth adding, with what does as well; an established one leads."""
         bench = current.bench
         before = self._validator.squares_ahead(bench.base)
-        worthy = {}
+        helping = {}
         for finding in (f for f in current.findings if f.significant):
             worth = Worth.of(before, self._validator.squares_ahead(finding.trial.fit), self._settings)
-            if worth.enough(self._settings.worth):
-                worthy[finding.id] = finding, worth
+            if worth.something(self._settings.worth):
+                helping[finding.id] = finding, worth
+        leading, near = self._leading([f for f, _ in helping.values()], bench)
+        worthy = [f for f in leading if helping[f.id][1].enough(self._settings.worth)]
         if not worthy:
             return None
-        leading, near = self._leading([f for f, _ in worthy.values()], bench)
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)}
-        chosen = next((f for f in leading if not doubts[f.id]), leading[0])
+        chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
         doubt = doubts[chosen.id]
-        return Graded(chosen, [] if doubt else rivals, worthy[chosen.id][1], doubt)
+        return Graded(chosen, [] if doubt else rivals, helping[chosen.id][1], doubt)
 
     def _leading(
         self, findings: list[FoundEffect], bench: Bench
     ) -> tuple[list[FoundEffect], list[FoundEffect]]:
         """The candidates of which one is the best in nearly all resamples, the best first; and others that
         the data do not tell from that.
+
+        Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
         """
-        often = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
+        if not findings:
+            return [], []
+        by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
+        ahead = [self._validator.squares_ahead(f.trial.fit) for f in findings]
+        often = 0.5 * (by_residual + best_in_resamples(ahead, self._settings))
         order = np.argsort(-often, kind="stable")
         enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
         leading = [findings[k] for k in order[:enough]]
@@ -301,8 +339,10 @@ class _Selector:
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
-        disagreements = [a.doubt(self._settings) for a in agreements(finding, bench)]
-        if words := next(filter(None, disagreements), ""):
+        parts = agreements(finding, bench)
+        if not parts:
+            return "no part of the logs by itself shows how large it is"
+        if words := next(filter(None, (a.doubt(self._settings, len(parts)) for a in parts)), ""):
             return words
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
