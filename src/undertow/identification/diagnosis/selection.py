@@ -212,14 +212,17 @@ def _levels(values: Array, settings: Settings) -> Index:
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
     """Velocities, pose and commands that what an effect adds to the equations depends on.
 
-    Of an effect of the sensors they are the velocities, of one of the actuators the commands.
+    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
+    force depends on none.
     """
     symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
     there = (*base.velocity_names, *base.pose_names, *base.command_names)
     if found := tuple(n for n in there if n in names):
         return found
-    return base.velocity_names if issubclass(candidate.effect, Measurement) else base.command_names
+    if issubclass(candidate.effect, Measurement):
+        return base.velocity_names
+    return base.command_names if candidate.effect.family == "actuation" else ()
 
 
 # --- the selection --------------------------------------------------------------------------------
@@ -347,6 +350,8 @@ class _Selector:
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
         variables = own_variables(finding.trial.candidate, *vehicles)
+        if not variables:
+            return ""
         share = captured(bench.base, fit, bench.train, bench.test, variables)
         if share < self._settings.named_share:
             return (
