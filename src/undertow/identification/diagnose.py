@@ -292,7 +292,12 @@ class ResultBuilder:
             significant=finding.significant and self.judgement.verdict != "adequate",
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+            not_named=self._reason(finding.id),
         )
+
+    def _reason(self, effect: str) -> str:
+        claimed = {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
+        return "" if self._selection is None or effect in claimed else self._selection.reasons.get(effect, "")
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
