@@ -247,6 +247,9 @@ class Settings:
     best_share: float = _number(
         0.9, "share of the resamples in which the named effect, or one of a set, is the best", _LEVEL, off=0.0
     )
+    part_error: float = _number(
+        0.5, "standard error of the size of an effect up to which a part of the logs counts", "two to one"
+    )
     size_parts: int = _number(
         4, "parts of a run, and levels of speed, between which the size of an effect is compared", "quarters"
     )
