@@ -32,7 +32,8 @@ class ReferenceSettings:
     # Test functions that are averaged over, and the mean square over that of noise from which it is enough.
     widths: tuple[int, ...] = (1, 2, 4, 8, 16)
     stands_out: float = 2.0
-    # Time constants of the lags through which signals are seen as well, in distances of test functions.
+    # Time constants of the lags through which commands are seen as well, in distances of test functions. What
+    # the velocities were before, beside what they are, would show the acceleration, and so any disturbance.
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
     folds: int = 5  # stretches of the training data, each of which is predicted from the others
     # Weights of the squared coefficients of standardised columns, per row of data.
@@ -119,7 +120,7 @@ class _Signals:
         further = [n for n in logs[0].further if all(n in log.further for log in logs)]
         pose = measured_pose(logs[1].rows.data)
         terms = [c for t in terms_of(logs[0].vehicle, pose) for c in t.columns if c and "t" not in c]
-        lagged = [_lagged(n, log) for n in logs[0].moving for log in logs[0].lags]
+        lagged = [_lagged(n, log) for n in logs[0].rows.data.commands for log in logs[0].lags]
         columns = [*terms, *_angles(further), *((n,) for n in (*further, *lagged))]
         allowed = set(variables) if variables is not None else None
         kept = [c for c in columns if _uses(c, allowed)]
@@ -151,7 +152,6 @@ class _Log:
         self.vehicle = fit.model.functions.vehicle
         self.clock = Clock.of(data)
         self.lags = [lag * self.clock.step for lag in settings.lags]
-        self.moving = (*self.vehicle.velocity_names, *data.commands)
         self._tables: dict[int, list[Array]] = {}
 
     @property
@@ -166,29 +166,18 @@ class _Log:
         """Columns averaged as forces are, (K - width + 1, q) in every segment."""
         if width not in self._tables:
             self._tables[width] = [
-                (
-                    sliding(s.functions.count, width)
-                    @ tested(s, self._with_lags(s, along, width), signals.columns)
-                )
+                (sliding(s.functions.count, width) @ tested(s, self._with_lags(s, along), signals.columns))
                 for s, along, _ in self.rows.along
             ]
         return self._tables[width]
 
-    def _with_lags(self, s: Segment, along: Along, width: int) -> Along:
-        """The signals with the further ones and what they were some time ago.
-
-        Velocities are delayed by as long as the averages last: the noise of the force is that of velocities
-        differentiated, and what came earlier in the average goes with it.
-        """
+    def _with_lags(self, s: Segment, along: Along) -> Along:
+        """The signals with the further ones, and with the commands after each lag."""
         run = self.rows.data.runs[s.run]
-        values = dict(along.values)
-        values |= {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
+        values = along.values | {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
         step = float(np.median(np.diff(s.t)))
-        late = (width + 3) * self.clock.step
-        for name in self.moving:
-            command = name in along.commands
-            signal = along.commands[name] if command else np.interp(s.t - late, s.t, along.values[name])
-            values |= {_lagged(name, lag): _filtered(signal, step / lag) for lag in self.lags}
+        for name, command in along.commands.items():
+            values |= {_lagged(name, lag): _filtered(command, step / lag) for lag in self.lags}
         return Along(values, along.commands)
 
 
