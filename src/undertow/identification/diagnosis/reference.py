@@ -45,6 +45,7 @@ class ReferenceSettings:
     learning_rate: float = 0.1
     most_rows: int = 5000  # rows that are learned from; of longer logs every second, third, ... is
     level: float = 0.95  # of the intervals
+    least_share: float = 0.05  # predicted share below which nothing is worth a name
 
 
 SETTINGS = ReferenceSettings()
@@ -67,7 +68,8 @@ def predictable(
     """How much of the residual force of every degree of freedom depends on what was logged.
 
     Ridge regression on the signals and their products, and boosted trees on what that leaves, whichever
-    predicts stretches of the training data better; judged on the validation data.
+    predicts stretches of the training data better; judged on the validation data. What other values of the
+    model's own parameters would predict as well does not count.
 
     Parameters
     ----------
@@ -195,6 +197,7 @@ class _Table:
     noise: float  # mean square that the sensors give to it
     inertia: Array  # (K,) mass times acceleration
     signals: Array  # (K, q)
+    own: Array  # (K, n_free) derivative in the parameters of the model
     row: Index  # (K,) place of the middle among the rows of the data
 
     @property
@@ -221,29 +224,36 @@ class _Force:
         return width
 
     def _table(self, log: _Log, row: ForceRow) -> _Table:
-        width = self._width
+        width, weight = self._width, row.weight * self._width
         parts, first = [], 0
-        tables = log.rows.along, row.averaged(width), log.table(self._signals, width), log.rows.mass
-        for (s, _, _), (force, noise), signals, mass in zip(*tables, strict=True):
-            groups = sliding(len(mass), width)
+        tables = (
+            log.rows.along,
+            row.parts,
+            row.averaged(width),
+            log.table(self._signals, width),
+            log.rows.mass,
+        )
+        for (s, _, _), part, (force, noise), signals, mass in zip(*tables, strict=True):
+            groups = sliding(len(mass), width) / weight
             moved = np.sum(mass[:, self._dof] * -(s.functions.rate @ s.measured[:, mass.shape[1] :]), axis=1)
             place = first + width // 2 + np.arange(len(force))
-            parts.append((-force, noise, groups @ moved / (row.weight * width), signals, place))
+            parts.append((-force, noise, groups @ moved, signals / weight, -(groups @ part.J), place))
             first += len(mass)
-        force, noise, inertia, signals, place = (np.concatenate(c) for c in zip(*parts, strict=True))
-        weight = row.weight * width
-        return _Table(force, float(np.mean(noise)), inertia, signals / weight, place)
+        force, noise, inertia, signals, own, place = (np.concatenate(c) for c in zip(*parts, strict=True))
+        return _Table(force, float(np.mean(noise)), inertia, signals, own, place)
 
     def result(self) -> Predictability:
         """What can be predicted, on the validation data."""
         learned, judged = (self._table(*pair) for pair in zip(self._logs, self._rows, strict=True))
         predict = Learner(self._settings, self._signals.single, self._width).learned(learned)
-        left = judged.force - predict(judged.signals)
+        other_values = judged.force - judged.own @ _other_values(learned)
+        before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
         square = max(judged.square, 1e-300)
-        share, interval = self._share(judged, left)
-        noise_share = min(judged.noise / square, 1.0)
-        beyond = square * max(1.0 - noise_share - share, 0.0)
+        after = judged.force - predict(judged.signals)
+        share, interval = self._share(judged, before, after)
+        unexplained = min(float(np.mean(before**2)), float(np.mean(after**2))) - judged.noise
         vehicle = self._logs[0].vehicle
+        something = interval[0] > 0.0 and share > self._settings.least_share
         return Predictability(
             degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
             unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
@@ -251,22 +261,22 @@ class _Force:
             residual_rms=float(np.sqrt(judged.square)),
             share=share,
             interval=interval,
-            noise_share=noise_share,
-            disturbance_rms=float(np.sqrt(beyond)),
+            something=something,
+            noise_share=min(judged.noise / square, 1.0),
+            disturbance_rms=float(np.sqrt(max(unexplained, 0.0))),
             of_motion=square / max(float(np.mean(judged.inertia**2)), 1e-300),
-            variables=self._needed(predict, judged) if interval[0] > 0 else {},
+            variables=self._needed(predict, judged) if something else {},
         )
 
-    def _share(self, judged: _Table, left: Array) -> tuple[float, tuple[float, float]]:
-        """Share of the mean square that was predicted, and its interval from independent blocks."""
+    def _share(self, judged: _Table, before: Array, after: Array) -> tuple[float, tuple[float, float]]:
+        """Share of the mean square that is predicted, and its interval from independent blocks."""
         log = self._logs[1]
         block = log.clock.blocks(forgetful(judged.force, log.rows.data))[judged.row]
         number = np.unique(block, return_inverse=True)[1]
-        before, after = (np.bincount(number, a**2) for a in (judged.force, left))
-        total, others = max(float(np.sum(before)), 1e-300), max(len(before) - 1, 1)
-        share = 1.0 - float(np.sum(after)) / total
-        scatter = before - after - share * before
-        error = float(np.sqrt(len(before) / others * np.sum(scatter**2))) / total
+        whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
+        total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)
+        share = float(np.sum(fall)) / total
+        error = float(np.sqrt(len(whole) / others * np.sum((fall - share * whole) ** 2))) / total
         reach = float(student.ppf(0.5 + self._settings.level / 2, others)) * error
         low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
         return middle, (low, high)
@@ -285,6 +295,12 @@ class _Force:
             found[name] = float(lost / judged.square)
         ordered = sorted(found.items(), key=lambda item: -item[1])
         return {name: lost for name, lost in ordered if lost > 0.01}
+
+
+def _other_values(table: _Table) -> Array:
+    """Change of the model's parameters that suits the training data best in this one equation."""
+    size = np.maximum(np.linalg.norm(table.own, axis=0), 1e-300)
+    return np.asarray(np.linalg.lstsq(table.own / size, table.force, rcond=1e-6)[0] / size)
 
 
 class Learner:

@@ -173,11 +173,12 @@ class BetweenRuns(ResultTable):
 class Predictability(ResultTable):
     """How much of a residual force a flexible function of the logged signals predicts on validation data.
 
-    Shares are of `residual_rms`, squared: the force averaged over `averaged_over` s, N or N m. `share` has
-    its 95 % interval from blocks of validation data, `noise_share` is that of the noise of the sensors, and
-    `disturbance_rms` what neither explains. `of_motion` is the residual's mean square over that of inertia
-    times acceleration. `variables` are the signals that the prediction needs: the part of the residual that
-    is lost without each of them, the largest first.
+    Shares are of `residual_rms`, squared: the force averaged over `averaged_over` s, N or N m. `share` is
+    what is predicted beyond what other values of the model's parameters would predict, with its 95 % interval
+    from blocks of the validation data; `something` says whether that is more than chance and worth a name.
+    `noise_share` is that of the noise of the sensors, `disturbance_rms` what nothing explains. `of_motion` is
+    the residual's mean square over that of inertia times acceleration. `variables` are the signals that the
+    prediction needs: the part of the residual that is lost without each of them, the largest first.
     """
 
     degree_of_freedom: str
@@ -186,15 +187,11 @@ class Predictability(ResultTable):
     residual_rms: float
     share: float
     interval: tuple[float, float]
+    something: bool
     noise_share: float
     disturbance_rms: float
     of_motion: float
     variables: dict[str, float]
-
-    @property
-    def something(self) -> bool:
-        """Whether more than chance can be predicted."""
-        return self.interval[0] > 0.0
 
 
 class Remaining(ResultTable):
