@@ -88,15 +88,49 @@ def predictable(
     list of Predictability
         In the order of the vehicle's degrees of freedom.
     """
-    import sklearn.ensemble  # takes long to import, and brings the threads that are limited below
-    from threadpoolctl import threadpool_limits
-
-    assert sklearn.ensemble
     vehicle = fit.model.functions.vehicle
-    with threadpool_limits(1):
+    with _one_thread():
         logs = [_Log(fit, data, settings) for data in (train, test)]
         signals = _Signals.common(logs, variables)
         return [_Force(logs, signals, i, settings).result() for i in range(len(vehicle.dof_indices))]
+
+
+def captured(
+    base: Fitted,
+    fit: Fitted,
+    train: WeakData,
+    test: WeakData,
+    variables: Sequence[str],
+    settings: ReferenceSettings = SETTINGS,
+) -> float:
+    """Share of what a flexible function of some variables explains that an effect explains.
+
+    One where nothing of what the effect leaves depends on them. Degrees of freedom count by how much the
+    effect explains in them: what else may be missing in the others is no matter of this effect.
+
+    Parameters
+    ----------
+    base, fit : Fitted
+        The model without the effect and with it.
+    train, test : WeakData
+        What is learned from, and what is judged by.
+    variables : sequence of str
+        Variables of the effect.
+    """
+    with _one_thread():
+        logs = [_Log(fit, data, settings) for data in (train, test)]
+        signals = _Signals.common(logs, variables)
+        without = ForceRows(base, test)
+        shares, weights = [], []
+        for dof in range(len(fit.model.functions.vehicle.dof_indices)):
+            force = _Force(logs, signals, dof, settings)
+            left = force.result()
+            before = force.square_of(without)
+            gained = max(before - left.residual_rms**2, 0.0)
+            lost = left.interval[0] * left.residual_rms**2
+            shares.append(gained / max(gained + lost, 1e-300))
+            weights.append(gained / max(before, 1e-300))
+    return float(np.average(shares, weights=weights)) if sum(weights) > 0.0 else 0.0
 
 
 @contextmanager
@@ -241,6 +275,11 @@ class _Force:
             first += len(mass)
         force, noise, inertia, signals, own, place = (np.concatenate(c) for c in zip(*parts, strict=True))
         return _Table(force, float(np.mean(noise)), inertia, signals, own, place)
+
+    def square_of(self, rows: ForceRows) -> float:
+        """Mean square of another model's residual, averaged over as long as this one's."""
+        parts = [force for force, _ in rows.row(self._dof).averaged(self._width)]
+        return float(np.mean(np.concatenate(parts) ** 2))
 
     def result(self) -> Predictability:
         """What can be predicted, on the validation data."""

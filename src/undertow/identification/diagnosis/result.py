@@ -9,7 +9,14 @@ from pydantic import Field
 from undertow.identification.doctor.findings import Finding, ResultTable
 
 SCHEMA = "undertow/diagnosis/1"
-Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]
+Verdict = Literal[
+    "adequate",
+    "missing_effect",
+    "indistinguishable",
+    "helps_prediction",
+    "unexplained",
+    "not_identifiable",
+]
 
 
 class RunInfo(ResultTable):
@@ -251,8 +258,24 @@ class Remaining(ResultTable):
     summary: str = ""
 
 
+class AddedEffect(ResultTable):
+    """An effect that was added where more than noise is left.
+
+    `falls` is the fall of the error of predicted velocities by horizon, as a share of it; `doubt` says why
+    the effect is not established as the cause, and is empty where it is.
+    """
+
+    effect: str
+    falls: dict[str, float]
+    doubt: str
+
+
 class Diagnosis(ResultTable):
-    """Outcome of `undertow diagnose`."""
+    """Outcome of `undertow diagnose`.
+
+    `effects` are those that are named, `helps` those that lower the error of predictions without being
+    established as the cause; `added` says of both what they are worth.
+    """
 
     schema_id: str = SCHEMA
     undertow: str
@@ -263,6 +286,8 @@ class Diagnosis(ResultTable):
     verdict: Verdict
     headline: str
     effects: list[str]
+    helps: list[str] = Field(default_factory=list)
+    added: list[AddedEffect] = Field(default_factory=list)
     ranking: list[Ranked]
     steps: list[Step]
     indistinguishable: list[Indistinguishable]
@@ -285,4 +310,4 @@ class Diagnosis(ResultTable):
     @property
     def last_step(self) -> Step:
         """The model as it is handed on: with the effects that are named, or with none of those tried."""
-        return self.steps[-1] if self.effects else [s for s in self.steps if not s.added][-1]
+        return [s for s in self.steps if set(s.added) <= set(self.effects)][-1]
