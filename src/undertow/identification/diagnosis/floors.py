@@ -43,7 +43,7 @@ def noise_floors(fit: Fitted, data: WeakData) -> Floors:
     sensors' noise in it, which is known.
     """
     vehicle, rows = fit.model.functions.vehicle, ForceRows(fit, data)
-    stated = [stated_disturbance(run) for run in data.runs]
+    stated = [stated_disturbance(run.mapping) for run in data.runs if run.mapping is not None]
     disturbances = []
     for i, place in enumerate(vehicle.dof_indices):
         rms, seconds = disturbance_of(rows.row(i), Clock.of(data).step)

@@ -145,6 +145,7 @@ def run_of_table(
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}.union(table.columns)
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
+    stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
         read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
@@ -275,11 +276,10 @@ def _stated_noise(sources: dict[str, Column], mapping: LogMapping, where: str) -
     return found
 
 
-def stated_disturbance(run: Run) -> dict[str, float]:
-    """Disturbance, rms in N or N m, that the mapping file of a run states, by force (X, Y, Z, K, M, N)."""
-    given = run.mapping.disturbance if run.mapping is not None else {}
+def stated_disturbance(mapping: LogMapping, where: str = "mapping file") -> dict[str, float]:
+    """Disturbance, rms in N or N m, that a mapping file states, by force (X, Y, Z, K, M, N)."""
     units = dict(zip(FORCE, FORCE_UNITS, strict=True))
-    return {n: magnitude(v, units[n], f"run {run.name!r}: disturbance {n}") for n, v in given.items()}
+    return {n: magnitude(v, units[n], f"{where}: disturbance {n}") for n, v in mapping.disturbance.items()}
 
 
 def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
