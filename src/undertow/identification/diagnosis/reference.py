@@ -6,10 +6,11 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
@@ -49,6 +50,7 @@ class ReferenceSettings:
 
 
 SETTINGS = ReferenceSettings()
+_Fold = tuple[Flags, Index]  # rows to learn from, and those that are held out
 _LAGGED = re.compile(r" filtered over .* s$")
 
 
@@ -67,8 +69,8 @@ def predictable(
 ) -> list[Predictability]:
     """How much of the residual force of every degree of freedom depends on what was logged.
 
-    Ridge regression on the signals and their products, and boosted trees on what that leaves, whichever
-    predicts stretches of the training data better; judged on the validation data. What other values of the
+    Ridge regressions on the signals and their products, and boosted trees on what these leave, as far as they
+    predict held-out stretches of the training data; judged on the validation data. What other values of the
     model's own parameters would predict as well does not count.
 
     Parameters
@@ -145,10 +147,10 @@ def _one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Signals:
-    """Columns that are learned from, and which of them are single signals."""
+    """Columns that are learned from, and choices among them; the first are the signals one by one."""
 
     columns: list[Column]
-    single: Index
+    choices: tuple[Index, ...]
 
     @classmethod
     def common(cls, logs: Sequence[_Log], variables: Sequence[str] | None) -> _Signals:
@@ -157,10 +159,18 @@ class _Signals:
         pose = measured_pose(logs[1].rows.data)
         terms = [c for t in terms_of(logs[0].vehicle, pose) for c in t.columns if c and "t" not in c]
         lagged = [_lagged(n, log) for n in logs[0].rows.data.commands for log in logs[0].lags]
-        columns = [*terms, *_angles(further), *((n,) for n in (*further, *lagged))]
+        through_water = [
+            (f"{wave}({angle})", factor)
+            for wave, angle in product(("sin", "cos"), ("psi",) if "psi" in pose else ())
+            for name in logs[0].vehicle.velocity_names
+            for factor in (name, f"|{name}|")
+        ]
+        columns = [*terms, *through_water, *_angles(further), *((n,) for n in (*further, *lagged))]
         allowed = set(variables) if variables is not None else None
         kept = [c for c in columns if _uses(c, allowed)]
-        return cls(kept, np.array([k for k, c in enumerate(kept) if _is_single(c)], dtype=np.intp))
+        smaller = {*kept} - {*through_water}
+        choices = ([_is_single(c) for c in kept], [c in smaller for c in kept], [True] * len(kept))
+        return cls(kept, tuple(np.flatnonzero(c) for c in choices))
 
 
 def _angles(names: Sequence[str]) -> list[Column]:
@@ -284,7 +294,7 @@ class _Force:
     def result(self) -> Predictability:
         """What can be predicted, on the validation data."""
         learned, judged = (self._table(*pair) for pair in zip(self._logs, self._rows, strict=True))
-        predict = Learner(self._settings, self._signals.single, self._width).learned(learned)
+        predict = Learner(self._settings, self._signals.choices, self._width).learned(learned)
         other_values = judged.force - judged.own @ _other_values(learned)
         before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
         square = max(judged.square, 1e-300)
@@ -343,43 +353,64 @@ def _other_values(table: _Table) -> Array:
 
 
 class Learner:
-    """Ridge regression, and boosted trees on what it leaves, as far as they predict held-out stretches."""
+    """Ridge regressions, and boosted trees on what they leave, as far as they predict held-out stretches.
 
-    def __init__(self, settings: ReferenceSettings, single: Index, width: int) -> None:
-        self._settings, self._single, self._gap = settings, single, width + 3
+    The regressions on few columns and on many are mixed with the weights, none negative, with which the
+    held-out stretches are predicted best (stacking; Breiman, Machine Learning 24, 1996, 49-64).
+    """
+
+    def __init__(self, settings: ReferenceSettings, choices: Sequence[Index], width: int) -> None:
+        self._settings, self._choices, self._gap = settings, choices, width + 3
+        self._single = choices[0]
 
     def learned(self, table: _Table) -> Callable[[Array], Array]:
         """Function from signals (K, q) to the force (K,)."""
         step = -(-len(table.force) // self._settings.most_rows)
         y, X = table.force[::step], table.signals[::step]
-        folds = [*self._folds(len(y), -(-self._gap // step))]
         if len(y) < 2 * self._settings.folds * self._settings.fewest_in_leaf or not X.shape[1]:
             mean = float(np.mean(y)) if len(y) else 0.0
             return lambda signals: np.full(len(signals), mean)
-        held_out = [(Ridge(X[kept], y[kept]), kept, out) for kept, out in folds]
-        squares = [
-            sum(np.sum((y[out] - ridge.predict(X[out], a)) ** 2) for ridge, _, out in held_out)
-            for a in self._settings.penalties
-        ]
-        penalty = self._settings.penalties[int(np.argmin(squares))]
-        trees = self._trees(X, y, held_out, penalty)
-        ridge = Ridge(X, y)
-        if not trees:
-            return lambda signals: ridge.predict(signals, penalty)
-        boosted = self._boosted(X[:, self._single], y - ridge.predict(X, penalty), trees)
-        return lambda signals: ridge.predict(signals, penalty) + boosted.predict(signals[:, self._single])
+        folds = [*self._folds(len(y), -(-self._gap // step))]
+        found = [self._ridge(X[:, columns], y, folds) for columns in self._choices]
+        # By stretch that is held out, what the regressions without it say of all rows.
+        said = np.array([each for _, each in found])
+        held_out = np.column_stack([said[:, i, out] for i, (_, out) in enumerate(folds)]).T
+        weights = nnls(held_out, y)[0]
+        trees = self._trees(X, y - np.tensordot(weights, said, 1), folds)
+        regressions = [(w, ridge, c) for w, (ridge, _), c in zip(weights, found, self._choices, strict=True)]
 
-    def _trees(
-        self, X: Array, y: Array, held_out: Sequence[tuple[Ridge, Flags, Index]], penalty: float
-    ) -> int:
-        """Trees with which held-out stretches are predicted best, or none."""
+        def mixed(signals: Array) -> Array:
+            return np.asarray(sum(w * ridge(signals[:, c]) for w, ridge, c in regressions))
+
+        if not trees:
+            return mixed
+        boosted = self._boosted(X[:, self._single], y - mixed(X), trees)
+        return lambda signals: mixed(signals) + boosted.predict(signals[:, self._single])
+
+    def _ridge(self, X: Array, y: Array, folds: Sequence[_Fold]) -> tuple[Callable[[Array], Array], Array]:
+        """Ridge regression with the best penalty, and without each fold what it says of all rows."""
+        without = [Ridge(X[kept], y[kept]) for kept, _ in folds]
+        penalty = min(
+            self._settings.penalties,
+            key=lambda a: sum(
+                float(np.sum((y[out] - ridge.predict(X[out], a)) ** 2))
+                for ridge, (_, out) in zip(without, folds, strict=True)
+            ),
+        )
+        whole = Ridge(X, y)
+        return lambda table: whole.predict(table, penalty), np.array([r.predict(X, penalty) for r in without])
+
+    def _trees(self, X: Array, left: Array, folds: Sequence[_Fold]) -> int:
+        """Trees with which held-out stretches are predicted best, or none.
+
+        `left` (folds, K) is what the regressions leave that did not see the fold.
+        """
         square = np.zeros(self._settings.trees + 1)
-        for ridge, kept, out in held_out:
-            left = y - ridge.predict(X, penalty)
-            boosted = self._boosted(X[kept][:, self._single], left[kept], self._settings.trees)
-            square[0] += np.sum(left[out] ** 2)
+        for y, (kept, out) in zip(left, folds, strict=True):
+            boosted = self._boosted(X[kept][:, self._single], y[kept], self._settings.trees)
             stages = np.array([*boosted.staged_predict(X[out][:, self._single])])
-            square[1:] += np.sum((left[out] - stages) ** 2, axis=1)
+            square[0] += np.sum(y[out] ** 2)
+            square[1:] += np.sum((y[out] - stages) ** 2, axis=1)
         return int(np.argmin(square))
 
     def _boosted(self, X: Array, y: Array, trees: int) -> Any:
@@ -394,7 +425,7 @@ class Learner:
             early_stopping=False,
         ).fit(X, y)
 
-    def _folds(self, count: int, gap: int) -> Iterator[tuple[Flags, Index]]:
+    def _folds(self, count: int, gap: int) -> Iterator[_Fold]:
         """Rows to learn from and stretch to be predicted, which no average has a part in."""
         edges = np.linspace(0, count, self._settings.folds + 1).astype(int)
         place = np.arange(count)
