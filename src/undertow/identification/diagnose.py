@@ -33,12 +33,14 @@ from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.floors import noise_floors
+from .diagnosis.reference import predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
     Diagnosis,
     Equivalent,
     Indistinguishable,
+    Predictability,
     Ranked,
     Remaining,
     RunInfo,
@@ -61,6 +63,7 @@ from .diagnosis.verdict import (
     instead_of_effects,
     judge,
     judge_selection,
+    only_disturbance,
     reliefs,
     unique_ids,
     with_values,
@@ -84,12 +87,12 @@ class ResultBuilder:
         self.found = found = validated(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        refined = [validator.refined(f) for f in weak]
+        refined = [validator.final(f) for f in weak]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        self.given = validator.final(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
@@ -124,20 +127,38 @@ class ResultBuilder:
         """The fit with what is named, or the refitted model where nothing is."""
         return self.fits[len(self.judgement.effects)]
 
+    @cached_property
+    def _left(self) -> list[Remaining]:
+        return remaining(self.after, self.bench.train, self.bench.test)
+
+    @cached_property
+    def _predictable(self) -> list[Predictability]:
+        """What of the remaining forces depends on the logged signals, where more than noise is left."""
+        if self._residual_is_noise:
+            return []
+        return predictable(self.after, self.bench.train, self.bench.test)
+
+    @cached_property
+    def _verdict(self) -> Judgement:
+        """The judgement, or that nothing is missing which these logs could show."""
+        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+            return self.judgement
+        found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
+        return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
+
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
         doubts += self._repeated_commands() if self.judgement.effects else []
-        left = remaining(self.after, self.bench.train, self.bench.test)
-        doubts += self._nowhere_alone(left)
+        doubts += self._nowhere_alone(self._left)
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
             degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
             signs=self.vehicle.signs,
             runs=infos,
-            verdict=self.judgement.verdict,
+            verdict=self._verdict.verdict,
             headline=" ".join([self._headline(), *doubts]),
             effects=unique_ids(self.judgement.effects),
             helps=unique_ids(self.judgement.helps),
@@ -147,7 +168,8 @@ class ResultBuilder:
             indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(equivalent),
-            remaining=left,
+            remaining=self._left,
+            predictable=self._predictable,
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
@@ -166,7 +188,7 @@ class ResultBuilder:
 
     def _headline(self) -> str:
         values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self.judgement, values, self._residual_is_noise)
+        return with_values(self._verdict, values, self._residual_is_noise)
 
     def _equivalents(self) -> list[Equivalent]:
         model, bench = self.found.vehicle, self.bench
@@ -178,7 +200,7 @@ class ResultBuilder:
         return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
-        nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
+        nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
         if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
         return ["It stands out in the force of no degree of freedom by itself."]
@@ -272,7 +294,12 @@ class ResultBuilder:
             significant=finding.significant and self.judgement.verdict != "adequate",
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+            not_named=self._reason(finding.id),
         )
+
+    def _reason(self, effect: str) -> str:
+        claimed = {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
+        return "" if self._selection is None or effect in claimed else self._selection.reasons.get(effect, "")
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
@@ -462,6 +489,7 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)

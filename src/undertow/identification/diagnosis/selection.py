@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -68,6 +68,36 @@ class Worth:
         _, *longer = sorted(self.falls)
         return not self.worse and any(self.falls[h] > 0.0 and self.largest[h] >= least for h in longer)
 
+    def lacking(self, least: float) -> str:
+        """Why it is not worth adding, in words; empty where it is."""
+        if self.enough(least):
+            return ""
+        if self.worse:
+            over = " and ".join(f"{h:g} s" for h in self.worse)
+            return f"makes predictions over {over} worse"
+        longest = max(self.falls)
+        gained = max(self.largest[longest], 0.0)
+        return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
+
+    def something(self, least: float) -> bool:
+        """Whether predictions over any horizon get better by as much as matters."""
+        return max(self.largest.values()) >= least
+
+
+def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
+    """How often each candidate predicts best when the windows are drawn anew, shape (len(candidates),).
+
+    candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    """
+    rng = np.random.default_rng(settings.seed)
+    total = np.zeros((settings.resamples, len(candidates)))
+    for horizon in candidates[0]:
+        count = len(candidates[0][horizon])
+        weight = rng.multinomial(count, np.full(count, 1.0 / count), settings.resamples) / count
+        squares = np.stack([weight @ c[horizon] for c in candidates], axis=1)
+        total += np.mean(np.log(np.maximum(squares, 1e-12)), axis=2)
+    return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
+
 
 # --- whether it says the same everywhere ----------------------------------------------------------
 @dataclass(frozen=True)
@@ -96,9 +126,9 @@ class Agreement:
         mean = float(np.sum(weight * self.value) / weight.sum())
         return float(np.sum(weight * (self.value - mean) ** 2))
 
-    def doubt(self, settings: Settings = DEFAULT) -> str:
-        """How the parts disagree, in words; empty where they agree."""
-        if len(self.value) < 2 or chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
+    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
+        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
+        if among * chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
             return ""
         if self.spread < settings.size_change:
             return ""
@@ -117,7 +147,10 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
     kinds = {
         "runs": _numbered([_runs(data) for _, data in pairs]),
         "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
-        "speeds": _levels(np.concatenate([_speeds(data) for _, data in pairs]), bench.settings),
+    }
+    kinds |= {
+        f"levels of {name}": _levels(np.concatenate(values), bench.settings)
+        for name, values in _signals([data for _, data in pairs]).items()
     }
     found = [_agreement(over, before, change, part, block, bench.settings) for over, part in kinds.items()]
     return [a for a in found if len(a.value) > 1]
@@ -133,7 +166,7 @@ def _agreement(
     table = np.zeros((int(part.max()) + 1, int(block.max()) + 1))
     np.add.at(table, (part, block), score)
     error = np.sqrt(np.maximum(np.sum(table**2, axis=1), power)) / np.maximum(power, 1e-300)
-    known = (power > 0.0) & (error < settings.size_error)
+    known = (power > 0.0) & (error < settings.part_error)
     return Agreement(over, size[known], error[known])
 
 
@@ -161,15 +194,24 @@ def _times(data: WeakData, settings: Settings) -> Index:
     return _per_row(data, shares).astype(np.intp)
 
 
-def _speeds(data: WeakData) -> Array:
-    """Speed at the test functions, each velocity in units of its standard deviation."""
-    half = len(data.names) // 2
-    spread = np.nanstd(np.vstack([s.measured[:, half:] for s in data.segments]), axis=0)
-    found = []
-    for s in data.segments:
-        speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
-        found.append(np.interp(s.functions.centre, s.t, speed))
-    return _per_row(data, found)
+def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
+    """Motion and commands, and the speed in units of each velocity's scatter, in the rows of each data."""
+    names, commands = data[0].names, data[0].commands
+    half = len(names) // 2
+    spread = np.nanstd(np.vstack([s.measured[:, half:] for d in data for s in d.segments]), axis=0)
+    found: dict[str, list[Array]] = {}
+    for d in data:
+        rows: dict[str, list[Array]] = {}
+        for s in d.segments:
+            table = np.column_stack([s.measured, s.u])
+            speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
+            for name, values in (*zip((*names, *commands), table.T, strict=True), ("the speed", speed)):
+                if name not in ("x", "y") and np.isfinite(values).all():
+                    rows.setdefault(name, []).append(np.interp(s.functions.centre, s.t, values))
+        for name, values in rows.items():
+            if len(values) == len(d.segments):
+                found.setdefault(name, []).append(_per_row(d, values))
+    return {name: values for name, values in found.items() if len(values) == len(data)}
 
 
 def _levels(values: Array, settings: Settings) -> Index:
@@ -181,14 +223,17 @@ def _levels(values: Array, settings: Settings) -> Index:
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
     """Velocities, pose and commands that what an effect adds to the equations depends on.
 
-    Of an effect of the sensors they are the velocities, of one of the actuators the commands.
+    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
+    force depends on none.
     """
     symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
     there = (*base.velocity_names, *base.pose_names, *base.command_names)
     if found := tuple(n for n in there if n in names):
         return found
-    return base.velocity_names if issubclass(candidate.effect, Measurement) else base.command_names
+    if issubclass(candidate.effect, Measurement):
+        return base.velocity_names
+    return base.command_names if candidate.effect.family == "actuation" else ()
 
 
 # --- the selection --------------------------------------------------------------------------------
@@ -211,12 +256,13 @@ class Graded:
 class Selection:
     """Effects that were added one after the other, each because predictions get better with it.
 
-    bench: data and noise model of the last round, on top of all of them.
     rounds: the rounds.
+    reasons: why candidates of the first round that are beyond chance were not chosen in it.
     """
 
-    graded: list[Graded] = field(default_factory=list)
-    rounds: list[Round] = field(default_factory=list)
+    graded: list[Graded]
+    rounds: list[Round]
+    reasons: dict[str, str]
 
     @property
     def established(self) -> list[Graded]:
@@ -235,27 +281,51 @@ def select(
     return _Selector(found, validator, known, report).run()
 
 
+_NOT_BEST = "others are better in nearly all resamples of the logs"
+
+
 class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
     ) -> None:
         self._found, self._validator, self._known, self._report = found, validator, known, report
         self._settings = found.bench.settings
+        self._reasons: dict[str, str] = {}
 
     def run(self) -> Selection:
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
-            current = self._round([g.chosen for g in graded], rounds)
+            current, best = self._step([g.chosen for g in graded], rounds)
             rounds.append(current)
-            best = self._best(current)
             if best is None:
                 break
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
             if best.doubt:
                 break
-        return Selection(graded, rounds)
+        return Selection(graded, rounds, self._reasons)
+
+    def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
+        """The next round and its best candidate.
+
+        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing else is
+        found, candidates are tried under the noise of the sensors alone; what is beyond chance is beyond that
+        of whole blocks of the logs in both.
+        """
+        current = self._round(chosen, rounds)
+        best = self._best(current, first=not chosen)
+        if best is not None or not np.any(current.bench.base.disturbance):
+            return current, best
+        slow = try_all(current.bench.without_disturbance(), self._known, self._report)
+        best = self._best(slow, first=not chosen)
+        if best is not None:
+            return slow, best
+        seen = {f.id for f in current.findings if f.significant}
+        more = [f for f in slow.findings if f.significant and f.id not in seen]
+        known = {f.id for f in more}
+        others = [f for f in current.findings if f.id not in known]
+        return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
 
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
         """Candidates on top of what was chosen; a round of the search serves where it is the same."""
@@ -268,45 +338,60 @@ class _Selector:
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
         return try_all(replace(bench, base=base), self._known, self._report)
 
-    def _best(self, current: Round) -> Graded | None:
+    def _best(self, current: Round, *, first: bool) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads."""
-        bench = current.bench
+        bench, least = current.bench, self._settings.worth
         before = self._validator.squares_ahead(bench.base)
-        worthy = {}
-        for finding in (f for f in current.findings if f.significant):
-            worth = Worth.of(before, self._validator.squares_ahead(finding.trial.fit), self._settings)
-            if worth.enough(self._settings.worth):
-                worthy[finding.id] = finding, worth
+        found = {f.id: f for f in current.findings if f.significant}
+        worth = {
+            i: Worth.of(before, self._validator.squares_ahead(f.trial.fit), self._settings)
+            for i, f in found.items()
+        }
+        leading, near = self._leading([f for i, f in found.items() if worth[i].something(least)], bench)
+        worthy = [f for f in leading if worth[f.id].enough(least)]
+        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
+        if first:
+            self._reasons |= {i: worth[i].lacking(least) or doubts.get(i, "") or _NOT_BEST for i in found}
         if not worthy:
             return None
-        leading, near = self._leading([f for f, _ in worthy.values()], bench)
-        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)}
-        chosen = next((f for f in leading if not doubts[f.id]), leading[0])
+        chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
         doubt = doubts[chosen.id]
-        return Graded(chosen, [] if doubt else rivals, worthy[chosen.id][1], doubt)
+        return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
     def _leading(
         self, findings: list[FoundEffect], bench: Bench
     ) -> tuple[list[FoundEffect], list[FoundEffect]]:
         """The candidates of which one is the best in nearly all resamples, the best first; and others that
         the data do not tell from that.
+
+        Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
         """
-        often = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
+        if not findings:
+            return [], []
+        by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
+        ahead = [self._validator.squares_ahead(f.trial.fit) for f in findings]
+        often = 0.5 * (by_residual + best_in_resamples(ahead, self._settings))
         order = np.argsort(-often, kind="stable")
         enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
         leading = [findings[k] for k in order[:enough]]
         others = [findings[k] for k in order[enough:]]
-        return leading, [f for f in others if as_good(leading[0].trial.score, f.trial.score, bench)]
+        best = leading[0].trial.score
+        near = [f for f in others if as_good(best, f.trial.score, bench)]
+        return leading, near[: self._settings.rivals]
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
-        disagreements = [a.doubt(self._settings) for a in agreements(finding, bench)]
-        if words := next(filter(None, disagreements), ""):
+        parts = agreements(finding, bench)
+        if not parts:
+            return "no part of the logs by itself shows how large it is"
+        if words := next(filter(None, (a.doubt(self._settings, len(parts)) for a in parts)), ""):
             return words
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
         variables = own_variables(finding.trial.candidate, *vehicles)
+        if not variables:
+            return ""
         share = captured(bench.base, fit, bench.train, bench.test, variables)
         if share < self._settings.named_share:
             return (

@@ -247,6 +247,9 @@ class Settings:
     best_share: float = _number(
         0.9, "share of the resamples in which the named effect, or one of a set, is the best", _LEVEL, off=0.0
     )
+    part_error: float = _number(
+        0.5, "standard error of the size of an effect up to which a part of the logs counts", "two to one"
+    )
     size_parts: int = _number(
         4, "parts of a run, and levels of speed, between which the size of an effect is compared", "quarters"
     )
@@ -305,6 +308,11 @@ class Settings:
             raise UndertowError(
                 f"a chance of false alarms of {self.false_alarm_rate:g} is not possible: choose one between "
                 f"{_LEAST_RATE:g} and {_MOST_RATE:g} (0.01 by default)"
+            )
+        if not 0.0 < self.worth < 1.0:
+            raise UndertowError(
+                f"an effect cannot have to lower the error by {self.worth:g} of it: choose --worth between 0 "
+                "and 1 (0.1, a tenth, by default)"
             )
 
     @classmethod

@@ -26,7 +26,7 @@ from undertow.typing import Array
 
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
-from .result import Equivalent, Estimate, Indistinguishable, Verdict
+from .result import Equivalent, Estimate, Indistinguishable, Predictability, Verdict
 from .rounds import other_values
 from .search import Search
 from .selection import Graded, Selection
@@ -126,6 +126,16 @@ def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
         "of the catalogue is there enough evidence on validation data."
     )
     return Judgement("unexplained", text, [], [], share)
+
+
+def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
+    """That nothing is missing which the logs could show, although more than noise is left."""
+    rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
+    text = (
+        "Nothing is missing that these logs could show: what the refitted model leaves goes with none of the "
+        f"logged signals. A disturbance remains: {', '.join(rest)} (rms)."
+    )
+    return Judgement("adequate", text, [], [], share)
 
 
 def _doubt(winners: list[FoundEffect], share: float, left: Remainder, settings: Settings) -> str:
@@ -242,7 +252,7 @@ def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> s
     said = judgement.headline
     if not values:
         return said
-    if judgement.verdict == "adequate":
+    if judgement.verdict == "adequate" and residual_is_noise:
         return (
             "No effect is missing, but values that the vehicle file holds fixed do not fit. With others what "
             f"is left is the noise of the sensors: {values}."
