@@ -119,7 +119,7 @@ def _seen(lags: int, time: float) -> Array:
 
 def in_words(left: float, found: Sequence[Predictability]) -> str:
     """How much of what a model leaves can be predicted, as a sentence; `left` is its share of the motion."""
-    shares = [f"{100 * _at_most(p):.0f} % in {p.degree_of_freedom}" for p in found if p.something]
+    shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.something]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]
@@ -132,12 +132,6 @@ def in_words(left: float, found: Sequence[Predictability]) -> str:
     return f"{head}; what is beyond that is " + (
         f"disturbance: {_listed(rest)}" if rest else "the noise of the sensors"
     )
-
-
-def _at_most(found: Predictability) -> float:
-    """Share that the signals predict, with what other values of the parameters predict and with its error."""
-    reached = 1.0 - found.noise_share - (found.disturbance_rms / max(found.residual_rms, 1e-300)) ** 2
-    return max(found.interval[1], reached)
 
 
 def _listed(parts: Sequence[str]) -> str:

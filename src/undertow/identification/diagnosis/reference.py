@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise, product
 from typing import Any
 
@@ -17,6 +18,7 @@ from scipy.stats import t as student
 from undertow.identification.estimation.data import Segment, WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import without_gaps
+from undertow.identification.estimation.step import search_prior
 from undertow.identification.logs.run import ACCELERATION
 from undertow.model.symbols import FORCE_UNITS, POSE
 from undertow.typing import Array, Flags, Index
@@ -94,7 +96,9 @@ def predictable(
     with _one_thread():
         logs = _logs(fit, train, test, settings)
         signals = _Signals.common(logs, variables)
-        return [_Force(logs, signals, i, settings).result() for i in range(len(vehicle.dof_indices))]
+        forces = [_Force(logs, signals, i, settings) for i in range(len(vehicle.dof_indices))]
+        change = _other_values(fit, [f.learned for f in forces])
+        return [f.result(change) for f in forces]
 
 
 def captured(
@@ -123,10 +127,12 @@ def captured(
         logs = _logs(fit, train, test, settings)
         signals = _Signals.common(logs, variables)
         without = ForceRows(base, test)
+        dofs = range(len(fit.model.functions.vehicle.dof_indices))
+        forces = [_Force(logs, signals, i, settings) for i in dofs]
+        change = _other_values(fit, [f.learned for f in forces])
         shares, weights = [], []
-        for dof in range(len(fit.model.functions.vehicle.dof_indices)):
-            force = _Force(logs, signals, dof, settings)
-            left = force.result()
+        for force in forces:
+            left = force.result(change)
             before = force.square_of(without)
             gained = max(before - left.residual_rms**2, 0.0)
             lost = left.interval[0] * left.residual_rms**2
@@ -298,11 +304,16 @@ class _Force:
         parts = [force for force, _ in rows.row(self._dof).averaged(self._width)]
         return float(np.mean(np.concatenate(parts) ** 2))
 
-    def result(self) -> Predictability:
-        """What can be predicted, on the validation data."""
-        learned, judged = (self._table(*pair) for pair in zip(self._logs, self._rows, strict=True))
-        predict = Learner(self._settings, self._signals.choices, self._width).learned(learned)
-        other_values = judged.force - judged.own @ _other_values(learned)
+    @cached_property
+    def learned(self) -> _Table:
+        """The residual force on the training data."""
+        return self._table(self._logs[0], self._rows[0])
+
+    def result(self, change: Array) -> Predictability:
+        """What can be predicted, on the validation data, beyond a change (n_free,) of the parameters."""
+        judged = self._table(self._logs[1], self._rows[1])
+        predict = Learner(self._settings, self._signals.choices, self._width).learned(self.learned)
+        other_values = judged.force - judged.own @ change
         before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
         square = max(judged.square, 1e-300)
         after = judged.force - predict(judged.signals)
@@ -353,10 +364,19 @@ class _Force:
         return {name: lost for name, lost in ordered if lost > 0.01}
 
 
-def _other_values(table: _Table) -> Array:
-    """Change of the model's parameters that suits the training data best in this one equation."""
-    size = np.maximum(np.linalg.norm(table.own, axis=0), 1e-300)
-    return np.asarray(np.linalg.lstsq(table.own / size, table.force, rcond=1e-6)[0] / size)
+def _other_values(fit: Fitted, tables: Sequence[_Table]) -> Array:
+    """Change of the model's parameters, (n_free,), that suits the training data best in all equations.
+
+    Each counts by what is left in it, so that none is left out; priors hold.
+    """
+    centre, weight = search_prior(fit.model)
+    scale = [1.0 / max(np.sqrt(table.square), 1e-300) for table in tables]
+    rows = [table.own * s for table, s in zip(tables, scale, strict=True)]
+    wanted = [table.force * s for table, s in zip(tables, scale, strict=True)]
+    stacked = np.vstack([*rows, np.diag(weight)])
+    size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+    right = np.concatenate([*wanted, weight * (centre - fit.p[list(fit.model.places)])])
+    return np.asarray(np.linalg.lstsq(stacked / size, right, rcond=1e-9)[0] / size)
 
 
 class Learner:

@@ -202,6 +202,12 @@ class Predictability(ResultTable):
     of_motion: float
     variables: dict[str, float]
 
+    @property
+    def at_most(self) -> float:
+        """Share that may be predictable: the end of the interval, or all that anything predicted if more."""
+        reached = 1.0 - self.noise_share - (self.disturbance_rms / max(self.residual_rms, 1e-300)) ** 2
+        return max(self.interval[1], reached)
+
 
 class ChannelNoise(ResultTable):
     """Noise of a measured channel: standard deviation, in its unit, as estimated or as `stated`.
