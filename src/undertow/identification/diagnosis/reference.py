@@ -40,9 +40,10 @@ class ReferenceSettings:
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
     folds: int = 5  # stretches of the training data, each of which is predicted from the others
     # Weights of the squared coefficients of standardised columns, per row of data.
-    penalties: tuple[float, ...] = tuple(np.logspace(-4, 3, 15))
+    penalties: tuple[float, ...] = tuple(np.logspace(-4, 3, 11))
+    bins: int = 63  # that a signal is divided into for the trees
     # Boosting: trees, their leaves, the fewest rows in a leaf, and the share of each tree that is added.
-    trees: int = 80
+    trees: int = 60
     leaves: int = 6
     fewest_in_leaf: int = 20
     learning_rate: float = 0.1
@@ -449,6 +450,7 @@ class Learner:
             learning_rate=s.learning_rate,
             max_leaf_nodes=s.leaves,
             min_samples_leaf=s.fewest_in_leaf,
+            max_bins=s.bins,
             early_stopping=False,
         ).fit(X, y)
 
