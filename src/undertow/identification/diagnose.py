@@ -33,7 +33,7 @@ from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.floors import noise_floors
-from .diagnosis.reference import predictable
+from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
@@ -154,7 +154,7 @@ class ResultBuilder:
     @cached_property
     def _verdict(self) -> Judgement:
         """The judgement, or that nothing is missing which these logs could show."""
-        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
             return self.judgement
         found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
         return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)

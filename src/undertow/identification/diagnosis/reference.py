@@ -50,6 +50,7 @@ class ReferenceSettings:
     most_rows: int = 5000  # rows that are learned from; of longer logs every second, third, ... is
     level: float = 0.95  # of the intervals
     least_share: float = 0.05  # predicted share below which nothing is worth a name
+    most_hidden: float = 0.3  # end of the interval up to which nothing is missing that the signals could show
 
 
 SETTINGS = ReferenceSettings()
@@ -100,6 +101,11 @@ def predictable(
         forces = [_Force(logs, signals, i, settings) for i in range(len(vehicle.dof_indices))]
         change = _other_values(fit, [f.learned for f in forces])
         return [f.result(change) for f in forces]
+
+
+def is_disturbance(found: Sequence[Predictability], settings: ReferenceSettings = SETTINGS) -> bool:
+    """Whether the signals predict nothing, and these logs are long enough to say so."""
+    return not any(p.something or p.interval[1] > settings.most_hidden for p in found)
 
 
 def captured(
