@@ -32,7 +32,8 @@ from undertow.version import __version__
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
-from .diagnosis.reference import predictable
+from .diagnosis.floors import noise_floors
+from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
@@ -153,7 +154,7 @@ class ResultBuilder:
     @cached_property
     def _verdict(self) -> Judgement:
         """The judgement, or that nothing is missing which these logs could show."""
-        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
             return self.judgement
         found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
         return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
@@ -185,6 +186,7 @@ class ResultBuilder:
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            floors=noise_floors(self.after, self.bench.train),
             seconds=seconds,
         )
 
