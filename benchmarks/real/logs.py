@@ -70,15 +70,15 @@ def _ship(way: int, horizons: tuple[float, float, float] = (5.0, 30.0, 60.0)) ->
 
 
 def _roll(way: Judged) -> LogSet:
-    return LogSet(way, kvlcc2.FOLDER, (5.0, 20.0, 45.0))
+    return LogSet(way, kvlcc2.FOLDER, (5.0, 20.0, 40.0))
 
 
 def _box(way: int) -> LogSet:
-    return LogSet(cfd.WAYS[way], cfd.FOLDER, (1.0, 5.0, 20.0))
+    return LogSet(cfd.WAYS[way], cfd.FOLDER, (1.0, 5.0, 18.0))
 
 
 def _rov(way: int) -> LogSet:
-    return LogSet(sf30k.WAYS[way], sf30k.FOLDER, (5.0, 30.0, 90.0))
+    return LogSet(sf30k.WAYS[way], sf30k.FOLDER, (5.0, 30.0, 60.0))
 
 
 #: Logs by the name that cases have; those with neither injections nor removals are diagnosed as they are.

@@ -228,8 +228,9 @@ logged with it. Beside each stands the answer for the log as it is.
 """
 AS_LOGGED = """\
 Errors here and below: simulated velocities of the runs that were kept aside, in % of the motion (geometric
-mean over the degrees of freedom), from the measured state every so many seconds. A dash: it diverged, or
-there is none. Before: what was said before the changes of this version.
+mean over the degrees of freedom), from the measured state every so many seconds. The first third of these
+runs judges nothing, so that what belongs to a run may be estimated from it. A dash: it diverged, or there is
+none. Before: what was said before the changes of this version.
 
 """
 REMOVAL = f"""\
@@ -246,8 +247,8 @@ the log as it is. Where velocities are derived from the pose, a wrong pose is a 
 both names are right.
 """
 PREDICTION = """\
-The same windows of the same runs for all, fitted to the same training runs. Refitted: by `undertow fit`; ours
-in the last columns is the model that the diagnosis ends with. Grey boxes: least squares on smoothed
+The same windows of the same runs for all, fitted to the same training runs. Ours in the last columns is the
+model that the diagnosis ends with. Grey boxes: least squares on smoothed
 accelerations with linear thrusters, the best delay of the commands and products of two velocities; the
 polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and a
 linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**

@@ -168,7 +168,6 @@ def predictions(records: Iterable[Record], grey: Iterable[str], black: Iterable[
         for i, horizon in enumerate(peers["horizons"]):
             of = [{k: e[i] for k in names if (e := errors.get(k))} for errors, names in (
                 (own["errors"], STAGES), (peers["errors"], grey), (peers["errors"], black))]  # fmt: skip
-            of[0]["refitted"] = peers["errors"]["undertow fit"][i]
             found.append(Predicted(logs, horizon, *of))
     return found
 
