@@ -290,8 +290,8 @@ def test_a_term_that_is_taken_out_is_measured() -> None:
         ("surge_multistep_coarse.csv.gz",),
     )  # fmt: skip
     sets = {"box": LogSet(what, str(logs), (1.0, 5.0, 20.0))}
-    found = worker(sets, Path())(Case("box", "without-quadratic_damping"))
-    assert found["truth"] == ("quadratic_damping",)
+    found = worker(sets, Path())(Case("box", "without-linear_damping"))
+    assert found["truth"] == ("linear_damping",)
     assert found["answer"]["ranking"]
     assert all(len(e) == 3 for e in found["errors"].values())
     assert found["errors"]["true"][-1] < found["errors"]["refitted"][-1]

@@ -38,6 +38,7 @@ class LogSet:
     scales: sizes of 1: speed (m/s), turning rate (rad/s), length (m), command (its unit), duration (s), time
         (s, of delays).
     injections, removals: names of what is injected, and ids of the effects that are taken out.
+    also: of a removal, what is right beside it, since the vehicle is known to have it and its file does not.
     """
 
     what: Judged
@@ -46,6 +47,7 @@ class LogSet:
     scales: Mapping[str, float] = field(default_factory=dict)
     injections: tuple[str, ...] = ()
     removals: tuple[str, ...] = ()
+    also: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def read(self, data: Path) -> tuple[Vehicle, list[Run], list[Run]]:
         """The vehicle as stated, the logs to fit to, and those to judge by (none: stretches are)."""
@@ -63,6 +65,8 @@ _SURGE = ("current", "water-log", "bias", "scale", "sensor-delay", "mass")
 _SURGE_TERMS = ("added_mass", "linear_damping", "quadratic_damping")
 _ROLL_CHANGES = ("inclinometer", "righting-arm")
 _ROLL_TERMS = ("linear_damping", "restoring")
+#: The damping of this ship in roll is linear and quadratic (docs/examples/kvlcc2.md); its file has the linear part.
+_ROLL_ALSO = {"linear_damping": ("quadratic_damping",)}
 
 
 def _ship(way: int, horizons: tuple[float, float, float] = (5.0, 30.0, 60.0)) -> LogSet:
@@ -70,7 +74,7 @@ def _ship(way: int, horizons: tuple[float, float, float] = (5.0, 30.0, 60.0)) ->
 
 
 def _roll(way: Judged) -> LogSet:
-    return LogSet(way, kvlcc2.FOLDER, (5.0, 20.0, 40.0))
+    return LogSet(way, kvlcc2.FOLDER, (5.0, 20.0, 40.0), also=_ROLL_ALSO)
 
 
 def _box(way: int) -> LogSet:

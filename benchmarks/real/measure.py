@@ -27,8 +27,8 @@ from .logs import LogSet
 
 Errors = list[float | None]
 REFUSED = "refused"
-#: Share of each validation run that nobody is judged by, so that what belongs to a run (its current, its trim)
-#: may be estimated from it; the rest is the same for all models.
+#: Share of each validation run that judges nothing, so that what belongs to a run (its current, its trim) may
+#: be estimated from it; the rest is the same for all models.
 FIRST_PART = 1.0 / 3.0
 
 
@@ -52,7 +52,12 @@ def material(case: Case, logs: LogSet, data: Path) -> Material:
     """Vehicle and logs of a case."""
     vehicle, train, test = logs.read(data)
     if case.removed:
-        return Material(without(vehicle, case.removed), train, test, right=(case.removed,))
+        return Material(
+            without(vehicle, case.removed),
+            train,
+            test,
+            right=(case.removed, *logs.also.get(case.removed, ())),
+        )
     if case.kind != "injection":
         return Material(vehicle, train, test)
     injection = INJECTIONS[case.change]
