@@ -65,7 +65,7 @@ _SURGE = ("current", "water-log", "bias", "scale", "sensor-delay", "mass")
 _SURGE_TERMS = ("added_mass", "linear_damping", "quadratic_damping")
 _ROLL_CHANGES = ("inclinometer", "righting-arm")
 _ROLL_TERMS = ("linear_damping", "restoring")
-#: The damping of this ship in roll is linear and quadratic (docs/examples/kvlcc2.md); its file has the linear part.
+#: This ship has linear and quadratic damping in roll (docs/examples/kvlcc2.md); its file has the linear part.
 _ROLL_ALSO = {"linear_damping": ("quadratic_damping",)}
 
 
