@@ -86,12 +86,12 @@ class ResultBuilder:
         self.found = found = validated(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        refined = [validator.refined(f) for f in weak]
+        refined = [validator.final(f) for f in weak]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        self.given = validator.final(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
@@ -292,7 +292,12 @@ class ResultBuilder:
             significant=finding.significant and self.judgement.verdict != "adequate",
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+            not_named=self._reason(finding.id),
         )
+
+    def _reason(self, effect: str) -> str:
+        claimed = {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
+        return "" if self._selection is None or effect in claimed else self._selection.reasons.get(effect, "")
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
@@ -482,6 +487,7 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -67,6 +67,17 @@ class Worth:
         """Whether predictions over a long horizon get better by as much as matters, and over none worse."""
         _, *longer = sorted(self.falls)
         return not self.worse and any(self.falls[h] > 0.0 and self.largest[h] >= least for h in longer)
+
+    def lacking(self, least: float) -> str:
+        """Why it is not worth adding, in words; empty where it is."""
+        if self.enough(least):
+            return ""
+        if self.worse:
+            over = " and ".join(f"{h:g} s" for h in self.worse)
+            return f"makes predictions over {over} worse"
+        longest = max(self.falls)
+        gained = max(self.largest[longest], 0.0)
+        return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
     def something(self, least: float) -> bool:
         """Whether predictions over any horizon get better by as much as matters."""
@@ -212,14 +223,17 @@ def _levels(values: Array, settings: Settings) -> Index:
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
     """Velocities, pose and commands that what an effect adds to the equations depends on.
 
-    Of an effect of the sensors they are the velocities, of one of the actuators the commands.
+    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
+    force depends on none.
     """
     symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
     there = (*base.velocity_names, *base.pose_names, *base.command_names)
     if found := tuple(n for n in there if n in names):
         return found
-    return base.velocity_names if issubclass(candidate.effect, Measurement) else base.command_names
+    if issubclass(candidate.effect, Measurement):
+        return base.velocity_names
+    return base.command_names if candidate.effect.family == "actuation" else ()
 
 
 # --- the selection --------------------------------------------------------------------------------
@@ -242,12 +256,13 @@ class Graded:
 class Selection:
     """Effects that were added one after the other, each because predictions get better with it.
 
-    bench: data and noise model of the last round, on top of all of them.
     rounds: the rounds.
+    reasons: why candidates of the first round that are beyond chance were not chosen in it.
     """
 
-    graded: list[Graded] = field(default_factory=list)
-    rounds: list[Round] = field(default_factory=list)
+    graded: list[Graded]
+    rounds: list[Round]
+    reasons: dict[str, str]
 
     @property
     def established(self) -> list[Graded]:
@@ -266,27 +281,51 @@ def select(
     return _Selector(found, validator, known, report).run()
 
 
+_NOT_BEST = "others are better in nearly all resamples of the logs"
+
+
 class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
     ) -> None:
         self._found, self._validator, self._known, self._report = found, validator, known, report
         self._settings = found.bench.settings
+        self._reasons: dict[str, str] = {}
 
     def run(self) -> Selection:
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
-            current = self._round([g.chosen for g in graded], rounds)
+            current, best = self._step([g.chosen for g in graded], rounds)
             rounds.append(current)
-            best = self._best(current)
             if best is None:
                 break
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
             if best.doubt:
                 break
-        return Selection(graded, rounds)
+        return Selection(graded, rounds, self._reasons)
+
+    def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
+        """The next round and its best candidate.
+
+        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing else is
+        found, candidates are tried under the noise of the sensors alone; what is beyond chance is beyond that
+        of whole blocks of the logs in both.
+        """
+        current = self._round(chosen, rounds)
+        best = self._best(current, first=not chosen)
+        if best is not None or not np.any(current.bench.base.disturbance):
+            return current, best
+        slow = try_all(current.bench.without_disturbance(), self._known, self._report)
+        best = self._best(slow, first=not chosen)
+        if best is not None:
+            return slow, best
+        seen = {f.id for f in current.findings if f.significant}
+        more = [f for f in slow.findings if f.significant and f.id not in seen]
+        known = {f.id for f in more}
+        others = [f for f in current.findings if f.id not in known]
+        return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
 
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
         """Candidates on top of what was chosen; a round of the search serves where it is the same."""
@@ -299,24 +338,26 @@ class _Selector:
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
         return try_all(replace(bench, base=base), self._known, self._report)
 
-    def _best(self, current: Round) -> Graded | None:
+    def _best(self, current: Round, *, first: bool) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads."""
-        bench = current.bench
+        bench, least = current.bench, self._settings.worth
         before = self._validator.squares_ahead(bench.base)
-        helping = {}
-        for finding in (f for f in current.findings if f.significant):
-            worth = Worth.of(before, self._validator.squares_ahead(finding.trial.fit), self._settings)
-            if worth.something(self._settings.worth):
-                helping[finding.id] = finding, worth
-        leading, near = self._leading([f for f, _ in helping.values()], bench)
-        worthy = [f for f in leading if helping[f.id][1].enough(self._settings.worth)]
+        found = {f.id: f for f in current.findings if f.significant}
+        worth = {
+            i: Worth.of(before, self._validator.squares_ahead(f.trial.fit), self._settings)
+            for i, f in found.items()
+        }
+        leading, near = self._leading([f for i, f in found.items() if worth[i].something(least)], bench)
+        worthy = [f for f in leading if worth[f.id].enough(least)]
+        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
+        if first:
+            self._reasons |= {i: worth[i].lacking(least) or doubts.get(i, "") or _NOT_BEST for i in found}
         if not worthy:
             return None
-        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)}
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
         doubt = doubts[chosen.id]
-        return Graded(chosen, [] if doubt else rivals, helping[chosen.id][1], doubt)
+        return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
     def _leading(
         self, findings: list[FoundEffect], bench: Bench
@@ -335,7 +376,9 @@ class _Selector:
         enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
         leading = [findings[k] for k in order[:enough]]
         others = [findings[k] for k in order[enough:]]
-        return leading, [f for f in others if as_good(leading[0].trial.score, f.trial.score, bench)]
+        best = leading[0].trial.score
+        near = [f for f in others if as_good(best, f.trial.score, bench)]
+        return leading, near[: self._settings.rivals]
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
@@ -347,6 +390,8 @@ class _Selector:
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
         variables = own_variables(finding.trial.candidate, *vehicles)
+        if not variables:
+            return ""
         share = captured(bench.base, fit, bench.train, bench.test, variables)
         if share < self._settings.named_share:
             return (
