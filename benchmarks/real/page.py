@@ -90,12 +90,18 @@ def _as_logged(records: Sequence[Record], earlier: Iterable[Record]) -> str:
         ]
         for r in own
     ]  # fmt: skip
-    said = "\n".join(f"- {r['vehicle']}: {r['headline']}" for r in own)
+    said = "\n".join(f"- {r['vehicle']}: {r['headline']}{_source(r)}" for r in own)
     return AS_LOGGED + table(head, rows, left=5) + "\nIn its own words:\n\n" + said + "\n"
 
 
+def _source(record: Record) -> str:
+    """Where an answer was taken over from."""
+    return f" (From {record['source']}.)" if "source" in record else ""
+
+
 def _baselines(records: Iterable[Record]) -> list[Record]:
-    return [r for r in records if r["kind"] == "baseline" and "failure" not in r]
+    own = (r for r in records if r["kind"] == "baseline" and "failure" not in r)
+    return sorted(own, key=lambda r: str(r["vehicle"]))
 
 
 def _before(record: Record) -> str:
@@ -104,7 +110,7 @@ def _before(record: Record) -> str:
 
 
 def _lengths(record: Record) -> str:
-    return " / ".join(f"{h:g}" for h in record["horizons"])
+    return " / ".join(f"{h:g}" for h in record.get("horizons", ())) or MISSING
 
 
 def _named(record: Record) -> str:
@@ -164,7 +170,7 @@ def _prediction(found: Sequence[Predicted]) -> str:
             *(percent(p.ours.get(stage)) for stage in STAGES),
             *(percent(p.grey.get(name)) for name in GREY),
             *(percent(p.black.get(name)) for name in BLACK),
-            number(p.over(p.grey)) + ("" if p.met else " **>**"),
+            number(p.over(p.grey)) + ("" if p.met or not p.ours else " **>**"),
             number(p.over(p.black)),
         ]
         for p in found
