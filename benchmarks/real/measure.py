@@ -146,8 +146,8 @@ def cut_all(vehicle: Vehicle, test: Sequence[Run], horizons: Sequence[float]) ->
 
 def longest_of(runs: Sequence[Run], vehicle: Vehicle, horizon: float) -> float:
     """The horizon, or the longest stretch without gaps where none is so long."""
-    needed = [*vehicle.velocity_names, *vehicle.command_names]
-    pieces = ((run, piece) for run in runs for piece in run.segments(needed))
+    names = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
+    pieces = ((run, piece) for run in runs for piece in run.segments(n for n in names if run.has(n)))
     return min(horizon, max(float(run.t[p.stop - 1] - run.t[p.start]) for run, p in pieces))
 
 
