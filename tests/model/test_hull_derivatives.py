@@ -96,7 +96,7 @@ def stated(u: float, v: float, r: float) -> dict[str, float]:
             cubic[f"{axis}_{n}_per_U"] = value
     drag = {"X_vv": scale * (X_PRIMED["vv"] + X_PRIMED["0"])}
     drag |= {"X_vr": scale * LENGTH * X_PRIMED["vr"], "X_rr": scale * LENGTH**2 * X_PRIMED["rr"]}
-    parts = {"lift": lift, "hull_cubic": cubic, "turning_drag": drag}
+    parts = {"lift": lift, "hull_cubic": cubic, "manoeuvring_drag": drag}
     parts["quadratic_damping"] = {"X_uabsu": scale * X_PRIMED["0"]}
     found = [force(i, values, {"u": u, "v": v, "r": r}) for i, values in parts.items()]
     return {axis: sum(f[axis] for f in found) for axis in "XYN"}

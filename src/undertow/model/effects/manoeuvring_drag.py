@@ -9,7 +9,7 @@ from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals
 
 
-class TurningDrag(Wrench):
+class ManoeuvringDrag(Wrench):
     """Surge force that goes with drift and turning: speed lost in a turn, or gained by the lift of a hull.
 
     Beside the list of the design because diagonal damping lets a ship keep its speed in a turn, apart from
@@ -17,7 +17,7 @@ class TurningDrag(Wrench):
     X_ww above zero: lift stands across the flow, and leans forward on a hull that drifts.
     """
 
-    id = "turning_drag"
+    id = "manoeuvring_drag"
     family = "damping"
     reference = (
         "Yasukawa and Yoshimura (2015), MMG standard method (hull surge force with X_vv, X_vr and X_rr); "
