@@ -1,4 +1,4 @@
-"""Bundled vehicles against what their sources publish: equations of motion, steady speeds, turns and glides."""
+"""Bundled vehicles against what their sources publish: equations of motion, steady speeds, turns, glides."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from undertow.codegen import Functions, Simulator
 from undertow.model.loading import load_vehicle
-from undertow.model.symbols import VELOCITY
 
 Array = NDArray[np.float64]
 KNOT = 1852 / 3600
@@ -48,7 +47,7 @@ def manoeuvre(
 
 # --- REMUS 100 ------------------------------------------------------------------------------------
 def prestero(nu: Array, delta_s: float, delta_r: float, thrust: float) -> Array:
-    """Equations of motion of Prestero (2001) with his coefficients, level; Y_vv and surplus as in our file."""
+    """Equations of motion of Prestero (2001), level; Y_vv and the surplus of buoyancy as in our file."""
     u, v, w, p, q, r = nu
     m, zg, surplus = 30.48, 0.0196, 0.75 * 4.4482
     ixx, iyy, izz = 0.177, 3.45, 3.45
@@ -89,12 +88,11 @@ def test_remus_makes_three_knots_at_the_thrust_of_1500_rpm() -> None:
     assert found["u"][-1] == pytest.approx(3 * KNOT, rel=0.01)
 
 
-def test_remus_turns_to_starboard_and_dives_by_its_fins() -> None:
+def test_remus_turns_and_dives_by_its_fins() -> None:
     turn = manoeuvre("remus100", {"propeller": 3.86, "rudder": np.radians(-4)}, 20.0, u=1.54)
     dive = manoeuvre("remus100", {"propeller": 3.86, "stern_plane": np.radians(4)}, 20.0, u=1.54)
     assert turn["psi"][-1] > 0.5
     assert dive["z"][-1] > 2.0, "deeper than it floats up by its surplus"
-    assert list(VELOCITY) == list(functions_of("remus100").vehicle.velocity_names)
 
 
 # --- Otter ----------------------------------------------------------------------------------------

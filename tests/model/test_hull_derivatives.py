@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import sympy as sm
 
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import catalogue
