@@ -31,7 +31,7 @@ class RudderDrag(Wrench):
     dissipative = True
 
     rudder_drag = PerThruster(
-        "N/(m/s)^2/command^2", "drag per command squared and speed ahead squared", (0, inf)
+        "N/(m/s)^2/command/command", "drag per command squared and speed ahead squared", (0, inf)
     )
 
     def wrench(self, s: Signals) -> sm.Matrix:
