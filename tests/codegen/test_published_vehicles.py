@@ -134,3 +134,15 @@ def test_glider_comes_to_the_glide_of_its_source() -> None:
     assert np.degrees(theta) - attack == pytest.approx(-25, abs=0.5)
     assert attack == pytest.approx(2.02, abs=0.1)
     assert abs(dive["u"][-1] - dive["u"][-50]) < 1e-4, "steady by then"
+
+
+# --- BlueROV2 -------------------------------------------------------------------------------------
+def test_bluerov2_with_six_thrusters_cannot_pitch_and_has_the_speed_of_its_drag() -> None:
+    """40 N ahead, the limit of programs that use this set, against 0.09 u + 34.96 u^2; it floats up a little."""
+    level = 40.0 / (4 * np.sqrt(0.5))
+    ahead = {"f1": level, "f2": level, "f3": -level, "f4": -level}
+    run = manoeuvre("bluerov2-6", ahead, 20.0)
+    assert run["u"][-1] == pytest.approx(np.roots([34.96, 0.09, -40.0]).max(), rel=0.05)
+    rows = np.array(functions_of("bluerov2-6").vehicle.allocation.tolist(), dtype=float)
+    assert np.linalg.matrix_rank(rows[[0, 1, 2, 3, 5]]) == 5
+    assert np.linalg.matrix_rank(rows) == 5, "pitch comes with surge, as the level thrusters stand low"
