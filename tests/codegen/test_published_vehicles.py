@@ -138,7 +138,7 @@ def test_glider_comes_to_the_glide_of_its_source() -> None:
 
 # --- BlueROV2 -------------------------------------------------------------------------------------
 def test_bluerov2_with_six_thrusters_cannot_pitch_and_has_the_speed_of_its_drag() -> None:
-    """40 N ahead, the limit of programs that use this set, against 0.09 u + 34.96 u^2; it floats up a little."""
+    """40 N ahead, the limit of programs that use this set, against 0.09 u + 34.96 u^2; it floats up."""
     level = 40.0 / (4 * np.sqrt(0.5))
     ahead = {"f1": level, "f2": level, "f3": -level, "f4": -level}
     run = manoeuvre("bluerov2-6", ahead, 20.0)
