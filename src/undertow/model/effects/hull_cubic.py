@@ -49,7 +49,8 @@ class HullCubic(Wrench):
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:
-        return {"surge", "sway", "yaw"} <= set(dofs)
+        # A series of ships: what does not float at the surface has cross-flow in two planes.
+        return {"surge", "sway", "yaw"} <= set(dofs) and "heave" not in dofs
 
     def wrench(self, s: Signals) -> sm.Matrix:
         v, r = s.nu_r[1], s.nu_r[5]
