@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from undertow.codegen import Functions, Simulator
-from undertow.model.loading import load_vehicle
+from undertow.model.loading import bundled_vehicles, load_vehicle
 
 Array = NDArray[np.float64]
 KNOT = 1852 / 3600
@@ -146,3 +147,28 @@ def test_bluerov2_with_six_thrusters_cannot_pitch_and_has_the_speed_of_its_drag(
     rows = np.array(functions_of("bluerov2-6").vehicle.allocation.tolist(), dtype=float)
     assert np.linalg.matrix_rank(rows[[0, 1, 2, 3, 5]]) == 5
     assert np.linalg.matrix_rank(rows) == 5, "pitch comes with surge, as the level thrusters stand low"
+
+
+# --- CyberShip II ---------------------------------------------------------------------------------
+def cybership(nu: Array) -> Array:
+    """Sway and yaw rates of Skjetne, Smogeli and Fossen (2004) without thrust, all of their damping."""
+    u, v, r = nu
+    m, x_g, i_z, a11, a22, a66 = 23.8, 0.046, 1.76, 2.0, 10.0, 1.0
+    mass = np.array([[m + a22, m * x_g], [m * x_g, i_z + a66]])
+    turning = [-(m + a11) * u * r, (a11 - a22) * u * v - m * x_g * u * r]
+    d22 = 0.88965 + 36.47287 * abs(v) + 0.805 * abs(r)
+    d23 = 7.250 + 0.845 * abs(v) + 3.450 * abs(r)
+    d32 = -0.03130 - 3.95645 * abs(v) - 0.130 * abs(r)
+    d33 = 1.900 - 0.080 * abs(v) + 0.750 * abs(r)
+    damping = [-d22 * v - d23 * r, -d32 * v - d33 * r]
+    return np.linalg.solve(mass, np.add(turning, damping))
+
+
+def test_cybership_with_the_table_of_its_comment_is_the_whole_published_model(tmp_path: Path) -> None:
+    text = bundled_vehicles()["cybership2"].read_text(encoding="utf-8")
+    table = [line[4:] for line in text.splitlines() if line.startswith(("#   [", "#   Y_", "#   N_"))]
+    whole = tmp_path / "cybership2.toml"
+    whole.write_text("\n".join([text, *table]) + "\n", encoding="utf-8")
+    for nu in ([0.4, 0.1, -0.2], [0.3, -0.2, 0.1]):
+        found = acceleration(str(whole), np.array(nu), {})
+        assert found[1:] == pytest.approx(cybership(np.array(nu)), rel=1e-9)
