@@ -20,7 +20,7 @@ from undertow.identification.diagnosis.validation import repeats, training_and_v
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -321,7 +321,10 @@ class ResultBuilder:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
-        return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
+        return [
+            *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
+            *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
+        ]
 
 
 def _confirmed(
