@@ -53,6 +53,7 @@ from .diagnosis.verdict import (
     with_values,
 )
 from .report.data import ReportData
+from .report.sentences import summarised
 
 
 class ResultBuilder:
@@ -444,7 +445,7 @@ def diagnose(
         builder = ResultBuilder(vehicle, found, validator, effects)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
-        diagnosis = _with_doctor(builder.build(infos, time.perf_counter() - began), examined())
+        diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
     return DiagnosisResult(
         diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after
     )

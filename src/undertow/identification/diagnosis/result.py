@@ -9,7 +9,14 @@ from pydantic import Field
 from undertow.identification.doctor.findings import Finding, ResultTable
 
 SCHEMA = "undertow/diagnosis/1"
-Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]
+Verdict = Literal[
+    "adequate",
+    "missing_effect",
+    "indistinguishable",
+    "helps_prediction",
+    "unexplained",
+    "not_identifiable",
+]
 
 
 class RunInfo(ResultTable):
@@ -193,7 +200,7 @@ class Remaining(ResultTable):
 
 
 class Diagnosis(ResultTable):
-    """Outcome of `undertow diagnose`."""
+    """Outcome of `undertow diagnose`; `command` is what to run next, with the files that were given."""
 
     schema_id: str = SCHEMA
     undertow: str
@@ -203,6 +210,7 @@ class Diagnosis(ResultTable):
     runs: list[RunInfo]
     verdict: Verdict
     headline: str
+    command: str = ""
     effects: list[str]
     ranking: list[Ranked]
     steps: list[Step]
