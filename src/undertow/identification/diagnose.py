@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -32,7 +31,17 @@ from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.residual import remaining
-from .diagnosis.result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
+from .diagnosis.result import (
+    Diagnosis,
+    Equivalent,
+    Indistinguishable,
+    Ranked,
+    Remaining,
+    Role,
+    RunInfo,
+    Step,
+    run_info,
+)
 from .diagnosis.search import Search, last_fit, search
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
@@ -310,9 +319,6 @@ def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
 
 
-Role = Literal["train", "holdout", "blocks"]
-
-
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult:
     """A diagnosis with the models it is about.
@@ -444,7 +450,7 @@ def diagnose(
         report(0.9, "judging the result by simulation")
         builder = ResultBuilder(vehicle, found, validator, effects)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
-        infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
+        infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
         diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
     return DiagnosisResult(
         diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after
@@ -462,17 +468,4 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
             "warnings": [*mistakes, *diagnosis.warnings],
             "headline": " ".join([*first, diagnosis.headline]),
         }
-    )
-
-
-def _info(run: Run, role: Role) -> RunInfo:
-    duration = float(run.t[-1] - run.t[0])
-    return RunInfo(
-        name=run.name,
-        source=run.source,
-        sha256=run.sha256,
-        role=role,
-        samples=len(run.t),
-        duration=duration,
-        notes=list(run.notes),
     )

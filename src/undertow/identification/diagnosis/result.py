@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from undertow.identification.doctor.findings import Finding, ResultTable
+from undertow.identification.logs.run import Run
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[
@@ -19,16 +20,32 @@ Verdict = Literal[
 ]
 
 
+Role = Literal["train", "holdout", "blocks"]
+
+
 class RunInfo(ResultTable):
     """A log and what was done with it."""
 
     name: str
     source: str
     sha256: str
-    role: Literal["train", "holdout", "blocks"]
+    role: Role
     samples: int
     duration: float
     notes: list[str]
+
+
+def run_info(run: Run, role: Role) -> RunInfo:
+    """What is written of a run."""
+    return RunInfo(
+        name=run.name,
+        source=run.source,
+        sha256=run.sha256,
+        role=role,
+        samples=len(run.t),
+        duration=float(run.t[-1] - run.t[0]),
+        notes=list(run.notes),
+    )
 
 
 class Estimate(ResultTable):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import floor, isfinite, log10
+from math import floor, inf, isfinite, log10
 from pathlib import PurePath
 
 from undertow.identification.diagnosis.result import Diagnosis, Step
@@ -45,27 +45,24 @@ class CommandLine:
 
 
 # --- errors, and how they change --------------------------------------------------------------------
-def shown(share: float | None) -> str:
-    """A share in per cent with two digits, without the sign; "diverging" where a simulation runs away."""
+def shown(share: float | None, digits: int = 2) -> str:
+    """A share in per cent, without the sign; "diverging" where a simulation runs away."""
     if share is None or not isfinite(share):
         return "diverging"
-    percent = 100 * share
-    places = max(0, 1 - floor(log10(percent))) if percent > 0 else 0
-    return f"{percent:.{min(places, 6)}f}"
+    return f"{100 * share:.{_places(share, digits)}f}"
+
+
+def _places(share: float, digits: int = 2) -> int:
+    """Decimals with which a share in per cent has so many digits."""
+    return min(max(0, digits - 1 - floor(log10(100 * share))), 6) if share > 0 else 0
 
 
 def rises(before: float | None, after: float | None) -> bool:
-    """Whether an error rises, in the digits that are shown of it."""
-    return shown(before) != shown(after) and _size(after) > _size(before)
-
-
-def falls(before: float | None, after: float | None) -> bool:
-    """Whether an error falls, in the digits that are shown of it."""
-    return rises(after, before)
-
-
-def _size(share: float | None) -> float:
-    return float("inf") if share is None else share
+    """Whether an error rises in the digits that are shown of it, and by more than their rounding."""
+    low, high = (inf if share is None else share for share in (before, after))
+    if not isfinite(low) or shown(low) == shown(high):
+        return False
+    return not isfinite(high) or 100 * (high - low) >= 0.5 * 10.0 ** -_places(high)
 
 
 def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
@@ -77,9 +74,9 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     horizons = _horizons([before, after])
     pairs = {h: (before.get(h), after.get(h)) for h in horizons}
     parts = [
-        _said("lowers", [_from_to(h, *pair) for h, pair in pairs.items() if falls(*pair)]),
+        _said("lowers", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*reversed(pair))]),
         _said("raises", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*pair)]),
-        _said("leaves", [_still(h, a) for h, (b, a) in pairs.items() if shown(b) == shown(a)]),
+        _said("leaves", [_still(h, a) for h, (b, a) in pairs.items() if not (rises(b, a) or rises(a, b))]),
     ]
     return _joined([part for part in parts if part])
 
