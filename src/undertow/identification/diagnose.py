@@ -333,6 +333,8 @@ class DiagnosisResult:
         What was fitted to, and what was judged by.
     fit : Fitted
         The fit of `after`.
+    given : Vehicle, optional
+        The model before any fit, which a report shows beside the others.
     """
 
     diagnosis: Diagnosis
@@ -341,6 +343,7 @@ class DiagnosisResult:
     train: list[Run]
     test: list[Run]
     fit: Fitted
+    given: Vehicle | None = None
 
     @property
     def verdict(self) -> str:
@@ -366,15 +369,14 @@ class DiagnosisResult:
         added = self.diagnosis.last_step.changes
         after = compare(self.after, self.test, compiled=compiled) if added else None
         names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
-        return report_data(before, after, names=names)
+        return report_data(before, after, names=names, given=self.given)
 
     def __repr__(self) -> str:
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
         head = ("model", "error on validation data (1: noise of the sensors)")
-        steps = enumerate(self.diagnosis.steps)
-        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        rows = ((" and ".join(s.changes) or "refitted", s.error) for s in self.diagnosis.steps)
         return html(repr(self), head, rows)
 
 
@@ -453,7 +455,7 @@ def diagnose(
         infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
         diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
     return DiagnosisResult(
-        diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after
+        diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after, vehicle
     )
 
 

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from undertow.figures import svg, unit_text
-from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Verdict
+from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked, Verdict
 from undertow.model.symbols import MOTION_UNITS
 
 from .data import ReportData
@@ -65,6 +65,16 @@ _MEANINGS: dict[Verdict, Meaning] = {
         "has not seen, so they are reported together instead of one of them being picked by luck.",
         (
             "Which effect of the set is at work; a manoeuvre in which they act differently can show it.",
+            *_LIMITS,
+        ),
+    ),
+    "helps_prediction": Meaning(
+        "Something helps to predict, and may not be the cause",
+        "The model fails by more than the noise, and adding the effect lowers the error on data that the fit "
+        "has not seen by more than chance would. Its values do not agree between runs or regimes, are not "
+        "physical, or another form with the same variables does much better.",
+        (
+            "That the effect is at work: it may stand for another one that goes with the same motion.",
             *_LIMITS,
         ),
     ),
@@ -175,9 +185,17 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         in_part_means=IN_PART_MEANS,
         runs=shown.runs[:_MOST_RUNS],
         units=MOTION_UNITS,
+        helping=[c for c in diagnosis.ranking if helps(c, diagnosis)],
+        idle=[c for c in diagnosis.ranking if not helps(c, diagnosis)],
         left_out=[run.run for run in shown.runs[_MOST_RUNS:]],
         pictures=_Pictures(diagnosis, shown),
     )
+
+
+def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
+    """Whether a candidate does anything, in the search or in the verdict; the others are folded away."""
+    told = {*diagnosis.effects, *(e for s in diagnosis.indistinguishable for e in s.effects)}
+    return bool(candidate.parameters) or candidate.significant or candidate.effect in told
 
 
 @cache
@@ -211,10 +229,11 @@ class _Pictures:
         self._count = 0
 
     def falling(self) -> Markup:
-        return self._inline(falling_error(self._diagnosis.steps))
+        return self._inline(falling_error(self._diagnosis.steps, "refitted"))
 
     def ranking(self) -> Markup:
-        return self._inline(ranking(self._diagnosis.ranking))
+        d = self._diagnosis
+        return self._inline(ranking([c for c in d.ranking if helps(c, d)]))
 
     def maps(self) -> Iterator[Markup]:
         return (self._inline(error_map(m, self._names)) for m in self._data.maps)
