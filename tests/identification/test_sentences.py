@@ -44,7 +44,7 @@ def _left(**more: Any) -> Remaining:
 
 
 def _diagnosis(verdict: Verdict, **more: Any) -> Diagnosis:
-    named = verdict in ("missing_effect", "indistinguishable", "helps_prediction")
+    named, helps = verdict in ("missing_effect", "indistinguishable"), verdict == "helps_prediction"
     usual: dict[str, Any] = {
         "undertow": "0",
         "vehicle": "v",
@@ -55,7 +55,8 @@ def _diagnosis(verdict: Verdict, **more: Any) -> Diagnosis:
         "headline": "What was tried.",
         "effects": ["lift"] if named else [],
         "ranking": [],
-        "steps": [REFITTED, BETTER] if named else [REFITTED],
+        "helps": ["lift"] if helps else [],
+        "steps": [REFITTED, BETTER] if named or helps else [REFITTED],
         "indistinguishable": [],
         "warnings": [],
         "remaining": [_left()],
@@ -128,7 +129,7 @@ def test_each_verdict_says_what_to_do() -> None:
     assert "but wind would do the same" in first_sentence(either)
     assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
     useful = _diagnosis("helps_prediction")
-    assert "lift is not established as the cause" in first_sentence(useful)
+    assert "from 9.0 to 3.3 % on validation runs, but is not established" in first_sentence(useful)
     assert "undertow add lift" in next_command(useful, LINE)
     enough = _diagnosis("adequate", runs=[_run("blocks")])
     assert first_sentence(enough) == (

@@ -21,8 +21,10 @@ from undertow.identification.diagnosis.trial import (
 )
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
+from undertow.identification.estimation.windows import prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -56,11 +58,7 @@ class AdditionSetup:
 
     def prediction(self, vehicle: Vehicle) -> float:
         """The same over short windows."""
-        return self.short(self.ahead(vehicle))
-
-    def short(self, ahead: dict[str, float]) -> float:
-        """The error over short windows; over whole runs where these are shorter."""
-        return ahead.get(f"{self.bench.settings.short_windows:g} s", ahead["free run"])
+        return float(prediction_error(predict(vehicle, self.validator.windows, compiled=False)))
 
 
 @dataclass(frozen=True)
@@ -198,6 +196,6 @@ def _step(
     return Step(
         added=added,
         error=error_of(mean_square(r, setup.bench.test)),
-        prediction=setup.short(ahead),
+        prediction=setup.prediction(vehicle),
         ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )

@@ -69,14 +69,11 @@ _MEANINGS: dict[Verdict, Meaning] = {
         ),
     ),
     "helps_prediction": Meaning(
-        "Something helps to predict, and may not be the cause",
-        "The model fails by more than the noise, and adding the effect lowers the error on data that the fit "
-        "has not seen by more than chance would. Its values do not agree between runs or regimes, are not "
-        "physical, or another form with the same variables does much better.",
-        (
-            "That the effect is at work: it may stand for another one that goes with the same motion.",
-            *_LIMITS,
-        ),
+        "An effect helps to predict, and is not established as the cause",
+        "The model fails by more than the noise. Adding the effect named here lowers the error of "
+        "predictions on data that the fit has not seen, but its size differs between runs, times or "
+        "speeds, or another function of the same variables explains much more.",
+        ("That the effect is there: something else may act through the same variables.", *_LIMITS),
     ),
     "unexplained": Meaning(
         "Something is missing that the catalogue does not explain",

@@ -126,14 +126,15 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     errors_now = errors(diagnosis.last_step.ahead)
     left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
-    names = _joined(diagnosis.effects)
+    helping = _joined(diagnosis.helps)
+    beside = f"; {helping} beside it helps to predict and is not established as a cause" if helping else ""
     said: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
-        "missing_effect": f"{change}.",
+        "missing_effect": f"{change}{beside}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same: record the run that tells "
         "them apart before one of them is taken for the cause.",
-        "helps_prediction": f"{change}, but {names} is not established as the cause: take it to predict, not "
-        "to explain.",
+        "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
+        "explain.",
         "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
         "other motions.",
     }
@@ -144,7 +145,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
 
 def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
     """The command that does what the first sentence says, with the files of this one."""
-    effects, freed = diagnosis.effects, diagnosis.freed
+    effects, freed = _taken(diagnosis), diagnosis.freed
     if diagnosis.verdict == "indistinguishable" and diagnosis.indistinguishable:
         between = ",".join(diagnosis.indistinguishable[0].effects)
         return line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
@@ -174,8 +175,13 @@ def _judged_on(diagnosis: Diagnosis) -> str:
     return "validation runs" if whole else "stretches of the logs that were not fitted"
 
 
+def _taken(diagnosis: Diagnosis) -> list[str]:
+    """The effects that the first sentence is about: those that are named, else those that help to predict."""
+    return diagnosis.effects or diagnosis.helps
+
+
 def _adding(diagnosis: Diagnosis) -> str:
-    names = _joined(diagnosis.effects)
+    names = _joined(_taken(diagnosis))
     if not diagnosis.freed:
         return f"Adding {names}"
     return f"Fitting {_joined(diagnosis.freed)} as well" + (f" and adding {names}" if names else "")
@@ -183,7 +189,8 @@ def _adding(diagnosis: Diagnosis) -> str:
 
 def _change(diagnosis: Diagnosis) -> str:
     """What the effects, and the values found to be others, do to the error."""
-    before, after = _without(diagnosis), diagnosis.last_step
+    taken = set(_taken(diagnosis))
+    before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= taken][-1]
     by_horizon = changes(before.ahead, after.ahead)
     return by_horizon or f"brings the error from {before.error:.3g} to {after.error:.3g} times the noise"
 
