@@ -111,7 +111,9 @@ class ReadOptions:
         from undertow.identification.logs.reading import read_logs
         from undertow.model.loading import load_vehicle
 
-        model, mapping = load_vehicle(vehicle, effect_files=self.effects or ()), self.mapping
+        mapping = self.mapping
+        with progress("reading the vehicle", None):
+            model = load_vehicle(vehicle, effect_files=self.effects or ())
         if in_any_order:
             mapping = mapping.model_copy(
                 update={"time": mapping.time.model_copy(update={"disorder": "drop"})}

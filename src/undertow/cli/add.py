@@ -75,7 +75,7 @@ def add(
         )
     show(addition)
     code, taken = None, target if addition.helps or force else None
-    with together() as files:
+    with progress("writing", None), together() as files:
         if picture is not None:
             _draw(addition, picture)
         if json is not None:

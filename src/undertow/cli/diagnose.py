@@ -93,7 +93,7 @@ def diagnose(
     command = next_command(outcome.diagnosis, line)
     outcome = replace(outcome, diagnosis=outcome.diagnosis.model_copy(update={"command": command}))
     show(outcome)
-    with together():
+    with progress("writing", None), together():
         if json is not None:
             write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
         if report is not None:
