@@ -13,6 +13,7 @@ import sympy as sm
 
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import catalogue
+from undertow.model.hardware import Surface
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.symbols import DOFS, symbol
 from undertow.model.vehicle import Thruster, Vehicle
@@ -20,6 +21,7 @@ from undertow.model.vehicle import Thruster, Vehicle
 DIGITS = 50
 BASE = ("rigid_body", "added_mass", "linear_damping")
 EFFECTS = sorted(e for e, cls in catalogue().items() if not cls.built_in)
+RUDDER = Surface("rudder", (-0.8, 0.1, -0.05), (0.0, 0.6, -0.8), 0.02, 0.6, "T1", 0.2)
 BUNDLED = sorted(bundled_vehicles())
 
 
@@ -37,8 +39,11 @@ def vehicle_with(*ids: str, dofs: tuple[str, ...] = DOFS, thrusters: int = 6) ->
     # What the hardware brings in by itself (the thrusters) is there already.
     required = [r for e in ids for r in catalogue()[e].requires if not catalogue()[r].built_in]
     wanted = [*BASE, *required, *ids]
-    effects = tuple(catalogue()[e](names) for e in dict.fromkeys(wanted))
-    return Vehicle("test vehicle", dofs, effects, {}, hardware, force_channels=("tau_X", "tau_N"))
+    steered = any("control_surfaces" in catalogue()[e].requires for e in ids)
+    surfaces = (RUDDER,) if steered and thrusters else ()
+    effects = tuple(catalogue()[e](names, surfaces) for e in dict.fromkeys(wanted))
+    forces = ("tau_X", "tau_N")
+    return Vehicle("test vehicle", dofs, effects, {}, hardware, forces, surfaces=surfaces)
 
 
 @cache
@@ -113,7 +118,7 @@ class Reference:
         vehicle = functions.vehicle
         c = vehicle.composition
         chain, rates, _ = c.chain
-        delivered = dict(zip(c.signals.actuation, chain, strict=True))
+        delivered = dict(zip(c.actuation, chain, strict=True))
         self.n = len(vehicle.dof_indices)
         states = [*c.eta, *c.nu, *c.wrench_states, *rates]
         assert tuple(map(str, states)) == functions.state_names

@@ -18,6 +18,7 @@ from undertow.errors import UndertowError, nearest
 
 from . import effects
 from .effect import Effect
+from .parameter import Parameter, declared
 
 Catalogue = Mapping[str, type[Effect]]
 
@@ -124,3 +125,13 @@ def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
             f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"
         )
     return known[effect_id]
+
+
+def logged_quantities(known: Catalogue) -> dict[str, str]:
+    """Units of the quantities that effects can take from a log, by name."""
+    return {
+        d.name: d.unit
+        for cls in known.values()
+        for d in declared(cls)
+        if isinstance(d, Parameter) and d.logged
+    }

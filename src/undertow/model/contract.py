@@ -568,7 +568,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"'{name}' is taken by {taken[name]}: choose another name"
         elif names.count(name) > 1:
             yield f"'{name}' is declared twice: rename one"
-    s = signals(specimen.thrusters)
+    s = signals(specimen.thrusters, specimen.surface_names)
     for name in map(str, specimen.abbreviations(s)):
         if name in names or name in map(str, signal_units(s)):
             yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"

@@ -18,9 +18,11 @@ from tomlkit.items import AoT, InlineTable, Table, Whitespace
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
+from .actuators import SURFACE_KEYS, surface_values
 from .effect import Effect
-from .loading import Statements, VehicleTable, read_vehicle_table, resolve_vehicle, vehicle_from_table
+from .loading import Statements, read_vehicle_table, resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
+from .tables import VehicleTable
 from .units import si_of, si_unit, unit_of
 from .vehicle import Value, Vehicle
 
@@ -394,6 +396,7 @@ def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | Non
     _write_head(document, vehicle)
     _write_effects(document, vehicle, signs, history)
     _write_thrusters(document, vehicle, history)
+    _write_surfaces(document, vehicle, read_vehicle_table(path), history)
     if history is not None:
         append_history(document, vehicle, history, signs)
     return tomlkit.dumps(document)
@@ -528,3 +531,18 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
         place = f"thruster '{thruster.name}' thrust_per_command"
         if "thrust_per_command" in tables[thruster.name] or wanted.differs(1.0, place):
             _write(tables[thruster.name], "thrust_per_command", wanted, place, history)
+
+
+def _write_surfaces(
+    document: Any, vehicle: Vehicle, file: VehicleTable, history: Mapping[str, object] | None
+) -> None:
+    """What has changed of the parameters that the tables of the control surfaces state."""
+    elsewhere = {p.name for effect in vehicle.effects for p in effect.parameters}
+    for table, was in zip(document.get("surfaces", []), file.surfaces, strict=True):
+        stated = surface_values(was, vehicle.declared_parameters, file.signs)
+        for key, short in SURFACE_KEYS.items():
+            name = f"{short}_{was.name}"
+            value = vehicle.values.get(name)
+            if value is not None and name not in elsewhere and value != stated.get(name):
+                wanted = _wanted(vehicle.declaration(name), {"value": value}, file.signs)
+                _write(table, key, wanted, f"surface '{was.name}' {key}", history)

@@ -41,7 +41,10 @@ def allocation(vehicle: Vehicle) -> Array:
     """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
     rows = list(vehicle.dof_indices)
     columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
+    # What a surface gives depends on the flow, and an input such as the wind is no force.
+    columns += [np.zeros(len(rows))] * len(vehicle.surfaces)
     columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]
+    columns += [np.zeros(len(rows))] * len(vehicle.inputs)
     return np.array(columns).T.reshape(len(rows), -1)
 
 
@@ -147,7 +150,7 @@ class Responses:
         u = run.matrix(self.vehicle.command_names)
         missing = np.isnan(u)
         actuation = self._chain.along(run.t, without_gaps(u), self._p).value
-        table = np.column_stack([actuation, u[:, len(self.vehicle.thrusters) :]])
+        table = np.column_stack([actuation, u[:, len(self.vehicle.actuator_names) :]])
         table = np.where(missing, np.nan, table)
         return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))
 
@@ -350,7 +353,7 @@ class _PlausibilityCheck:
     # --- limits of the commands ------------------------------------------------------------------
     def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
-        limits = {t.name: t.limit for t in self.vehicle.thrusters if t.limit}
+        limits = self.vehicle.command_limits
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
         far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
         if not far:

@@ -335,7 +335,7 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
         if not (value > 0 and np.isfinite(value)):
             raise UndertowError(f"--limit {name or 'of all'} = {value:g} is no limit: give a positive value")
-    stated = {t.name: t.limit for t in vehicle.thrusters if t.limit is not None}
+    stated = vehicle.command_limits
     found = [_limit(n, asked, stated.get(n), runs) for n in vehicle.command_names]
     return CommandLimits(np.array([v for v, _ in found]), tuple(s for _, s in found))
 

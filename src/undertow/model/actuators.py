@@ -1,0 +1,147 @@
+"""Thrusters and control surfaces from their tables in a vehicle file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from undertow.errors import UndertowError
+
+from .hardware import Surface
+from .parameter import Parameter
+from .tables import ParameterTable, SurfaceTable, ThrusterTable, as_table, parameter_values, positive
+from .units import si_of
+from .vehicle import Thruster, Value
+
+
+def thruster_of(table: ThrusterTable) -> Thruster:
+    place = f"thruster '{table.name}'"
+    given = table.wrench is not None
+    if {table.position is not None, table.direction is not None} != {not given}:
+        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
+    wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
+    if not any(wrench):
+        raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
+    return Thruster(table.name, wrench, _thrust_per_command(place, table), _limit(place, table.limit))
+
+
+def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
+    place = f"{place} thrust_per_command"
+    spec = as_table(table.thrust_per_command)
+    if spec.value is None:
+        raise UndertowError(f"{place} needs a 'value'")
+    value = si_of(place, spec.value, "N/command")
+    if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
+        raise UndertowError(f"{place} = {value:g} N cannot be: give a positive thrust and turn the direction")
+    sigma = None if spec.sigma is None else positive(f"{place} sigma", spec.sigma, "N/command")
+    return Value(value, spec.estimate, sigma, spec.source, spec.assumed)
+
+
+def _limit(place: str, limit: Any) -> float | None:
+    if limit is None:
+        return None
+    # Where the command is the thrust itself, its limit is naturally written in N.
+    in_newton = isinstance(limit, str) and "N" in limit
+    return positive(f"{place} limit", limit, "N" if in_newton else "command")
+
+
+def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:
+    return tuple(si_of(place, entry, "1") for entry in entries or ())
+
+
+def _wrench_of(place: str, table: ThrusterTable) -> tuple[float, ...]:
+    assert table.position is not None
+    assert table.direction is not None
+    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    a, b, c = _numbers(f"{place} direction", table.direction)
+    length = math.hypot(a, b, c)
+    if abs(length - 1) > 1e-3:
+        raise UndertowError(f"{place}: direction has length {length:g}; give a unit vector")
+    return (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
+
+
+# --- control surfaces -----------------------------------------------------------------------------
+# Keys of a surface's table that state a parameter, and the parameter's name without that of the surface.
+SURFACE_KEYS = {
+    "lift_coefficient": "C_N",
+    "drag_coefficient": "C_D",
+    **{
+        key: key
+        for key in ("wake", "straightening", "flow_lever", "in_slipstream", "slipstream", "a_H", "x_H", "t_R")
+    },
+    "lag": "lag",
+    "rate": "rate",
+}
+# By name: a rudder turns the bow of a vehicle that goes ahead to starboard, a stern plane brings it down.
+_AXES = {"rudder": (0.0, 0.0, -1.0), "stern_plane": (0.0, 1.0, 0.0)}
+# How far an axis may miss a unit vector across the x axis, and is then a rounded one.
+_ROUNDED = 1e-3
+
+
+def surface_of(table: SurfaceTable, thrusters: Iterable[str]) -> Surface:
+    """The hardware that a table describes."""
+    place = f"surface '{table.name}'"
+    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    return Surface(
+        table.name,
+        (x, y, z),
+        _axis(place, table.axis),
+        positive(f"{place} area", table.area, "m^2"),
+        None if table.limit is None else positive(f"{place} limit", table.limit, "rad"),
+        *_propeller(place, table, list(thrusters)),
+    )
+
+
+def _axis(place: str, stated: Any) -> tuple[float, float, float]:
+    if isinstance(stated, str):
+        if stated not in _AXES:
+            raise UndertowError(
+                f"{place}: axis '{stated}' is not known: give {', '.join(_AXES)} or a unit vector"
+            )
+        return _AXES[stated]
+    a, b, c = _numbers(f"{place} axis", stated)
+    length = math.hypot(b, c)
+    if abs(a) > _ROUNDED or abs(length - 1) > _ROUNDED:
+        raise UndertowError(
+            f"{place}: axis is {[a, b, c]}: give a unit vector across the x axis, as [0, 0, -1]"
+        )
+    return (0.0, b / length, c / length)
+
+
+def _propeller(place: str, table: SurfaceTable, thrusters: list[str]) -> tuple[str, float]:
+    """Name and diameter of the propeller ahead of a surface."""
+    if (table.slipstream_of is None) != (table.propeller_diameter is None):
+        raise UndertowError(f"{place} needs both 'slipstream_of' and 'propeller_diameter', or neither")
+    if table.slipstream_of is None:
+        return "", 0.0
+    if table.slipstream_of not in thrusters:
+        have = ", ".join(thrusters) or "none"
+        raise UndertowError(
+            f"{place} is in the slipstream of '{table.slipstream_of}': the thrusters are {have}"
+        )
+    return table.slipstream_of, positive(f"{place} propeller_diameter", table.propeller_diameter, "m")
+
+
+def surface_values(table: SurfaceTable, parameters: dict[str, Parameter], signs: str) -> dict[str, Value]:
+    """Parameters that a surface's table states, by name; `parameters` are all those of surfaces, by name."""
+    place = f"surface '{table.name}'"
+    found: dict[str, Value] = {}
+    for key, name in SURFACE_KEYS.items():
+        entry = _lift(place, table) if key == "lift_coefficient" else getattr(table, key)
+        if entry is not None:
+            stated = as_table(entry)
+            stated = stated if stated.source else stated.model_copy(update={"source": table.source})
+            found |= parameter_values(place, parameters[f"{name}_{table.name}"], stated, signs)
+    return found
+
+
+def _lift(place: str, table: SurfaceTable) -> Any:
+    """Coefficient of the force across the chord, as stated or by the aspect ratio."""
+    if table.lift_coefficient is not None:
+        return table.lift_coefficient
+    if table.aspect_ratio is None:
+        raise UndertowError(f"{place} needs 'lift_coefficient' or 'aspect_ratio' (span over chord)")
+    ratio = positive(f"{place} aspect_ratio", table.aspect_ratio, "1")
+    source = f"6.13 A/(A + 2.25) for the aspect ratio A = {ratio:g}, Fujii; Yasukawa and Yoshimura (2015)"
+    return ParameterTable(value=6.13 * ratio / (ratio + 2.25), source=source)
