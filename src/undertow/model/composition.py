@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from .catalogue import Catalogue, catalogue, lookup
 from .effect import Actuation, Effect, Flow, Measurement, Wrench, kinds_of
 from .kinematics import pose_jacobian, rotation, skew
-from .parameter import Parameter
+from .parameter import Parameter, logged
 from .symbols import (
     FORCE,
     FORCE_UNITS,
@@ -314,6 +314,11 @@ class Statement:
     def parameters(self) -> dict[sm.Symbol, Parameter]:
         """Own and shared parameters by symbol."""
         return {symbol(p.name): p for p in (*self.shared, *self.own)}
+
+    @cached_property
+    def logged(self) -> dict[sm.Symbol, Parameter]:
+        """Quantities that the log holds for the effect, by symbol."""
+        return {symbol(d.name): d for d in logged(type(self.effect)) if d.name in self.effect.inputs}
 
     @cached_property
     def inputs(self) -> dict[sm.Symbol, str]:

@@ -15,7 +15,7 @@ from sympy.printing.str import StrPrinter
 from .catalogue import Catalogue, catalogue
 from .composition import Part, Statement, statement_of
 from .effect import Effect
-from .parameter import Parameter, PerThruster, declared
+from .parameter import Parameter, PerSurface, PerThruster, declared, logged
 from .symbols import FORCE, VELOCITY
 from .units import short_unit
 
@@ -60,6 +60,7 @@ class Description:
     legend: dict[str, str]
     parameters: tuple[ParameterNote, ...]
     also_in_files: dict[str, str]
+    from_logs: dict[str, str]
     requires: tuple[str, ...]
     shares: tuple[str, ...]
     claims: tuple[str, ...]
@@ -86,6 +87,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
         legend=dict(_legend(statement)),
         parameters=tuple(_note(p, {t.key for t in cls.taken}) for p in _as_declared(cls)),
         also_in_files=cls.file_units(),
+        from_logs={d.name: f"{d.about}, {short_unit(d.unit)}" for d in logged(cls)},
         requires=cls.requires,
         shares=cls.shares,
         claims=tuple(c for c in ("dissipative", "workless") if getattr(cls, c, False)),
@@ -97,11 +99,11 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
 
 # --- parameters ----------------------------------------------------------------------------------
 def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
-    """Scalar parameters, those of thrusters once for all of them."""
+    """Scalar parameters, those of thrusters and surfaces once for all of them."""
     for declaration in declared(cls):
         if isinstance(declaration, PerThruster):
-            (one,) = declaration.expand(("<thruster>",))
-            yield one
+            kind = "surface" if isinstance(declaration, PerSurface) else "thruster"
+            yield declaration.of(kind, f"<{kind}>")
         else:
             yield from declaration.expand(())
 
@@ -171,6 +173,9 @@ def _legend(statement: Statement) -> Iterator[tuple[str, str]]:
     for start, meaning in (
         ("command_", "what reaches the step, in units of the command"),
         ("actuation_", "what reaches the thruster, in units of its command"),
+        ("deflection_", "angle of the control surface, rad"),
+        ("area_", "area of the control surface, m^2"),
+        ("diameter_", "diameter of the propeller ahead of it, m"),
         ("e_x_", "direction of a thruster, forward; e_y and e_z likewise"),
         ("lever_x_", "moment about the x axis per newton of its thrust, m; lever_y and lever_z likewise"),
     ):

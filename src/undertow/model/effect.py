@@ -12,7 +12,7 @@ from typing import ClassVar, Literal, Self
 import sympy as sm
 
 from .hardware import Surface
-from .parameter import Limits, Parameter, Taken, declared
+from .parameter import Limits, Parameter, Taken, declared, logged
 from .symbols import Signals, column, spelled_out, symbol
 
 
@@ -63,6 +63,8 @@ class Effect(abc.ABC):
         damaged: what a fleet is watched for. Empty where they do not.
     taken : tuple of Taken
         Keys of its table that another effect states as well: the mass of one is the weight of the other.
+    former_keys : tuple of str
+        Keys of `file_units` that were parameters once: what they become is estimated where they are.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
     surfaces : tuple of Surface
@@ -81,6 +83,7 @@ class Effect(abc.ABC):
     weighed: ClassVar[bool] = False
     scales_with: ClassVar[Literal["", "drag", "inertia"]] = ""
     taken: ClassVar[tuple[Taken, ...]] = ()
+    former_keys: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
         self,
@@ -203,8 +206,7 @@ class Effect(abc.ABC):
         units = {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
         for surface in self.surfaces:
             units |= surface.symbols
-        logged = (d for d in declared(type(self)) if isinstance(d, Parameter) and d.name in self.inputs)
-        return units | {symbol(d.name): d.unit for d in logged}
+        return units | {symbol(d.name): d.unit for d in logged(type(self)) if d.name in self.inputs}
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

@@ -69,4 +69,6 @@ class Surface:
 
 def _exact(number: Number) -> sm.Expr:
     """A whole number without a decimal point, so that zeros and ones vanish from products."""
-    return sm.Integer(int(number)) if isinstance(number, float) and not number % 1 else sm.sympify(number)
+    if isinstance(number, sm.Basic):
+        return number
+    return sm.Float(number) if number % 1 else sm.Integer(int(number))

@@ -20,7 +20,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 
 from .actuators import surface_of, surface_values, thruster_of
-from .catalogue import Catalogue, catalogue, load_effects, logged_quantities, lookup, merge
+from .catalogue import Catalogue, catalogue, companions, load_effects, logged_quantities, lookup, merge
 from .effect import Effect
 from .effects.control_surfaces import ControlSurfaces
 from .effects.steering_gear import SteeringGear
@@ -337,6 +337,9 @@ def _inputs(names: Sequence[str], known: Catalogue) -> dict[str, str]:
                 f"inputs names '{name}', which no effect takes from a log{nearest(name, units)}; "
                 f"known are {', '.join(units)}"
             )
+    for name, companion in companions(known).items():
+        if companion in names and name not in names:
+            raise UndertowError(f"inputs names '{companion}' without '{name}': name both, or neither")
     return {name: units[name] for name in names}
 
 
@@ -395,8 +398,9 @@ def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str,
     source = "; ".join(dict.fromkeys(e.source for e in aliases.values() if e.source))
     assumed = any(e.assumed for e in aliases.values())
     sigma = _carried_over(effect, plain, converted, values)
+    sought = {n for k in aliases if aliases[k].estimate for n in _touched(effect, plain, converted, k)}
     new = {
-        n: Value(v, estimate=n in sigma, sigma=sigma.get(n), source=source, assumed=assumed)
+        n: Value(v, estimate=n in {*sigma, *sought}, sigma=sigma.get(n), source=source, assumed=assumed)
         for n, v in converted.items()
         if n not in values
     }
@@ -426,9 +430,17 @@ def _carried_over(
     return {n: s for n, s in found.items() if s > 0.0}
 
 
+def _touched(
+    effect: Effect, plain: Mapping[str, float], converted: Mapping[str, float], key: str
+) -> list[str]:
+    """Parameters that a key stands for among others."""
+    moved = effect.from_file({**plain, key: plain[key] + 1.0})
+    return [n for n, v in converted.items() if moved[n] != v]
+
+
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     place = f"[effects.{effect.id}] {key}"
-    if entry.estimate or entry.sigma is not None:
+    if (entry.estimate or entry.sigma is not None) and key not in effect.former_keys:
         raise UndertowError(f"{place} cannot be estimated: estimate the static moment instead")
     if entry.value is None:
         raise UndertowError(f"{place} needs one 'value'")

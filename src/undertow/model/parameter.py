@@ -270,12 +270,15 @@ class Place:
         "ned" or "body".
     farthest : float
         Largest magnitude of a coordinate, m.
+    without_log : str
+        Input beside which the point has no meaning.
     """
 
     name: str
     about: str
     axes: str
     farthest: float
+    without_log: str = ""
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         return self if effect is None else sm.Matrix([symbol(f"{axis}_{self.name}") for axis in "xyz"])
@@ -291,6 +294,7 @@ class Place:
                 starts=(0.0,),
                 neutral=None,
                 arm_of="1" if self.axes == "body" else "",
+                without_log=self.without_log,
                 name=f"{axis}_{self.name}",
             )
             for axis, way in zip("xyz", _WAYS[self.axes], strict=True)
@@ -324,6 +328,11 @@ def declared(owner: type) -> Iterable[Declaration]:
     for cls in reversed(owner.__mro__):
         found.update({k: v for k, v in vars(cls).items() if isinstance(v, Declaration)})
     return found.values()
+
+
+def logged(owner: type) -> list[Parameter]:
+    """Quantities that an effect class can take from a log, parameters of it or not."""
+    return [d for d in declared(owner) if isinstance(d, Parameter) and d.logged]
 
 
 def printed(parameter: Parameter, value: float, signs: str) -> float:
