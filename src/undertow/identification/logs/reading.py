@@ -31,6 +31,7 @@ from undertow.identification.logs.table import (
     read_table,
     seconds,
 )
+from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import VELOCITY
 from undertow.model.units import scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
@@ -342,11 +343,14 @@ def _checked(
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
+    sensed = logged_quantities(catalogue())
     for name in commands:
         if run.has(name):
-            filled[name], note = checks.fill_commands(
-                name, run.t, filled[name], policy, where, known.get(name, np.nan)
-            )
+            data, rule, earlier = filled[name], policy, known.get(name, np.nan)
+            if name in sensed:  # a sensor reports now and then: its first report holds from the start
+                first = data[np.isfinite(data)][:1]
+                rule, earlier = "hold", known.get(name, float(first.sum()) if first.size else np.nan)
+            filled[name], note = checks.fill_commands(name, run.t, data, rule, where, earlier)
             notes += [note] if note else []
     constant = checks.constant_channels(run)
     if constant:

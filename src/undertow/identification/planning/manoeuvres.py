@@ -329,6 +329,10 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
 
     The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
+    if vehicle.inputs:
+        raise UndertowError(
+            f"no plan chooses {', '.join(vehicle.inputs)}: plan with a vehicle file whose inputs are empty"
+        )
     for name, value in asked.items():
         if name not in ("", *vehicle.command_names):
             have = ", ".join(vehicle.command_names)
