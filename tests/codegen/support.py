@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import mpmath
@@ -13,7 +13,7 @@ import sympy as sm
 
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import catalogue
-from undertow.model.hardware import Surface
+from undertow.model.hardware import Curve, Propeller, Surface
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.symbols import DOFS, symbol
 from undertow.model.vehicle import Thruster, Vehicle
@@ -41,6 +41,9 @@ def vehicle_with(*ids: str, dofs: tuple[str, ...] = DOFS, thrusters: int = 6) ->
     wanted = [*BASE, *required, *ids]
     steered = any("control_surfaces" in catalogue()[e].requires for e in ids)
     surfaces = (RUDDER,) if steered and thrusters else ()
+    if steered and thrusters > 2:  # by revolutions ahead of the rudder, and by a curve
+        laws = (Propeller(0.2, 1.0), Curve.through([(-2.0, -1.0), (-0.1, 0.0), (0.1, 0.0), (2.0, 3.0)]))
+        hardware = (*(replace(t, law=law) for t, law in zip(hardware, laws, strict=False)), *hardware[2:])
     effects = tuple(catalogue()[e](names, surfaces) for e in dict.fromkeys(wanted))
     forces = ("tau_X", "tau_N")
     return Vehicle("test vehicle", dofs, effects, {}, hardware, forces, surfaces=surfaces)

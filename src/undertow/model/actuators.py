@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from undertow.errors import UndertowError
 
-from .hardware import Surface
+from .hardware import Curve, Law, Propeller, Surface
 from .parameter import Parameter
 from .tables import ParameterTable, SurfaceTable, ThrusterTable, as_table, parameter_values, positive
 from .units import si_of
 from .vehicle import Thruster, Value
 
 
-def thruster_of(table: ThrusterTable) -> Thruster:
+def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
     place = f"thruster '{table.name}'"
     given = table.wrench is not None
     if {table.position is not None, table.direction is not None} != {not given}:
@@ -23,7 +27,97 @@ def thruster_of(table: ThrusterTable) -> Thruster:
     wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
-    return Thruster(table.name, wrench, _thrust_per_command(place, table), _limit(place, table.limit))
+    law, unit = _law(place, table, folder)
+    limit = _limit(place, table.limit)
+    return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, law, unit)
+
+
+# Revolutions per second of one unit, by name.
+_TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
+PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
+
+
+def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
+    """How the command becomes thrust, and the command's unit."""
+    stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
+    if "propeller" in stated and len(stated) > 1:
+        raise UndertowError(f"{place} says twice how it pushes, by {' and '.join(sorted(stated))}: keep one")
+    if table.propeller is not None:
+        unit = table.propeller.revolutions
+        return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), _TURNS[unit]), unit
+    if isinstance(table.curve, str):
+        return Curve.through(_points(place, folder / table.curve)), "command"
+    if table.curve is not None:
+        limit = _limit(place, table.limit)
+        if limit is None or not table.curve:
+            raise UndertowError(f"{place}: a curve of coefficients needs a 'limit' up to which it holds")
+        return Curve.polynomial([float(c) for c in table.curve], limit), "command"
+    return None, "command"
+
+
+Point = tuple[float, float]
+
+
+def _points(place: str, path: Path) -> list[Point]:
+    """Commands and thrusts, N, of a file with two columns, as few as describe it."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UndertowError(f"{place}: curve '{path}' cannot be read: {error}") from error
+    rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
+    found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
+    if len(found) < 2 or len(found) < len(rows) - 1 - sum(r[0].startswith("#") for r in rows):
+        raise UndertowError(f"{place}: curve '{path}' needs two columns of numbers, command and thrust in N")
+    if any(b[0] <= a[0] for a, b in pairwise(found)):
+        raise UndertowError(f"{place}: commands of curve '{path}' do not rise from row to row: sort them")
+    return _thinned(found)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
+
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    points: int = 40  # most points
+
+
+_CURVES = CurveSettings()
+
+
+def _thinned(points: list[Point], settings: CurveSettings = _CURVES) -> list[Point]:
+    """Points without those that the curve through the others passes anyway."""
+    span = max(y for _, y in points) - min(y for _, y in points)
+    kept = {0, len(points) - 1}
+    while len(kept) < min(settings.points, len(points)):
+        curve = Curve.through([points[k] for k in sorted(kept)])
+        errors = [abs(curve.at(x) - y) for x, y in points]
+        worst = max(range(len(points)), key=errors.__getitem__)
+        if errors[worst] <= settings.error * span:
+            break
+        kept.add(worst)
+    return [points[k] for k in sorted(kept)]
+
+
+def propeller_values(
+    table: ThrusterTable, parameters: Mapping[str, Parameter], signs: str
+) -> dict[str, Value]:
+    """Parameters that the table of a propeller states, by name."""
+    found: dict[str, Value] = {}
+    for key in PROPELLER_KEYS:
+        entry = getattr(table.propeller, key, None)
+        if entry is not None:
+            stated = as_table(entry)
+            stated = stated if stated.source else stated.model_copy(update={"source": table.source})
+            parameter = parameters[f"{key}_{table.name}"]
+            found |= parameter_values(f"propeller of thruster '{table.name}'", parameter, stated, signs)
+    return found
 
 
 def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
@@ -123,7 +217,7 @@ def _propeller(place: str, table: SurfaceTable, thrusters: list[str]) -> tuple[s
     return table.slipstream_of, positive(f"{place} propeller_diameter", table.propeller_diameter, "m")
 
 
-def surface_values(table: SurfaceTable, parameters: dict[str, Parameter], signs: str) -> dict[str, Value]:
+def surface_values(table: SurfaceTable, parameters: Mapping[str, Parameter], signs: str) -> dict[str, Value]:
     """Parameters that a surface's table states, by name; `parameters` are all those of surfaces, by name."""
     place = f"surface '{table.name}'"
     found: dict[str, Value] = {}

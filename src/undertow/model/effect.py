@@ -11,7 +11,7 @@ from typing import ClassVar, Literal, Self
 
 import sympy as sm
 
-from .hardware import Surface
+from .hardware import Law, Propeller, Surface
 from .parameter import Limits, Parameter, Taken, declared, logged
 from .symbols import Signals, column, spelled_out, symbol
 
@@ -67,6 +67,8 @@ class Effect(abc.ABC):
         Keys of `file_units` that were parameters once: what they become is estimated where they are.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
+    laws : tuple of Propeller, Curve or None
+        How the command of each thruster becomes thrust; None where it is in proportion.
     surfaces : tuple of Surface
         Control surfaces of the vehicle.
     inputs : tuple of str
@@ -95,13 +97,14 @@ class Effect(abc.ABC):
         self.surfaces = tuple(surfaces)
         self.inputs = tuple(inputs)
         self.allocation = sm.zeros(6, len(thrusters))
+        self.laws: tuple[Law, ...] = (None,) * len(thrusters)
 
     def __eq__(self, other: object) -> bool:
         """The same effect on the same hardware: what is derived from one serves for the other."""
         if type(self) is not type(other) or not isinstance(other, Effect):
             return False
         own, others = vars(self), vars(other)
-        hardware = ("thrusters", "allocation", "surfaces", "inputs")
+        hardware = ("thrusters", "allocation", "laws", "surfaces", "inputs")
         return own.keys() == others.keys() and all(
             own[n] == others[n] if n in hardware else own[n] is others[n] for n in own
         )
@@ -118,11 +121,16 @@ class Effect(abc.ABC):
         return tuple(surface.name for surface in self.surfaces)
 
     def placed(
-        self, allocation: sm.Matrix, surfaces: tuple[Surface, ...] = (), inputs: tuple[str, ...] = ()
+        self,
+        allocation: sm.Matrix,
+        surfaces: tuple[Surface, ...] = (),
+        inputs: tuple[str, ...] = (),
+        laws: tuple[Law, ...] = (),
     ) -> Self:
         """The effect on a vehicle whose thrusters press on it like this, `allocation` of shape (6, n)."""
         there = copy.copy(self)
         there.allocation, there.surfaces, there.inputs = allocation, surfaces, inputs
+        there.laws = laws or self.laws
         return there
 
     @property
@@ -204,8 +212,9 @@ class Effect(abc.ABC):
     def constants(self) -> dict[sm.Symbol, str]:
         """Symbols, with units, that stand for numbers of the hardware on a `specimen`, and its inputs."""
         units = {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
-        for surface in self.surfaces:
-            units |= surface.symbols
+        propellers = [law for law in self.laws if isinstance(law, Propeller)]
+        for found in (part.symbols for parts in (self.surfaces, propellers) for part in parts):
+            units |= found
         return units | {symbol(d.name): d.unit for d in logged(type(self)) if d.name in self.inputs}
 
     @classmethod

@@ -19,10 +19,11 @@ from pydantic import BaseModel, ValidationError
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 
-from .actuators import surface_of, surface_values, thruster_of
+from .actuators import propeller_values, surface_of, surface_values, thruster_of
 from .catalogue import Catalogue, catalogue, companions, load_effects, logged_quantities, lookup, merge
 from .effect import Effect
 from .effects.control_surfaces import ControlSurfaces
+from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
 from .hardware import Surface
 from .parameter import Taken, printed
@@ -250,7 +251,7 @@ def load_vehicle(
     table = read_vehicle_table(path)
     known = _known_effects(table, path, list(effect_files), trust_effects)
     try:
-        vehicle, remarks = _vehicle_and_remarks(table, known)
+        vehicle, remarks = _vehicle_and_remarks(table, known, path.parent)
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
     for line in remarks:
@@ -292,13 +293,13 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
     return merge(catalogue(), [cls for file in chosen for cls in load_effects(file)])
 
 
-def vehicle_from_table(table: VehicleTable, known: Catalogue) -> Vehicle:
-    """Build the vehicle that a validated file describes."""
-    return _vehicle_and_remarks(table, known)[0]
+def vehicle_from_table(table: VehicleTable, known: Catalogue, folder: Path = Path()) -> Vehicle:
+    """Build the vehicle that a validated file in a folder describes."""
+    return _vehicle_and_remarks(table, known, folder)[0]
 
 
-def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle, list[str]]:
-    thrusters = tuple(thruster_of(t) for t in table.thrusters)
+def _vehicle_and_remarks(table: VehicleTable, known: Catalogue, folder: Path) -> tuple[Vehicle, list[str]]:
+    thrusters = tuple(thruster_of(t, folder) for t in table.thrusters)
     names = tuple(t.name for t in thrusters)
     surfaces = tuple(surface_of(t, names) for t in table.surfaces)
     inputs = _inputs(table.inputs, known)
@@ -311,7 +312,7 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle
     tables, values = statements.completed(), dict[str, Value]()
     for effect in effects:
         values |= _effect_values(effect, tables[effect.id], table.signs)
-    values |= _surface_values(table, surfaces, values)
+    values |= _hardware_values(table, names, surfaces, values)
     vehicle = Vehicle(
         name=table.name,
         degrees_of_freedom=tuple(sorted(table.degrees_of_freedom, key=DOFS.index)),
@@ -343,13 +344,15 @@ def _inputs(names: Sequence[str], known: Catalogue) -> dict[str, str]:
     return {name: units[name] for name in names}
 
 
-def _surface_values(
-    table: VehicleTable, surfaces: tuple[Surface, ...], others: Mapping[str, Value]
+def _hardware_values(
+    table: VehicleTable, names: tuple[str, ...], surfaces: tuple[Surface, ...], others: Mapping[str, Value]
 ) -> dict[str, Value]:
-    """What the tables of the surfaces state of parameters."""
-    effects = [cls((), surfaces) for cls in (ControlSurfaces, SteeringGear)]
+    """What the tables of propellers and surfaces state of parameters."""
+    effects = [cls(names, surfaces) for cls in (Propellers, ControlSurfaces, SteeringGear)]
     parameters = {p.name: p for effect in effects for p in effect.parameters}
     found: dict[str, Value] = {}
+    for thruster in table.thrusters:
+        found |= propeller_values(thruster, parameters, table.signs)
     for surface in table.surfaces:
         found |= surface_values(surface, parameters, table.signs)
     for name in found.keys() & others.keys():

@@ -105,7 +105,7 @@ def _thrusters(vehicle: Vehicle, size: VehicleSize | None) -> Iterator[str]:
         yield from _sigma(f"{place} thrust_per_command", thrust)
         if thruster.limit is not None:
             yield from _out_of(f"{place} limit", thruster.limit, _LIMITS.command)
-        if size is not None:
+        if size is not None and thruster.law is None:
             yield from _pushed(thruster, size.mass)
 
 

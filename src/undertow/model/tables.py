@@ -70,6 +70,17 @@ class ParameterTable(FileTable):
         return self.model_copy(update={"sigma": self.sigma if own is None else own})
 
 
+class PropellerTable(FileTable):
+    """A propeller whose command is its speed of revolution."""
+
+    diameter: Quantity
+    K_T0: Quantity | ParameterTable
+    K_T1: Quantity | ParameterTable = 0.0
+    wake_fraction: Quantity | ParameterTable | None = None
+    thrust_deduction: Quantity | ParameterTable | None = None
+    revolutions: Literal["rad/s", "rev/s", "rpm"] = "rad/s"
+
+
 class ThrusterTable(FileTable):
     """A thruster: where it is and which way it pushes, or its wrench per newton."""
 
@@ -78,6 +89,8 @@ class ThrusterTable(FileTable):
     direction: tuple[StrictFloat | StrictInt, StrictFloat | StrictInt, StrictFloat | StrictInt] | None = None
     wrench: Annotated[list[StrictFloat | StrictInt], Field(min_length=6, max_length=6)] | None = None
     thrust_per_command: Quantity | ParameterTable = 1.0
+    curve: StrictStr | list[StrictFloat | StrictInt] | None = None
+    propeller: PropellerTable | None = None
     limit: Quantity | None = None
     source: StrictStr = ""
 

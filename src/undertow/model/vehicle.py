@@ -15,9 +15,10 @@ from .composition import Composition
 from .effect import Effect
 from .effects.control_surfaces import ControlSurfaces
 from .effects.generalised_force import GeneralisedForce
+from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
 from .effects.thrusters import Thrusters
-from .hardware import Surface
+from .hardware import Law, Propeller, Surface
 from .parameter import WAYS, Parameter
 from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, symbol
 from .units import short_unit
@@ -42,6 +43,8 @@ class Thruster:
     wrench: tuple[float, ...]  # force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m)
     thrust_per_command: Value = Value(1.0)  # thrust per unit of command, N
     limit: float | None = None  # largest magnitude of the command
+    law: Law = None  # how the command becomes thrust; None: in proportion
+    command_unit: str = "command"  # unit of the command
 
 
 # Where a vehicle file states the hardware that an effect stands for.
@@ -179,7 +182,7 @@ class Vehicle:
     def command_units(self) -> dict[str, str]:
         """Unit of each of `command_names`; "command" is the thruster's own."""
         forces = dict(zip((f"tau_{f}" for f in FORCE), FORCE_UNITS, strict=True))
-        units = {t.name: "command" for t in self.thrusters} | {s.name: "rad" for s in self.surfaces}
+        units = {t.name: t.command_unit for t in self.thrusters} | {s.name: "rad" for s in self.surfaces}
         return units | {n: forces[n] for n in self.force_channels} | dict(self.inputs)
 
     @property
@@ -195,13 +198,19 @@ class Vehicle:
         geared = SteeringGear.id not in present and any(n in self.values for n in self._gear_names)
         hardware = {
             Thrusters: bool(self.thrusters),
+            Propellers: any(isinstance(law, Propeller) for law in self.laws),
             ControlSurfaces: bool(self.surfaces),
             SteeringGear: geared,
             GeneralisedForce: bool(self.force_channels),
         }
         effects = (*self.effects, *(self.equipped(cls) for cls, there in hardware.items() if there))
         allocation, inputs = self.allocation, tuple(self.inputs)
-        return tuple(e.placed(allocation, self.surfaces, inputs) for e in effects)
+        return tuple(e.placed(allocation, self.surfaces, inputs, self.laws) for e in effects)
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """How the command of each thruster becomes thrust; None where it is in proportion."""
+        return tuple(t.law for t in self.thrusters)
 
     @property
     def _gear_names(self) -> tuple[str, ...]:

@@ -40,7 +40,9 @@ _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
 def allocation(vehicle: Vehicle) -> Array:
     """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
     rows = list(vehicle.dof_indices)
-    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
+    # What a propeller by revolutions or a curve gives is not in proportion to the command.
+    gains = [t.thrust_per_command.value if t.law is None else 0.0 for t in vehicle.thrusters]
+    columns = [np.array(t.wrench)[rows] * k for t, k in zip(vehicle.thrusters, gains, strict=True)]
     # What a surface gives depends on the flow, and an input such as the wind is no force.
     columns += [np.zeros(len(rows))] * len(vehicle.surfaces)
     columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]

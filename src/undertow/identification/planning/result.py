@@ -119,7 +119,7 @@ _DETERMINED = 0.3
 
 def command_unit(vehicle: Vehicle, name: str) -> str:
     """Unit of a command: N (N m) where one unit of it is one of thrust, else "command"."""
-    in_newton = {t.name: "N" for t in vehicle.thrusters if t.thrust_per_command.value == 1.0}
+    in_newton = {t.name: "N" for t in vehicle.thrusters if t.thrust_per_command.value == 1.0 and not t.law}
     return in_newton.get(name, vehicle.command_units[name])
 
 

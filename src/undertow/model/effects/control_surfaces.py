@@ -7,7 +7,7 @@ from math import inf
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.effects.thrusters import Thrusters
+from undertow.model.effects.propellers import thrust_of
 from undertow.model.hardware import Surface
 from undertow.model.parameter import Parameter, PerSurface
 from undertow.model.symbols import Signals, column, symbol
@@ -33,7 +33,7 @@ class ControlSurfaces(Wrench):
     )
     signature = "no force in answer to an angle, or no loss of speed in turns"
     built_in = True
-    shares = ("thrusters",)
+    shares = ("thrusters", "propellers")
 
     C_N = PerSurface("1", "force across the chord: coefficient per sine of the angle of attack", (0, inf))
     C_D = PerSurface("1", "drag coefficient at zero angle", (0, inf))
@@ -120,7 +120,7 @@ class ControlSurfaces(Wrench):
     def _gain(self, k: int, surface: Surface, s: Signals) -> sm.Expr:
         """Speed that the propeller ahead adds, m/s; none when it pushes astern."""
         i = self.thrusters.index(surface.propeller)
-        thrust = s.actuation[i] * Thrusters(self.thrusters).thrust[i]
+        thrust = thrust_of(self, s)[i]
         pushing = (thrust + sm.Abs(thrust)) / 2
         disc = sm.pi * surface.diameter**2 / 4
         before = _flows(surface)[0] ** 2 + self.flow_least**2
