@@ -70,7 +70,7 @@ def test_formulas_are_ordinary_arithmetic(text: str, value: float) -> None:
     ],
 )
 def test_nothing_but_arithmetic_is_taken(text: str) -> None:
-    with pytest.raises(UndertowError, match="formula|function"):
+    with pytest.raises(UndertowError, match=r"formula|function"):
         Formula(text)
 
 

@@ -68,9 +68,8 @@ class Formula:
     @cached_property
     def _tree(self) -> ast.expr:
         if len(self.text) > _LIMITS.characters:
-            raise UndertowError(
-                f"formula {self.text[:40]!r}... is longer than {_LIMITS.characters} characters"
-            )
+            start, most = self.text[:40], _LIMITS.characters
+            raise UndertowError(f"formula {start!r}... is longer than {most} characters: shorten it")
         try:
             tree = ast.parse(self.text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -96,8 +95,8 @@ class Formula:
     def _walk(self, node: ast.expr, column: Callable[[str], Any]) -> Any:
         """Value of a part of the tree."""
         match node:
-            case ast.Constant(value=int() | float()) if not isinstance(node.value, bool):
-                return float(node.value)
+            case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+                return float(number)
             case ast.Name(id=name):
                 return _NUMBERS[name] if name in _NUMBERS else column(name)
             case ast.UnaryOp(op=op, operand=inner) if type(op) in _OPERATIONS:

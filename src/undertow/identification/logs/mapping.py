@@ -179,7 +179,8 @@ def _refuse_twins(mapping: LogMapping, path: Path) -> None:
     for channel in mapping.channels:
         if channel in seen:
             raise UndertowError(
-                f"mapping file {path}: channel {channel!r} is column {seen[channel]!r} and an expression: keep one"
+                f"mapping file {path}: channel {channel!r} is column {seen[channel]!r} and an expression: "
+                "keep one"
             )
 
 
