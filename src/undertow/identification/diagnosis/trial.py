@@ -133,6 +133,12 @@ class Bench:
         """Score of a fitted model on the validation data."""
         return scored(fit, self.test, self.test_whitening, self.base_score.r)
 
+    def on_train(self, fit: WeakFit) -> Linearised:
+        """A fitted model on the data for the fit, under the noise model of the bench."""
+        if fit.whitening is self.train_whitening:
+            return fit.at
+        return whitened(fit.model.linearise(self.train, fit.p), self.train_whitening)
+
     def on_test(self, fit: WeakFit) -> Linearised:
         """A fitted model on the validation data, where unknown first states win nothing over the base."""
         parts = fit.model.linearise(self.test, fit.p)

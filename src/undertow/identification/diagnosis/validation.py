@@ -22,7 +22,7 @@ from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.estimation.windows import Prediction, Windows, cut, horizons, prediction_error
 from undertow.identification.logs.checks import check_fit
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -136,6 +136,17 @@ class Contender:
         return float(np.sqrt(np.mean(self.squares)))
 
 
+def relative_squares(prediction: Prediction) -> Array:
+    """Mean square of the error of every velocity in every window over that of its motion in all, (b, n)."""
+    half = len(prediction.names) // 2
+    measured = prediction.windows.measured[:, 1:, half:]
+    error, inside = prediction.residual[:, 1:, half:], prediction.windows.inside
+    lost = np.any(~np.isfinite(prediction.predicted).all(axis=2) & inside, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.nanmean(error**2, axis=1) / np.nanmean(measured**2, axis=(0, 1))
+    return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _BEYOND), _BEYOND)
+
+
 class SimulationValidator:
     """Judges models by simulating the validation runs in windows whose starts are estimated.
 
@@ -205,18 +216,39 @@ class SimulationValidator:
         windows = self.windows if horizon == self.settings.short_windows else self._long_windows
         return Shooting(fit.model.functions, windows, free, channel_weights(windows), compiled=False)
 
+    @cached_property
+    def horizons(self) -> tuple[float, ...]:
+        """Horizons of predictions: fractions and multiples of the vehicle's own time constants, s."""
+        wanted = horizons(self._vehicle, self.test)
+        return tuple(dict.fromkeys(float(f"{min(h, self.shortest):.2g}") for h in wanted))
+
+    @cached_property
+    def _ahead(self) -> dict[float | None, Windows]:
+        lengths = (*self.horizons, None)
+        return {h: cut(self.test, self._vehicle, h, sigma=self._sigma) for h in lengths}
+
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
         predictor = Predictor(vehicle, compiled=False)
-        found = {
-            f"{horizon:g} s": prediction_error(
-                predict(predictor, cut(self.test, self._vehicle, horizon, sigma=self._sigma))
-            )
-            for horizon in self.settings.horizons
-            if horizon <= self.shortest
+        return {
+            "free run" if h is None else f"{h:g} s": prediction_error(predict(predictor, windows))
+            for h, windows in self._ahead.items()
         }
-        whole = cut(self.test, self._vehicle, None, sigma=self._sigma)
-        return found | {"free run": prediction_error(predict(predictor, whole))}
+
+    def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
+        """Mean square of the error of predicted velocities by horizon, window and velocity, (b, n).
+
+        In units of the mean square of the velocity in all windows; very large where a simulation diverged.
+        """
+        return self._once("ahead", fit, self._squares_ahead)
+
+    def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
+        predictor = Predictor(fit.vehicle, compiled=False)
+        return {
+            h: relative_squares(predict(predictor, windows))
+            for h, windows in self._ahead.items()
+            if h is not None
+        }
 
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""
@@ -472,9 +504,13 @@ def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> boo
     mine = np.nan_to_num(one.matrix(names)[: len(common)])
     place = np.searchsorted(second, common, side="right") - 1
     theirs = np.nan_to_num(other.matrix(names)[place])
-    size = float(np.sqrt(np.mean(mine**2)))
-    changes = bool(np.any(np.ptp(mine, axis=0) > 0.0))
-    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < settings.same_commands * size
+    # A command that is held, as of the propeller in a zigzag, is the same in manoeuvres that are not.
+    size = np.std(mine, axis=0)
+    moved = size > settings.changed_command * np.max(np.abs(mine), axis=0)
+    if not np.any(moved):
+        return False
+    difference = (mine - theirs)[:, moved] / size[moved]
+    return float(np.sqrt(np.mean(difference**2))) < settings.same_commands
 
 
 def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
