@@ -125,3 +125,61 @@ def test_unknown_inputs_are_refused(inputs: str, complaint: str, tmp_path: Path)
     with pytest.raises(ut.UndertowError) as caught:
         load_vehicle(file)
     assert complaint in str(caught.value)
+
+
+GLIDER = """
+schema = "undertow/vehicle/1"
+name = "glider"
+degrees_of_freedom = [{dofs}]
+signs = "sname"
+{inputs}
+
+[effects.rigid_body]
+m = "60 kg"
+I_y = "15 kg m^2"
+
+[effects.rigid_body_coriolis]
+
+[effects.added_mass]
+X_udot = -5.0
+Z_wdot = -60.0
+M_qdot = -9.0
+
+[effects.added_mass_coriolis]
+
+[effects.linear_damping]
+X_u = "-4 kg/s"
+Z_w = "-80 kg/s"
+M_q = "-30 kg m^2/s"
+
+[effects.lift]
+Z_uw = "-90 kg/m"
+
+[effects.net_buoyancy]
+B_net = "-6 N"
+"""
+
+
+def _glider(folder: Path, inputs: str, *dofs: str) -> Vehicle:
+    file = folder / "glider.toml"
+    file.write_text(GLIDER.format(dofs=", ".join(f'"{d}"' for d in dofs), inputs=inputs))
+    return load_vehicle(file)
+
+
+def test_a_pitch_that_is_measured_but_not_modelled_is_prescribed(tmp_path: Path) -> None:
+    """Surge and heave with the pitch of the log accelerate as the model with pitch does at its motion."""
+    whole = Functions(_glider(tmp_path, "", "surge", "heave", "pitch"))
+    part = Functions(_glider(tmp_path, 'inputs = ["theta", "q"]', "surge", "heave"))
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        x, z, theta, u, w, q = rng.uniform(-1, 1, 6)
+        full = np.array(whole.dynamics([x, z, theta, u, w, q], [], whole.values(), 0.0)).ravel()
+        alone = part.dynamics([x, z, u, w], [theta, q], part.values(), 0.0)
+        prepared = part.prepared.dynamics([x, z, u, w], [theta, q], part.prepared.prepare(part.values()), 0.0)
+        np.testing.assert_allclose(np.array(alone).ravel(), full[[0, 1, 3, 4]], rtol=1e-9)
+        np.testing.assert_allclose(np.array(prepared).ravel(), full[[0, 1, 3, 4]], rtol=1e-9)
+
+
+def test_a_state_of_the_model_is_no_input(tmp_path: Path) -> None:
+    with pytest.raises(ut.UndertowError, match="inputs names 'theta', but pitch is a degree of freedom"):
+        _glider(tmp_path, 'inputs = ["theta"]', "surge", "heave", "pitch")

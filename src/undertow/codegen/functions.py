@@ -362,7 +362,8 @@ def prepared(functions: Functions) -> Prepared:
 def acceleration(functions: Functions) -> ca.SX:
     """d(nu)/dt from x, u, p, t, with the inertial wrenches stated by their momentum."""
     f, rows = functions, functions.vehicle.dof_indices
-    inertia = find_inertia(f.stated, f.vehicle.composition.signals, f.convert, f.p, rows)
+    composition = f.vehicle.composition
+    inertia = find_inertia(f.stated, composition.signals, f.convert, f.p, rows, composition.inputs)
     others = sum((w for i, w in f.wrenches.items() if i not in inertia.ids), ca.SX(len(rows), 1))
     others = ca.substitute(others, f.actuation, f.chain_output)
     other_mass = -ca.jacobian(others, f.nu_dot)

@@ -123,9 +123,13 @@ class Composition:
     # --- what is frozen, and what depends on what ---------------------------------------------
     @cached_property
     def locked(self) -> dict[sm.Symbol, sm.Expr]:
-        """Zero for motions that the vehicle does not have and forces that the log does not hold."""
+        """Zero for motions that the vehicle does not have and forces that the log does not hold.
+
+        A motion that is left out of the model may be prescribed: the log holds it as an input.
+        """
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
+        motions = [x for x in motions if str(x) not in self.inputs]
         absent = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
         return dict.fromkeys([*motions, *absent, *self._absent_parameters()], sm.Integer(0))
 
@@ -161,7 +165,8 @@ class Composition:
         velocity = sm.Matrix(s.nu[:3]) - water
         acceleration = sm.Matrix(s.nu_dot[:3]) + skew(omega) * water - rate
         relative = enumerate([*velocity, *acceleration])
-        seen = [e if i % 3 in self.dofs else sm.Integer(0) for i, e in relative]
+        there = [i for i in range(3) if i in self.dofs or VELOCITY[i] in self.inputs]
+        seen = [e if i % 3 in there else sm.Integer(0) for i, e in relative]
         return dict(zip([*s.nu_r[:3], *s.nu_r_dot[:3]], seen, strict=True))
 
     @cached_property

@@ -28,7 +28,7 @@ from .effects.steering_gear import SteeringGear
 from .hardware import Surface
 from .parameter import Taken, printed
 from .plausibility import check_vehicle
-from .symbols import DOFS, symbol
+from .symbols import DOFS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .tables import (
     ParameterTable,
     VehicleTable,
@@ -302,7 +302,7 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue, folder: Path) ->
     thrusters = tuple(thruster_of(t, folder) for t in table.thrusters)
     names = tuple(t.name for t in thrusters)
     surfaces = tuple(surface_of(t, names) for t in table.surfaces)
-    inputs = _inputs(table.inputs, known)
+    inputs = _inputs(table.inputs, table.degrees_of_freedom, known)
     effects = tuple(_chosen(effect_id, known)(names, surfaces, tuple(inputs)) for effect_id in table.effects)
     environment = {
         "rho": si_of("water_density", table.water_density, "kg/m^3"),
@@ -329,10 +329,16 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue, folder: Path) ->
     return vehicle, list(statements.differing())
 
 
-def _inputs(names: Sequence[str], known: Catalogue) -> dict[str, str]:
-    """Units of the logged quantities that a file takes as inputs."""
-    units = logged_quantities(known)
+def _inputs(names: Sequence[str], dofs: Sequence[str], known: Catalogue) -> dict[str, str]:
+    """Units of the logged quantities that a file takes as inputs: those of effects, and motions left out."""
+    motions = dict(zip((*POSE, *VELOCITY), (*DOFS, *DOFS), strict=True))
+    units = logged_quantities(known) | {n: MOTION_UNITS[n] for n, dof in motions.items() if dof not in dofs}
     for name in names:
+        if motions.get(name) in dofs:
+            dof = motions[name]
+            raise UndertowError(
+                f"inputs names '{name}', but {dof} is a degree of freedom: remove one of them"
+            )
         if name not in units:
             raise UndertowError(
                 f"inputs names '{name}', which no effect takes from a log{nearest(name, units)}; "

@@ -32,7 +32,7 @@ from undertow.identification.logs.table import (
     seconds,
 )
 from undertow.model.catalogue import catalogue, logged_quantities
-from undertow.model.symbols import VELOCITY
+from undertow.model.symbols import MOTION_UNITS, VELOCITY
 from undertow.model.units import scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -362,7 +362,7 @@ def _checked(
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
-    sensed = logged_quantities(catalogue())
+    sensed = {*logged_quantities(catalogue()), *MOTION_UNITS}
     for name in commands:
         if run.has(name):
             data, rule, earlier = filled[name], policy, known.get(name, np.nan)
