@@ -59,8 +59,10 @@ def _summary(path: Path) -> dict[str, Any]:
 
 # --- what is in a vehicle -------------------------------------------------------------------------
 def _content(vehicle: Vehicle) -> dict[str, Any]:
+    own = {e.id for e in vehicle.effects}
+    stated = [(e.id, list(_parameters(vehicle, e))) for e in vehicle.all_effects]
     return {
-        "effects": [{"id": e.id, "parameters": list(_parameters(vehicle, e))} for e in vehicle.effects],
+        "effects": [{"id": i, "parameters": rows} for i, rows in stated if rows or i in own],
         "thrusters": [
             {
                 "name": t.name,
