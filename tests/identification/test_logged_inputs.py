@@ -12,6 +12,7 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
@@ -183,3 +184,16 @@ def test_a_pitch_that_is_measured_but_not_modelled_is_prescribed(tmp_path: Path)
 def test_a_state_of_the_model_is_no_input(tmp_path: Path) -> None:
     with pytest.raises(ut.UndertowError, match="inputs names 'theta', but pitch is a degree of freedom"):
         _glider(tmp_path, 'inputs = ["theta"]', "surge", "heave", "pitch")
+
+
+def test_a_rudder_in_degrees_is_known_by_its_limit(tmp_path: Path) -> None:
+    surface = (
+        '\n[[surfaces]]\nname = "rudder"\nposition = [-1, 0, 0]\naxis = "rudder"\narea = 0.02\n'
+        'aspect_ratio = 1.5\nlimit = "35 deg"\n'
+    )
+    (tmp_path / "boat.toml").write_text(BOAT.format(**TRUTH) + surface)
+    vehicle, t = load_vehicle(tmp_path / "boat.toml"), np.arange(0.0, 20.0, 0.1)
+    values = {n: np.zeros(len(t)) for n in (*vehicle.command_names, "x", "y", "psi", "u", "v", "r")}
+    run = Run("degrees", t, values | {"rudder": 20.0 * np.sign(np.sin(t)), "u": 1.0 + 0.1 * np.sin(t)})
+    with pytest.raises(ut.UndertowError, match="rudder is in degrees, read as radians"):
+        ut.fit(vehicle, [run])

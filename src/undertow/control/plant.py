@@ -13,7 +13,7 @@ from undertow.model.effect import Wrench, kinds_of
 from undertow.model.effects.control_surfaces import ControlSurfaces
 from undertow.model.kinematics import body_rates, rotation
 from undertow.model.symbols import POSE, column, symbol
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 _ZERO = sm.Integer(0)
 
@@ -219,9 +219,10 @@ def _by_thrusters_alone(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
     if not vehicle.surfaces and not vehicle.inputs:
         return vehicle
     left_out |= {s.name: "laws command thrusters, and this surface stays at zero" for s in vehicle.surfaces}
-    left_out |= {name: "an input that logs hold: laws know its stated value" for name in vehicle.inputs}
+    left_out |= {name: "an input that logs hold: laws take it as zero" for name in vehicle.inputs}
     kept = tuple(e for e in vehicle.effects if ControlSurfaces.id not in e.requires)
-    return replace(vehicle, effects=kept, surfaces=(), inputs={})
+    alone = replace(vehicle, effects=kept, surfaces=(), inputs={})
+    return alone.with_values({n: Value(0.0) for n in vehicle.inputs if n in alone.declared_parameters})
 
 
 def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:

@@ -247,7 +247,8 @@ class LawSystem:
         n = len(self.references)
         y = trim.y
         ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.acting)
-        target = self._controller.allocation.acting @ trim.u
+        commands = np.array([trim.commands[n] for n in self._controller.command_names])
+        target = self._controller.allocation.acting @ commands
         for _ in range(20):  # Newton; laws are nearly linear, so that a few would do
             lacking = target - self.outputs(ref, y, z)[2][rows]
             slope = self._slopes(ref, y, z).full()[rows]

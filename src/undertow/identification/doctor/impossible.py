@@ -362,6 +362,8 @@ class _PlausibilityCheck:
             return None
         worst = max(far, key=lambda n: far[n])
         known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
+        angles = tuple(s.name for s in self.vehicle.surfaces if s.name in far)
+        known = known or ([_in_degrees(angles)] if angles else [])
         mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
         value, limit = far[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, and its limit in the vehicle file is {limit:.4g}"
@@ -381,6 +383,13 @@ def _rms(runs: Sequence[Run], name: str) -> float:
 def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, float]) -> bool:
     undone = [mistake.undo(run) for run in runs]
     return all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items())
+
+
+def _in_degrees(names: tuple[str, ...]) -> Mistake:
+    """Angles of control surfaces in degrees."""
+    verb = "is" if len(names) == 1 else "are"
+    clause = f"{', '.join(names)} {verb} in degrees, read as radians"
+    return rescaled("command_unit", clause, dict.fromkeys(names, float(np.radians(1.0))), len(names))
 
 
 def times(names: tuple[str, ...], found: float) -> Mistake:
