@@ -100,6 +100,10 @@ class Parameter:
         samples, and no parameter.
     with_log, without_log : str
         Such an input without which, or beside which, the parameter has no meaning and is not there.
+    within : float
+        Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
+        sqrt(length / g)) that a fit takes for possible where the file states no standard deviation. Places
+        aboard have `Limits.farthest` instead.
     """
 
     unit: str
@@ -117,6 +121,7 @@ class Parameter:
     logged: bool = False
     with_log: str = ""
     without_log: str = ""
+    within: float = 100.0
     name: str = field(default="", kw_only=True)
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -214,6 +219,8 @@ class DerivativeMatrix:
         Mirror the entries below the diagonal.
     directional : bool
         Whether the entry may differ between forward and backward motion.
+    within : float
+        That of every entry, see `Parameter`.
     """
 
     pattern: str
@@ -223,6 +230,7 @@ class DerivativeMatrix:
     bounds: tuple[float, float] = (-inf, inf)
     symmetric: bool = False
     directional: bool = False
+    within: float = 100.0
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         if effect is None:
@@ -249,6 +257,7 @@ class DerivativeMatrix:
             bounds=self.bounds,
             motion=j if self.directional else None,
             on_left_side=True,
+            within=self.within,
             name=self._name(i, j),
         )
 

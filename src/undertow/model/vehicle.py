@@ -85,6 +85,8 @@ class Vehicle:
         Control surfaces in the order of their commands, which follow those of the thrusters.
     inputs : mapping
         Logged quantities that effects take as inputs (wind, voltage ...), with their SI units.
+    fitted_to : mapping
+        Hashes (sha256) of the logs that values with their standard deviations were fitted to, by name.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Vehicle:
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
     surfaces: tuple[Surface, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
+    fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
         parts = {
@@ -338,6 +341,15 @@ class Vehicle:
         hardware = {f"thrust_{t.name}" for t in thrusters}
         changed = dict(self.values) | {k: v for k, v in values.items() if k not in hardware}
         return replace(self, values=changed, thrusters=thrusters)
+
+    def without_priors_from(self, logs: Iterable[str]) -> Vehicle:
+        """The vehicle without standard deviations of values that were fitted to one of these logs (sha256).
+
+        What a log said once is no prior for another fit to the same log, only a place to begin.
+        """
+        read = {sha256 for sha256 in logs if sha256}
+        known = [name for name, own in self.fitted_to.items() if own & read]
+        return self.with_values({n: replace(self.value_of(n), sigma=None) for n in known})
 
     def with_effect(self, cls: type[Effect], values: Mapping[str, Value]) -> Vehicle:
         """The vehicle with one more effect (or more parameters of one that it has)."""
