@@ -193,7 +193,8 @@ def test_a_rudder_in_degrees_is_known_by_its_limit(tmp_path: Path) -> None:
     )
     (tmp_path / "boat.toml").write_text(BOAT.format(**TRUTH) + surface)
     vehicle, t = load_vehicle(tmp_path / "boat.toml"), np.arange(0.0, 20.0, 0.1)
-    values = {n: np.zeros(len(t)) for n in (*vehicle.command_names, "x", "y", "psi", "u", "v", "r")}
-    run = Run("degrees", t, values | {"rudder": 20.0 * np.sign(np.sin(t)), "u": 1.0 + 0.1 * np.sin(t)})
+    swing = 0.1 * np.sin(t)
+    values = {n: swing for n in (*vehicle.command_names, "x", "y", "psi", "u", "v", "r")}
+    run = Run("degrees", t, values | {"rudder": 20.0 * np.sign(np.sin(t))})
     with pytest.raises(ut.UndertowError, match="rudder is in degrees, read as radians"):
         ut.fit(vehicle, [run])

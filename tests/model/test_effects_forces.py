@@ -35,13 +35,19 @@ STILL = np.zeros(6)
 class Stated:
     """What an effect states, as a function of numbers, by SymPy's own printer and nothing of ours."""
 
-    def __init__(self, effect_id: str, values: Mapping[str, float], inputs: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        effect_id: str,
+        values: Mapping[str, float],
+        part: str = "wrench",
+        inputs: tuple[str, ...] = (),
+    ) -> None:
         self.statement = statement_of(catalogue()[effect_id].specimen(inputs), catalogue())
         values = catalogue()[effect_id].from_file(dict(values))
         own = {p.name: p.default for p in self.statement.own if p.default is not None}
         shared = {p.name: 0.0 for p in self.statement.shared}
         known = {symbol(n): v for n, v in ({"rho": 1000.0, "g": 9.81} | shared | own | dict(values)).items()}
-        self.expression = self.statement.part("wrench").xreplace(known)
+        self.expression = self.statement.part(part).xreplace(known)
         self.names = sorted(self.expression.free_symbols, key=str)
         self.function = sm.lambdify(self.names, list(self.expression), "numpy", cse=True)
 
@@ -443,7 +449,7 @@ def test_wind_pushes_on_two_areas(inputs: tuple[str, ...]) -> None:
         if "apparent_wind_speed" in inputs:
             air = -5.0 * np.array([np.cos(1.1 + heading), np.sin(1.1 + heading), 0.0])
         force = 0.5 * 1.2 * np.hypot(*air[:2]) * air * [0.2, 0.8, 0.0]
-        wind = Stated("wind", WIND | felt, inputs)
+        wind = Stated("wind", WIND | felt, inputs=inputs)
         assert wind(eta, NU) == pytest.approx(pushed(force, np.array([0.3, 0, -0.5])))
 
 

@@ -128,10 +128,13 @@ class Vehicle:
     def _check_names(self) -> None:
         _refuse_twice(self.degrees_of_freedom, "degrees_of_freedom has '{}' twice: keep one")
         _refuse_twice(self.force_channels, "generalised_forces has '{}' twice: keep one")
-        actuators = list(self.actuator_names)
-        _refuse_twice(actuators, "two thrusters or surfaces are called '{}': rename one")
-        for name in (CHANNELS | {*self.inputs}).intersection(actuators):
-            raise UndertowError(f"actuator '{name}' has the name of a measured channel: rename it")
+        kinds = {"thruster": self.thrusters, "surface": self.surfaces}
+        for kind, parts in kinds.items():
+            names = [part.name for part in parts]
+            _refuse_twice(names, f"two {kind}s are called '{{}}': rename one")
+            for name in (CHANNELS | {*self.inputs}).intersection(names):
+                raise UndertowError(f"{kind} '{name}' has the name of a measured channel: rename it")
+        _refuse_twice(self.actuator_names, "a thruster and a surface are called '{}': rename one")
         _refuse_twice(self._quantities(), "two quantities of the vehicle are called '{}': rename one")
 
     def _quantities(self) -> Iterator[str]:
