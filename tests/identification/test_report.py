@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -508,6 +509,28 @@ def test_what_a_written_vehicle_file_has_is_said() -> None:
 def test_an_error_that_rises_is_no_plain_yes() -> None:
     risen = _diagnosis().model_copy(update={"ranking": [_ranked("lift", 3.0, error_after=7.5)]})
     page = render_report(risen)
-    assert "<td>in part" in page
+    assert ">in part" in page
     assert "In part: more than chance where a disturbance is allowed for" in page
-    assert "<td>in part" not in render_report(_diagnosis())
+    assert ">in part" not in render_report(_diagnosis())
+
+
+def test_what_does_nothing_is_folded_away_and_what_to_run_stands_on_top() -> None:
+    idle = _ranked("wind", 0.0).model_copy(update={"parameters": [], "significant": False})
+    found = _diagnosis().model_copy(
+        update={"ranking": [_ranked("lift", 3.0), idle], "command": "undertow add lift rov.toml a.csv"}
+    )
+    page = render_report(found)
+    assert page.index("undertow add lift rov.toml") < page.index("What this does not show")
+    folded = page[page.index("<details>") : page.index("</details>")]
+    assert "1 effect that does not help" in folded
+    assert "<code>wind</code>" in folded
+    assert "<code>lift</code>" not in folded
+
+
+def test_the_overlay_has_the_model_as_given_beside_both_others() -> None:
+    trace = replace(_trace(), given=0.5 * np.sin(0.2 * _trace().t))
+    picture = measured_vs_simulated(RunTraces("run", (trace,)), ("refitted", "with lift"))
+    labels = [line.get_label() for line in picture.axes[0].lines]
+    assert labels == ["model as given", "measured", "refitted", "with lift"]
+    assert picture.axes[0].get_ylabel() == "u [m/s]"
+    assert picture.axes[0].get_xlabel() == "time [s]"

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from undertow.identification.doctor.findings import Finding, ResultTable
+from undertow.identification.logs.run import Run
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[
@@ -19,16 +20,32 @@ Verdict = Literal[
 ]
 
 
+Role = Literal["train", "holdout", "blocks"]
+
+
 class RunInfo(ResultTable):
     """A log and what was done with it."""
 
     name: str
     source: str
     sha256: str
-    role: Literal["train", "holdout", "blocks"]
+    role: Role
     samples: int
     duration: float
     notes: list[str]
+
+
+def run_info(run: Run, role: Role) -> RunInfo:
+    """What is written of a run."""
+    return RunInfo(
+        name=run.name,
+        source=run.source,
+        sha256=run.sha256,
+        role=role,
+        samples=len(run.t),
+        duration=float(run.t[-1] - run.t[0]),
+        notes=list(run.notes),
+    )
 
 
 class Estimate(ResultTable):
@@ -282,7 +299,8 @@ class Diagnosis(ResultTable):
     """Outcome of `undertow diagnose`.
 
     `effects` are those that are named, `helps` those that lower the error of predictions without being
-    established as the cause; `added` says of both what they are worth.
+    established as the cause; `added` says of both what they are worth. `command` is what to run next, with
+    the files that were given.
     """
 
     schema_id: str = SCHEMA
@@ -293,6 +311,7 @@ class Diagnosis(ResultTable):
     runs: list[RunInfo]
     verdict: Verdict
     headline: str
+    command: str = ""
     effects: list[str]
     helps: list[str] = Field(default_factory=list)
     added: list[AddedEffect] = Field(default_factory=list)

@@ -78,7 +78,7 @@ def _named(value: Any) -> Any:
 
 
 class LogMapping(_Strict):
-    """A whole mapping file; see the module for an example."""
+    """A whole mapping file."""
 
     schema_: Literal["undertow/mapping/1"] = Field(alias="schema", default="undertow/mapping/1")
     description: str = ""
