@@ -16,16 +16,17 @@ from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
+from .compare.comparison import finite
 from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.result import RunInfo
+from .diagnosis.result import Role, RunInfo, run_info
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
-from .estimation.output_error import LossName, fit_output_error
+from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict
 from .estimation.residual import without_spikes
@@ -41,14 +42,15 @@ from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
 from .planning.separation import plan_separation
+from .report.results import AdditionResult, FitResult, FittedParameter, addition_result, channel_errors
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.figure import Figure
 
 
-Method = Literal["weak", "integral", "instrumental", "output-error", "prediction-error"]
-_FAMILIES = {"weak": test_functions, "integral": boxes}
+Method = Literal["default", "weak", "integral", "instrumental", "output-error", "prediction-error"]
+_FAMILIES = {"default": test_functions, "weak": test_functions, "integral": boxes}
 
 
 @dataclass(frozen=True)
@@ -58,11 +60,13 @@ class Estimator:
     Attributes
     ----------
     method : str
-        "weak", "integral" (the weak form with boxes for test functions), "instrumental" (the weak form with
-        simulated regressors), "output-error" or "prediction-error" (output error with a disturbance).
+        "default" (the weak form, then output error over windows from the vehicle's own time constants, as
+        far as that predicts validation data no worse), "weak", "integral" (the weak form with boxes for test
+        functions), "instrumental" (the weak form with simulated regressors), "output-error" or
+        "prediction-error" (output error with a disturbance).
     horizon : float or None
         Length of the windows that output error and instrumental variables simulate, s; None for whole
-        stretches.
+        stretches. The default method chooses its own.
     constraints : Constraints
         What is asked of the parameters.
     loss : str
@@ -71,7 +75,7 @@ class Estimator:
         more than five standard deviations off their neighbours.
     """
 
-    method: Method = "weak"
+    method: Method = "default"
     horizon: float | None = 5.0
     constraints: Constraints = field(default_factory=Constraints)
     loss: LossName = "gaussian"
@@ -83,6 +87,7 @@ class Estimator:
         free: Sequence[str] | None = None,
         progress: Progress = lambda done, words: None,
         *,
+        validation: Sequence[Run] = (),
         trust_log: bool = False,
     ) -> Fitted:
         """Fit the free parameters of a vehicle, by default those that its file marks.
@@ -97,6 +102,8 @@ class Estimator:
             Names of the parameters to fit.
         progress : callable
             Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
+        validation : sequence of Run
+            Logs by which the default method decides where to end; `runs` where there are none.
         trust_log : bool
             Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
@@ -112,7 +119,10 @@ class Estimator:
             data = data if self.loss == "gaussian" else without_spikes(data)
             model = self.constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
             require_equations(model, data, self.method)
-            return fit_weak(model, data)
+            weak = fit_weak(model, data)
+            if self.method != "default":
+                return weak
+            return final_fit(weak, runs, validation or runs, loss=self.loss, progress=progress)
         if self.method in ("prediction-error", "instrumental"):
             return self._by_squares(vehicle, runs, free, progress)
         return fit_output_error(
@@ -200,6 +210,22 @@ class Refit:
             schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
         )
 
+    def result(self) -> FitResult:
+        """The fit as it is written to JSON, with what it does to the error in a sentence."""
+        before, after = (finite(error) for error in self.errors)
+        return FitResult(
+            vehicle=self.stated.name,
+            command=self._command,
+            method=self.estimator.method,
+            runs=[run_info(run, role) for role, run in _roles(self.train, self.test)],
+            horizon=self.before.windows.horizon or 0.0,
+            error_before=before,
+            error_after=after,
+            channels=channel_errors(self.before.relative, self.after.relative),
+            parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
+            condition=finite(self.fit.condition),
+        )
+
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""
         rows = self.parameters.iter_rows(named=True)
@@ -266,8 +292,9 @@ def _history(
     }
 
 
-def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
-    return [*(("train", run) for run in train), *(("holdout", run) for run in test)]
+def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
+    roles: tuple[Role, Role] = ("train", "holdout")
+    return [(role, run) for role, runs in zip(roles, (train, test), strict=True) for run in runs]
 
 
 def refit(
@@ -292,11 +319,16 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.
     fit = estimator.fit(
-        vehicle, train, progress=lambda done, words: report(0.8 * done, words), trust_log=True
+        vehicle,
+        train,
+        progress=lambda done, words: report(0.8 * done, words),
+        validation=test,
+        trust_log=True,
     )
     report(0.8, "predicting validation data")
     longest = max(float(r.t[-1] - r.t[0]) for r in test)
@@ -353,7 +385,7 @@ def fit(
     runs: Sequence[Run],
     validation: Sequence[Run] = (),
     *,
-    method: str = "weak",
+    method: str = "default",
     horizon: float = 5.0,
     loss: LossName = "gaussian",
     equal: Sequence[str] = (),
@@ -370,9 +402,11 @@ def fit(
     runs, validation : sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
-        "weak", "integral", "instrumental", "output_error" or "prediction_error".
+        "default" (the weak form, then output error), "weak", "integral", "instrumental", "output_error" or
+        "prediction_error".
     horizon : float
-        Length of the simulated windows, s.
+        Length of the simulated windows, s; the default method fits over others, from the vehicle's own time
+        constants.
     loss : str
         "gaussian", or "huber" or "student-t" where there are outliers.
     equal : sequence of str
@@ -488,6 +522,12 @@ def try_effect(
     ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {wanted.id}")
     return ground, added(wanted, ground, keep_all=keep_all)
+
+
+def result_of(ground: AdditionSetup, addition: Addition) -> AdditionResult:
+    """An addition as it is written to JSON."""
+    runs = [run_info(run, role) for role, run in _roles(ground.train, ground.test)]
+    return addition_result(addition, ground.vehicle, runs)
 
 
 def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:

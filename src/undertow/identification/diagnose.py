@@ -7,8 +7,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from undertow.identification.diagnosis.validation import repeats, training_and_v
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.weak_form import WeakFit
+from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -32,7 +31,8 @@ from undertow.version import __version__
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
-from .diagnosis.reference import predictable
+from .diagnosis.floors import noise_floors
+from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
@@ -42,11 +42,13 @@ from .diagnosis.result import (
     Predictability,
     Ranked,
     Remaining,
+    Role,
     RunInfo,
     Step,
+    run_info,
 )
 from .diagnosis.search import Search, last_fit, search
-from .diagnosis.selection import Selection, select, selected
+from .diagnosis.selection import Selection, Worth, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator, sizes
@@ -68,6 +70,7 @@ from .diagnosis.verdict import (
     with_values,
 )
 from .report.data import ReportData
+from .report.sentences import summarised
 
 
 class ResultBuilder:
@@ -86,30 +89,43 @@ class ResultBuilder:
         self.found = found = validated(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        refined = [validator.refined(f) for f in weak]
+        refined = [validator.final(f) for f in weak]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        self.given = validator.final(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
-        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
-        self.judgement: Judgement = self._judged(weak[-1], scores)
+        self._weak = weak
 
-    def _judged(self, last: WeakFit, scores: tuple[Score, Score]) -> Judgement:
+    @cached_property
+    def judgement(self) -> Judgement:
+        """The verdict with its reasons."""
         noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
+        scores = self.bench.judge(self._weak[0]), self.bench.judge(self._weak[-1])
         if self._selection is not None and not residual_is_noise:
             return judge_selection(self.found, scores, noise, self._selection)
         left = Remainder(
             residual_is_noise=residual_is_noise,
             confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
             nearly=residual_is_noise
-            or bool(np.nanmax(noise_ratio(last, self.bench.test)) < self.settings.nearly_noise),
+            or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
             change="" if residual_is_noise else self._change(),
         )
         return judge(self.found, scores, noise, left)
+
+    def worth(self) -> list[Worth]:
+        """What every effect that was added does to predictions, between the fits of the result."""
+        ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
+        return [Worth.of(*pair, self.settings) for pair in pairwise(ahead)]
+
+    def regrade(self, worth: Sequence[Worth]) -> None:
+        """Take over what the effects that were selected are worth in the fits of the result."""
+        if self._selection is not None:
+            graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
+            self._selection = replace(self._selection, graded=graded)
 
     def _change(self) -> str:
         """How the size of the one effect that was found changes in the course of the validation data."""
@@ -140,7 +156,7 @@ class ResultBuilder:
     @cached_property
     def _verdict(self) -> Judgement:
         """The judgement, or that nothing is missing which these logs could show."""
-        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
             return self.judgement
         found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
         return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
@@ -172,6 +188,7 @@ class ResultBuilder:
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            floors=noise_floors(self.after, self.bench.train),
             seconds=seconds,
         )
 
@@ -306,7 +323,24 @@ class ResultBuilder:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
-        return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
+        return [
+            *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
+            *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
+        ]
+
+
+def _confirmed(
+    vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, selection: Selection
+) -> ResultBuilder:
+    """The result with those selected effects that are worth adding in the last fits of all models, too."""
+    builder = ResultBuilder(vehicle, selected(found, selection), validator, known, selection)
+    worth = builder.worth()
+    least = builder.settings.worth
+    lacking = next((i for i, w in enumerate(worth) if not w.enough(least)), None)
+    if lacking is not None:
+        return _confirmed(vehicle, found, validator, known, selection.until(lacking))
+    builder.regrade(worth)
+    return builder
 
 
 def validated(found: Search, validator: SimulationValidator) -> Search:
@@ -371,9 +405,6 @@ def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
 
 
-Role = Literal["train", "holdout", "blocks"]
-
-
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult:
     """A diagnosis with the models it is about.
@@ -388,6 +419,8 @@ class DiagnosisResult:
         What was fitted to, and what was judged by.
     fit : Fitted
         The fit of `after`.
+    given, helped : Vehicle, optional
+        The model before any fit, and with all that helps to predict: what a report shows beside the others.
     """
 
     diagnosis: Diagnosis
@@ -396,6 +429,8 @@ class DiagnosisResult:
     train: list[Run]
     test: list[Run]
     fit: Fitted
+    given: Vehicle | None = None
+    helped: Vehicle | None = None
 
     @property
     def verdict(self) -> str:
@@ -418,18 +453,19 @@ class DiagnosisResult:
         from .report.tables import report_data
 
         before = compare(self.before, self.test, compiled=compiled)
-        added = self.diagnosis.last_step.changes
-        after = compare(self.after, self.test, compiled=compiled) if added else None
+        d, helped = self.diagnosis, bool(self.diagnosis.helps and self.helped)
+        added = (d.steps[-1] if helped else d.last_step).changes
+        better = self.helped if self.helped is not None and helped else self.after
+        after = compare(better, self.test, compiled=compiled) if added else None
         names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
-        return report_data(before, after, names=names)
+        return report_data(before, after, names=names, given=self.given)
 
     def __repr__(self) -> str:
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
         head = ("model", "error on validation data (1: noise of the sensors)")
-        steps = enumerate(self.diagnosis.steps)
-        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        rows = ((" and ".join(s.changes) or "refitted", s.error) for s in self.diagnosis.steps)
         return html(repr(self), head, rows)
 
 
@@ -487,6 +523,7 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)
@@ -507,13 +544,19 @@ def diagnose(
         if builder.judgement.verdict == "unexplained":
             report(0.92, "adding effects as long as predictions get better")
             selection = select(found, validator, effects)
-            chosen = selected(found, selection)
-            builder = ResultBuilder(vehicle, chosen, validator, effects, selection)
+            builder = _confirmed(vehicle, found, validator, effects, selection)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
-        infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
-        diagnosis = _with_doctor(builder.build(infos, time.perf_counter() - began), examined())
+        infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
+        diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
     return DiagnosisResult(
-        diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after
+        diagnosis,
+        builder.given.vehicle,
+        builder.after.vehicle,
+        train,
+        test,
+        builder.after,
+        vehicle,
+        builder.fits[-1].vehicle,
     )
 
 
@@ -528,17 +571,4 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
             "warnings": [*mistakes, *diagnosis.warnings],
             "headline": " ".join([*first, diagnosis.headline]),
         }
-    )
-
-
-def _info(run: Run, role: Role) -> RunInfo:
-    duration = float(run.t[-1] - run.t[0])
-    return RunInfo(
-        name=run.name,
-        source=run.source,
-        sha256=run.sha256,
-        role=role,
-        samples=len(run.t),
-        duration=duration,
-        notes=list(run.notes),
     )

@@ -21,10 +21,11 @@ from undertow.identification.diagnosis.trial import (
 )
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.estimation.windows import prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -43,7 +44,6 @@ class AdditionSetup:
     vehicle: the model as it was given.
     train, test: the logs.
     bench: data, noise and the fitted model without the effect.
-    windows: stretches of the validation logs over which motion is predicted.
     validator: who simulates them.
     """
 
@@ -51,12 +51,15 @@ class AdditionSetup:
     train: list[Run]
     test: list[Run]
     bench: Bench
-    windows: Windows
     validator: SimulationValidator
 
-    def ahead(self, vehicle: Vehicle) -> float:
-        """Velocity error of the prediction ahead on validation data, as a share of the motion."""
-        return float(prediction_error(predict(vehicle, self.windows, compiled=False)))
+    def ahead(self, vehicle: Vehicle) -> dict[str, float]:
+        """Velocity error of predictions on validation data by horizon, in shares of the motion."""
+        return self.validator.ahead(vehicle)
+
+    def prediction(self, vehicle: Vehicle) -> float:
+        """The same over short windows."""
+        return float(prediction_error(predict(vehicle, self.validator.windows, compiled=False)))
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class Addition:
     given, before, after: error on validation data (1 = noise of the sensors) and prediction ahead: of the
         model as it was given, refitted without the effect, and refitted with it.
     evidence: how strongly the validation data speak for the effect.
+    ahead: error of predicted velocities over the vehicle's horizons without and with it, as shares.
     """
 
     effect: str
@@ -79,6 +83,7 @@ class Addition:
     before: Step
     after: Step
     evidence: Comparison
+    ahead: tuple[float, float]
 
     @property
     def steps(self) -> list[Step]:
@@ -87,22 +92,25 @@ class Addition:
 
     @property
     def helps(self) -> bool:
-        """Whether the error on validation data falls by more than chance and by enough to matter."""
-        return self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
+        """Whether the force on validation data is explained better by more than chance and the motion no
+        worse, or the motion is predicted so much better that it is worth having.
+        """
+        before, after = self.ahead
+        explains = self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
+        return after < (1.0 + NO_WORSE if explains else 1.0 - DEFAULT.worth) * before
 
 
 def set_up_addition(
     vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
 ) -> AdditionSetup:
     """Fit a model as it is, and get ready to judge what is added to it."""
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
-    longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(bench.settings.short_windows, 0.9 * longest))
     validator = SimulationValidator(vehicle, train_runs, test_runs, train.sigma)
-    return AdditionSetup(vehicle, train_runs, test_runs, bench, windows, validator)
+    return AdditionSetup(vehicle, train_runs, test_runs, bench, validator)
 
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
@@ -165,7 +173,9 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
 
 
 def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
-    fit, base = (setup.validator.refined(f)[0] for f in (weak, bench.base))
+    # What `fit` ends with, from where it begins: both commands give the same model.
+    fit, base = (setup.validator.final(f)[0] for f in (weak, setup.bench.base))
+    without, with_it = (float(horizon_error([f], setup.test)[0]) for f in (base, fit))
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.free)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
@@ -180,6 +190,7 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
         _fitted(setup, [], base, noise),
         _fitted(setup, [candidate.id], fit, noise),
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
+        (without, with_it),
     )
 
 
@@ -192,9 +203,10 @@ def _step(
     setup: AdditionSetup, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    r = whitened(at, noise).r
+    r, ahead = whitened(at, noise).r, setup.ahead(vehicle)
     return Step(
         added=added,
         error=error_of(mean_square(r, setup.bench.test)),
-        prediction=setup.ahead(vehicle),
+        prediction=setup.prediction(vehicle),
+        ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )

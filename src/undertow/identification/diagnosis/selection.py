@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Measurement
 from undertow.model.vehicle import Vehicle
@@ -23,6 +23,7 @@ from undertow.typing import Array, Index, Progress
 
 from .candidates import Candidate
 from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
+from .parallel import mapped
 from .reference import captured
 from .rounds import Round, try_all
 from .search import Search
@@ -64,9 +65,10 @@ class Worth:
         return cls(falls, largest, tuple(worse))
 
     def enough(self, least: float) -> bool:
-        """Whether predictions over a long horizon get better by as much as matters, and over none worse."""
+        """Whether long predictions get better by as much as matters, and those over no horizon worse."""
         _, *longer = sorted(self.falls)
-        return not self.worse and any(self.falls[h] > 0.0 and self.largest[h] >= least for h in longer)
+        better = all(self.falls[h] >= 0.0 for h in longer)
+        return better and not self.worse and max(self.largest[h] for h in longer) >= least
 
     def lacking(self, least: float) -> str:
         """Why it is not worth adding, in words; empty where it is."""
@@ -76,6 +78,8 @@ class Worth:
             over = " and ".join(f"{h:g} s" for h in self.worse)
             return f"makes predictions over {over} worse"
         longest = max(self.falls)
+        if self.falls[longest] < 0.0:
+            return f"raises the error of predictions over {longest:g} s by {-self.falls[longest]:.0%}"
         gained = max(self.largest[longest], 0.0)
         return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
@@ -264,6 +268,10 @@ class Selection:
     rounds: list[Round]
     reasons: dict[str, str]
 
+    def until(self, count: int) -> Selection:
+        """The first so many effects."""
+        return replace(self, graded=self.graded[:count])
+
     @property
     def established(self) -> list[Graded]:
         """The effects up to the first one that is in doubt: later ones may only make up for that."""
@@ -309,16 +317,16 @@ class _Selector:
     def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
 
-        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing else is
-        found, candidates are tried under the noise of the sensors alone; what is beyond chance is beyond that
-        of whole blocks of the logs in both.
+        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing at all
+        is found, candidates are tried under the noise of the sensors alone: by chance an effect looks as good
+        in whole blocks of the logs as rarely as before.
         """
         current = self._round(chosen, rounds)
         best = self._best(current, first=not chosen)
-        if best is not None or not np.any(current.bench.base.disturbance):
+        if best is not None or chosen or not np.any(current.bench.base.disturbance):
             return current, best
         slow = try_all(current.bench.without_disturbance(), self._known, self._report)
-        best = self._best(slow, first=not chosen)
+        best = self._best(slow, first=True)
         if best is not None:
             return slow, best
         seen = {f.id for f in current.findings if f.significant}
@@ -341,17 +349,19 @@ class _Selector:
     def _best(self, current: Round, *, first: bool) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads."""
         bench, least = current.bench, self._settings.worth
-        before = self._validator.squares_ahead(bench.base)
-        found = {f.id: f for f in current.findings if f.significant}
-        worth = {
-            i: Worth.of(before, self._validator.squares_ahead(f.trial.fit), self._settings)
-            for i, f in found.items()
-        }
-        leading, near = self._leading([f for i, f in found.items() if worth[i].something(least)], bench)
+        found = {f.id: f for f in self._screened(current)}
+        before, *after = self._ahead([bench.base, *(f.trial.fit for f in found.values())])
+        ahead = dict(zip(found, after, strict=True))
+        worth = {i: Worth.of(before, squares, self._settings) for i, squares in ahead.items()}
+        leading, near = self._leading(
+            [f for i, f in found.items() if worth[i].something(least)], ahead, bench
+        )
         worthy = [f for f in leading if worth[f.id].enough(least)]
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if first:
-            self._reasons |= {i: worth[i].lacking(least) or doubts.get(i, "") or _NOT_BEST for i in found}
+            reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
+            beyond_chance = (f.id for f in current.findings if f.significant)
+            self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in beyond_chance}
         if not worthy:
             return None
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
@@ -359,8 +369,23 @@ class _Selector:
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
+    def _screened(self, current: Round) -> list[FoundEffect]:
+        """The candidates beyond chance that lead in most resamples as the weak form fits them."""
+        found = [f for f in current.findings if f.significant]
+        most = self._settings.simulated
+        if len(found) <= most:
+            return found
+        squares = [self._validator.squares_ahead(f.trial.fit) for f in found]
+        often = best_in_resamples(squares, self._settings) + [f.inclusion for f in found]
+        return [found[k] for k in np.argsort(-np.nan_to_num(often), kind="stable")[:most]]
+
+    def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
+        """How models predict once each is fitted as the result will be, on all cores."""
+        validator = self._validator
+        return list(mapped(lambda i: validator.squares_ahead(validator.final(fits[i])[0]), len(fits)))
+
     def _leading(
-        self, findings: list[FoundEffect], bench: Bench
+        self, findings: list[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench
     ) -> tuple[list[FoundEffect], list[FoundEffect]]:
         """The candidates of which one is the best in nearly all resamples, the best first; and others that
         the data do not tell from that.
@@ -370,8 +395,8 @@ class _Selector:
         if not findings:
             return [], []
         by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
-        ahead = [self._validator.squares_ahead(f.trial.fit) for f in findings]
-        often = 0.5 * (by_residual + best_in_resamples(ahead, self._settings))
+        by_simulation = best_in_resamples([ahead[f.id] for f in findings], self._settings)
+        often = 0.5 * (by_residual + by_simulation)
         order = np.argsort(-often, kind="stable")
         enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
         leading = [findings[k] for k in order[:enough]]

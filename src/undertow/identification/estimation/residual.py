@@ -18,6 +18,7 @@ from undertow.typing import Array, Flags, Index
 from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
 from .pointwise import Limits, Pointwise
+from .scales import largest_values
 from .test_functions import Entries, kink_delay, meeting, tested
 
 
@@ -212,6 +213,11 @@ class WeakModel:
     def limits(self) -> Limits:
         """What the parameters can be together."""
         return Limits(self.functions, self.places, dissipative=self._dissipative)
+
+    @cached_property
+    def largest(self) -> Array:
+        """Largest magnitude of every free parameter that a vehicle of this size allows."""
+        return largest_values(self.functions, self.free)
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""

@@ -28,6 +28,7 @@ class CubicDamping(Wrench):
         "{force} per cube of the {motion} velocity",
         bounds=(-inf, 0),
         directional=True,
+        within=1e4,  # vehicles in water are slow beside sqrt(g L): the cube of that is a thousand times theirs
     )
 
     def wrench(self, s: Signals) -> sm.Matrix:
