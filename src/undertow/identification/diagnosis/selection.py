@@ -317,16 +317,16 @@ class _Selector:
     def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
 
-        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing else is
-        found, candidates are tried under the noise of the sensors alone; what is beyond chance is beyond that
-        of whole blocks of the logs in both.
+        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing at all
+        is found, candidates are tried under the noise of the sensors alone: by chance an effect looks as good
+        in whole blocks of the logs as rarely as before.
         """
         current = self._round(chosen, rounds)
         best = self._best(current, first=not chosen)
-        if best is not None or not np.any(current.bench.base.disturbance):
+        if best is not None or chosen or not np.any(current.bench.base.disturbance):
             return current, best
         slow = try_all(current.bench.without_disturbance(), self._known, self._report)
-        best = self._best(slow, first=not chosen)
+        best = self._best(slow, first=True)
         if best is not None:
             return slow, best
         seen = {f.id for f in current.findings if f.significant}
@@ -349,7 +349,7 @@ class _Selector:
     def _best(self, current: Round, *, first: bool) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads."""
         bench, least = current.bench, self._settings.worth
-        found = {f.id: f for f in current.findings if f.significant}
+        found = {f.id: f for f in self._screened(current)}
         before, *after = self._ahead([bench.base, *(f.trial.fit for f in found.values())])
         ahead = dict(zip(found, after, strict=True))
         worth = {i: Worth.of(before, squares, self._settings) for i, squares in ahead.items()}
@@ -359,13 +359,25 @@ class _Selector:
         worthy = [f for f in leading if worth[f.id].enough(least)]
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if first:
-            self._reasons |= {i: worth[i].lacking(least) or doubts.get(i, "") or _NOT_BEST for i in found}
+            reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
+            beyond_chance = (f.id for f in current.findings if f.significant)
+            self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in beyond_chance}
         if not worthy:
             return None
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
+
+    def _screened(self, current: Round) -> list[FoundEffect]:
+        """The candidates beyond chance that lead in most resamples as the weak form fits them."""
+        found = [f for f in current.findings if f.significant]
+        most = self._settings.simulated
+        if len(found) <= most:
+            return found
+        squares = [self._validator.squares_ahead(f.trial.fit) for f in found]
+        often = best_in_resamples(squares, self._settings) + [f.inclusion for f in found]
+        return [found[k] for k in np.argsort(-np.nan_to_num(often), kind="stable")[:most]]
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
         """How models predict once each is fitted as the result will be, on all cores."""
