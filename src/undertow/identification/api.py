@@ -31,7 +31,7 @@ from .estimation.predictor import predict
 from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
-from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
+from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
 from .estimation.windows import Prediction, cut, prediction_error
 from .logs.checks import check_fit
 from .logs.mapping import LogMapping, read_mapping
@@ -112,7 +112,7 @@ class Estimator:
             data = data if self.loss == "gaussian" else without_spikes(data)
             model = self.constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
             require_equations(model, data, self.method)
-            return fit_weak(model, data)
+            return fit_weak_by_run(model, data)
         if self.method in ("prediction-error", "instrumental"):
             return self._by_squares(vehicle, runs, free, progress)
         return fit_output_error(

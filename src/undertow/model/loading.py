@@ -78,6 +78,7 @@ class ParameterTable(FileTable):
     assumed: StrictBool = False
     allow_sign: StrictBool = False
     override: StrictBool = False
+    per_run: StrictBool | None = None
 
     def one_way(self, way: str) -> ParameterTable:
         """What the table says about the value `forward` or `backward`; its sigma may be its own."""
@@ -523,7 +524,7 @@ def _value(owner: str, parameter: Parameter, name: str, raw: Any, table: Paramet
     sigma = None if table.sigma is None else _positive(f"{place} sigma", table.sigma, parameter.unit)
     number = printed(parameter, stated, signs)
     _check_bounds(place, parameter, number, stated, table, signs)
-    return Value(number, table.estimate, sigma, table.source, table.assumed)
+    return Value(number, table.estimate, sigma, table.source, table.assumed, table.per_run)
 
 
 def _check_bounds(
@@ -567,7 +568,7 @@ def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
     if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
         raise UndertowError(f"{place} = {value:g} N cannot be: give a positive thrust and turn the direction")
     sigma = None if spec.sigma is None else _positive(f"{place} sigma", spec.sigma, "N/command")
-    return Value(value, spec.estimate, sigma, spec.source, spec.assumed)
+    return Value(value, spec.estimate, sigma, spec.source, spec.assumed, spec.per_run)
 
 
 def _limit(place: str, limit: Any) -> float | None:

@@ -88,7 +88,7 @@ def array_of_tables(document: Any, key: str) -> Any:
 # Ten significant digits are written, which is half of this at worst.
 _SAME = 1e-9
 _ORDER = (
-    *("value", "forward", "backward", "assumed", "estimate"),
+    *("value", "forward", "backward", "assumed", "estimate", "per_run"),
     *("sigma", "sigma_forward", "sigma_backward", "allow_sign", "override", "source"),
 )
 # Files say "kg m^2" where an effect declares "N m/((rad/s)^2)".
@@ -105,6 +105,7 @@ class Entry:
     unit: str  # SI unit of the parameter
     estimate: bool = False
     assumed: bool = False
+    per_run: bool | None = None  # whether it has a value in every run; None: the file need not say
     override: bool = False  # whether it has to say that another table states something else
     source: str = ""
 
@@ -135,6 +136,8 @@ def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
     fields = _changed_fields(old, wanted, place) if changed else {}
     if wanted.estimate != bool(old.get("estimate", False)):
         fields["estimate"] = wanted.estimate or None
+    if wanted.per_run != old.get("per_run"):
+        fields["per_run"] = wanted.per_run
     if raw is not None and not fields:
         return None
     if isinstance(raw, Mapping):
@@ -467,6 +470,7 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> En
         unit=parameter.unit,
         estimate=any(v.estimate for v in values.values()),
         assumed=any(v.assumed for v in values.values()),
+        per_run=next((v.per_run for v in values.values()), None),
         source="; ".join(dict.fromkeys(v.source for v in values.values() if v.source)),
     )
 
@@ -523,7 +527,13 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
         value = thruster.thrust_per_command
         sigmas = _sigmas({"value": value})
         wanted = Entry(
-            {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, source=value.source
+            {"value": value.value},
+            sigmas,
+            "N/command",
+            value.estimate,
+            value.assumed,
+            per_run=value.per_run,
+            source=value.source,
         )
         place = f"thruster '{thruster.name}' thrust_per_command"
         if "thrust_per_command" in tables[thruster.name] or wanted.differs(1.0, place):

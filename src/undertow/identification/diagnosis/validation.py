@@ -522,7 +522,11 @@ def _pieces(run: Run, settings: Settings) -> list[Run]:
     edges = [start + i * length for i in range(count + 1)]
     gap = min(settings.piece_gap, 0.1 * length)
     return [
-        replace(run.slice(a, b if i == count - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
+        replace(
+            run.slice(a, b if i == count - 1 else b - gap),
+            name=f"{run.name} [{a:.0f}-{b:.0f} s]",
+            part_of=run.origin,
+        )
         for i, (a, b) in enumerate(pairwise(edges))
     ]
 

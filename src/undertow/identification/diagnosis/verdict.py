@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.step import (
     NOTHING_SAID,
@@ -164,8 +165,8 @@ def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
 def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
     vehicle = fit.model.functions.vehicle
-    parameter = vehicle.declaration(name)
-    prior = stated.values.get(name)
+    parameter = vehicle.declaration(plain(name))
+    prior = stated.values.get(plain(name))
     return Estimate(
         name=name,
         effect=_owner(vehicle, parameter.name),

@@ -19,7 +19,7 @@ from .fitted import Fitted
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
 from .step import Constraints, SearchSpace, clustered
-from .weak_form import fit_weak, free_parameters
+from .weak_form import fit_weak_by_run, free_parameters
 from .windows import Windows, cut
 
 
@@ -343,25 +343,30 @@ def fit_output_error(
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
-    model = constraints.model(vehicle, names)
-    p = started(model, weak_start(model, runs) if start is None else start)
+    model, start = weak_start(constraints.model(vehicle, names), runs, start)
+    p = started(model, start)
     windows = cut(runs, vehicle, horizon)
     descent = Descent(model, windows, compiled, progress)
     return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
 
 
-def weak_start(model: WeakModel, runs: Sequence[Run]) -> dict[str, float]:
-    """Values that a weak-form fit gives the free parameters; none where the runs are too short for one."""
+def weak_start(
+    model: WeakModel, runs: Sequence[Run], start: Mapping[str, float] | None
+) -> tuple[WeakModel, Mapping[str, float]]:
+    """The model and where its fit begins: as given, or else by the weak form, with values by run if need be.
+
+    Runs that are too short for the weak form leave the model and the values of its file.
+    """
+    if start is not None:
+        return model, start
     try:
         data = prepare(runs, model.functions.vehicle)
     except UndertowError:  # too short for test functions; the values of the file have to do
-        return {}
-    return fit_weak(model, data).values
+        return model, {}
+    fit = fit_weak_by_run(model, data)
+    return fit.model, fit.values
 
 
 def started(model: WeakModel, start: Mapping[str, float]) -> Array:
     """All parameters at the start of a search: the vehicle's, some replaced, made physical."""
-    p = np.array(model.functions.values(), dtype=float)
-    for name, value in start.items():
-        p[model.functions.parameter_names.index(name)] = value
-    return SearchSpace(model).nearest(p)
+    return SearchSpace(model).nearest(model.started(start))

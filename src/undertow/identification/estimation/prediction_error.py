@@ -367,8 +367,8 @@ def fit_prediction_error(
     names = free_parameters(vehicle) if free is None else tuple(free)
     _refuse_long(runs)
     progress(0.0, "weak-form fit")
-    model = constraints.model(vehicle, names)
-    p = started(model, weak_start(model, runs) if start is None else start)
+    model, start = weak_start(constraints.model(vehicle, names), runs, start)
+    p = started(model, start)
     windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
     if chained.has_sensor_delay:

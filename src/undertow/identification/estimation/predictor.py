@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -243,6 +244,12 @@ class Predictor:
         # Bound as one, so that threads with windows of their own do not mix them up.
         self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
         self._recent = (lambda: None), {}
+
+    def another(self) -> Predictor:
+        """The same predictor for other windows: what it keeps of them is its own."""
+        other = copy(self)
+        other._recent = (lambda: None), {}
+        return other
 
     @property
     def values(self) -> Array:

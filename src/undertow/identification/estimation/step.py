@@ -16,6 +16,7 @@ from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
+from .by_run import plain
 from .data import WeakData
 from .pointwise import Cut
 from .residual import Linearised, WeakModel
@@ -48,7 +49,7 @@ PRIOR_WIDTH, NOTHING_SAID = SETTINGS.prior_width, SETTINGS.undetermined
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
     """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too."""
-    table = np.array([_joint_bounds(model, name) for name in model.free]).reshape(-1, 2)
+    table = np.array([_joint_bounds(model, plain(name)) for name in model.free]).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 
 
@@ -97,7 +98,7 @@ def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
 
 def prior_of(model: WeakModel) -> tuple[Array, Array]:
     """Where stated priors are and how much they weigh."""
-    values = [model.functions.vehicle.value_of(n) for n in model.free]
+    values = [model.functions.vehicle.value_of(plain(n)) for n in model.free]
     # A value without a stated error is not a prior, and may be infinite (a limit that is not there).
     centre = np.array([0.0 if v.sigma is None else v.value for v in values])
     weight = np.array([0.0 if v.sigma is None else 1.0 / (PRIOR_WIDTH * v.sigma) for v in values])
@@ -128,7 +129,7 @@ def step_limits(model: WeakModel) -> Array:
     Where the data hardly depend on one, the linearised problem would send it to its bound.
     """
     vehicle = model.functions.vehicle
-    return np.array([_step_limit(vehicle.declaration(n)) for n in model.free])
+    return np.array([_step_limit(vehicle.declaration(plain(n))) for n in model.free])
 
 
 def _step_limit(parameter: Parameter) -> float:

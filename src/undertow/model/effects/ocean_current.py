@@ -17,8 +17,12 @@ class OceanCurrent(Flow):
     reference = "Fossen (2021), chapter 10 (constant irrotational ocean current in NED)"
     signature = "surge and sway errors that turn with the heading, and drift at zero thrust"
 
-    V_N = Parameter("m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,))
-    V_E = Parameter("m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,))
+    V_N = Parameter(
+        "m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,), per_run=True
+    )
+    V_E = Parameter(
+        "m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,), per_run=True
+    )
 
     def velocity(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([self.V_N, self.V_E, 0])

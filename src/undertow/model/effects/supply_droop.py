@@ -22,7 +22,7 @@ class SupplyDroop(Actuation):
     signature = "the same command gives less and less towards the end of a run"
     stage = 35
 
-    droop_rate = Parameter("1/s", "share of the thrust that is lost per second", (-0.1, 0.1))
+    droop_rate = Parameter("1/s", "share of the thrust that is lost per second", (-0.1, 0.1), per_run=True)
 
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
         return upstream - self.droop_rate * s.t * upstream

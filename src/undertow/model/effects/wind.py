@@ -28,8 +28,8 @@ class Wind(Wrench):
     )
     signature = "a force on surface vessels that points to one side of the world, at all speeds alike"
 
-    W_N = Parameter("N", "force to the north on the vessel heading north or south")
-    W_E = Parameter("N", "force to the east on the vessel heading east or west")
+    W_N = Parameter("N", "force to the north on the vessel heading north or south", per_run=True)
+    W_E = Parameter("N", "force to the east on the vessel heading east or west", per_run=True)
     wind_aspect = Parameter(
         "1", "beam wind over bow wind", (0.05, 50), linear=False, starts=(1, 4), neutral=None
     )
