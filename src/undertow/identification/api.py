@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
+from undertow.model.parameter import printed
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
@@ -23,11 +24,13 @@ from .diagnosis.addition import add_effect as added
 from .diagnosis.result import RunInfo
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
+from .estimation.adaptation import adapted, in_runs
+from .estimation.between_runs import BetweenRuns
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
 from .estimation.output_error import LossName, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
-from .estimation.predictor import predict
+from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
@@ -200,11 +203,16 @@ class Refit:
             schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
         )
 
+    @property
+    def between_runs(self) -> list[BetweenRuns]:
+        """Parameters with a value in every run: these values, their mean and spread, in the file's signs."""
+        return [in_file_signs(table, self.stated) for table in self.fit.between_runs]
+
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""
         rows = self.parameters.iter_rows(named=True)
         lines = [f"{r['parameter']:16} {r['value']:.5g}{_spread(r)} {r['unit']}".rstrip() for r in rows]
-        return "\n".join([self._headline, *lines])
+        return "\n".join([self._headline, *lines, *map(str, self.between_runs)])
 
     @property
     def _headline(self) -> str:
@@ -255,6 +263,7 @@ def _history(
     **more: object,
 ) -> dict[str, object]:
     """How the values of a vehicle file came about."""
+    names, covariance = fit.vehicle_covariance
     return {
         "command": command,
         "date": date.today().isoformat(),
@@ -262,8 +271,28 @@ def _history(
         "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
         "error_before": errors[0],
         "error_after": errors[1],
-        "covariance": {"parameters": list(fit.model.free), "matrix": fit.covariance.tolist()},
+        **({"by_run": [_history_of(t, fit.vehicle) for t in fit.between_runs]} if fit.between_runs else {}),
+        "covariance": {"parameters": list(names), "matrix": covariance.tolist()},
     }
+
+
+def _history_of(table: BetweenRuns, vehicle: Vehicle) -> dict[str, object]:
+    """Values by run for a vehicle file, in its signs, with their mean, spread and the test of equality."""
+    own = in_file_signs(table, vehicle)
+    errors = own.standard_errors
+    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in own.values.items()]
+    return {
+        "parameter": own.parameter,
+        "runs": runs,
+        "spread": own.spread,
+        "q": own.q,
+        "p_value": own.p_value,
+    }
+
+
+def in_file_signs(table: BetweenRuns, vehicle: Vehicle) -> BetweenRuns:
+    """Values by run in the units and signs of the vehicle file."""
+    return table.turned(printed(vehicle.declaration(table.parameter), 1.0, vehicle.signs))
 
 
 def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
@@ -299,9 +328,11 @@ def refit(
         vehicle, train, progress=lambda done, words: report(0.8 * done, words), trust_log=True
     )
     report(0.8, "predicting validation data")
-    longest = max(float(r.t[-1] - r.t[0]) for r in test)
-    windows = cut(test, vehicle, min(horizon, 0.9 * longest))
-    before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
+    refitted, rest = in_runs(fit, test)
+    longest = max(float(r.t[-1] - r.t[0]) for r in rest)
+    windows = cut(rest, vehicle, min(horizon, 0.9 * longest))
+    as_given = [adapted(vehicle, run)[0] for run in test]
+    before, after = (predict_each(each, windows) for each in (as_given, refitted))
     return Refit(vehicle, fit, estimator, train, test, before, after)
 
 

@@ -220,11 +220,15 @@ _NO_COVARIANCE = (
 )
 
 
-def fit_source(history: Mapping[str, object] | None, before: str) -> str:
-    """What a fitted value gives as its source: logs and date, and where the value before came from."""
+def fit_source(history: Mapping[str, object] | None, before: str, *, mean: bool = False) -> str:
+    """What a fitted value gives as its source: logs and date, and where the value before came from.
+
+    `mean` says that it is the mean of values by run, which stand in the history.
+    """
     text = "fitted"
     if history and history.get("logs"):
-        text = f"fit to {_log_names(history)} on {history.get('date', 'an unknown date')}"
+        whole = " (mean of the runs)" if mean else ""
+        text = f"fit to {_log_names(history)}{whole} on {history.get('date', 'an unknown date')}"
     return f"{text}{_BEFORE}{before}" if before else text
 
 
@@ -478,7 +482,8 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> En
 def _write(table: Any, key: str, wanted: Entry, place: str, history: Mapping[str, object] | None) -> None:
     fitted = history is None or "logs" in history
     if fitted and wanted.estimate and wanted.differs(table.get(key), place):
-        wanted = wanted.fitted(fit_source(history, source_before(wanted.source)))
+        before = source_before(wanted.source)
+        wanted = wanted.fitted(fit_source(history, before, mean=bool(wanted.per_run)))
     entry = update_entry(table.get(key), wanted, place)
     if entry is None:
         return

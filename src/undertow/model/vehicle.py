@@ -29,7 +29,7 @@ class Value:
     sigma: float | None = None  # standard deviation of the number as stated (prior) or as fitted
     source: str = ""  # where it comes from
     assumed: bool = False  # true where no source gives the number
-    # true: it has a value of its own in every run; false: never; None: where runs differ, if nature changes it
+    # true: it has a value of its own in every run; false: never; None: as runs and effect show
     per_run: bool | None = None
 
 

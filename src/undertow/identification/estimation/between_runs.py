@@ -1,25 +1,25 @@
-"""Whether what nature changes differs between runs: a test on a common fit, and the table of what was found.
+"""Whether what nature changes differs between runs, and the table of what was found.
 
-A current is sought as one value for all runs first. Values by run take its place where they lower the sum of
-squares by more than chance: a Wald test of equality, with errors that are robust to what the model leaves.
-So runs that agree cost nothing, neither precision nor power, and runs that do not are not averaged.
+A current is sought as one value for all runs first. Values by run take its place where they differ by more
+than chance: a Wald test of equality, with errors that are robust to what the model leaves. So runs that agree
+cost nothing, neither precision nor power, and runs that do not are not averaged. A common mean with a spread
+that is estimated would shrink in between, but two or three runs say next to nothing of a spread.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .by_run import in_run, origins, plain, with_values_by_run
-from .data import WeakData, Whitening
-from .residual import WeakModel, whitened
-from .step import clustered, normal_equations, prior_of, summed_scores
+from .by_run import origins, plain, run_of
+from .residual import WeakModel
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,10 @@ class BetweenRuns:
     q: float  # Cochran's Q, by the joint covariance; chi-square with one degree less than runs if all agree
     p_value: float
 
+    def turned(self, sign: float) -> BetweenRuns:
+        """The same with the signs of a vehicle file, 1 or -1."""
+        return replace(self, values={run: 0.0 + sign * value for run, value in self.values.items()})
+
     @property
     def mean(self) -> float:
         """Mean over the runs, weighted by how well each knows it."""
@@ -67,15 +71,10 @@ def between_runs(parameter: str, runs: Sequence[str], values: Array, covariance:
     spread = np.sqrt(max(apart, 0.0) / max(own.sum() - float(own @ own) / own.sum(), 1e-300))
     weight = 1.0 / (variance + spread**2)
     q = _wald(values, covariance, [list(range(len(values)))])
-    columns = ((dict(zip(runs, column.tolist(), strict=True))) for column in (values, np.sqrt(variance)))
-    return BetweenRuns(
-        parameter,
-        *columns,
-        dict(zip(runs, (weight / weight.sum()).tolist(), strict=True)),
-        float(spread),
-        q,
-        float(chi2.sf(q, len(values) - 1)),
-    )
+    columns = values, np.sqrt(variance), weight / weight.sum()
+    own_values, errors, weights = (dict(zip(runs, c.tolist(), strict=True)) for c in columns)
+    chance = float(chi2.sf(q, len(values) - 1))
+    return BetweenRuns(parameter, own_values, errors, weights, float(spread), q, chance)
 
 
 def _wald(values: Array, covariance: Array, groups: Sequence[Sequence[int]]) -> float:
@@ -96,74 +95,35 @@ def stated_by_run(vehicle: Vehicle, free: Sequence[str]) -> list[str]:
     return [n for n in free if vehicle.value_of(n).per_run]
 
 
-def differing(
-    model: WeakModel, p: Array, data: WeakData, whitening: list[Whitening], names: Sequence[str] | None = None
-) -> tuple[str, ...]:
-    """Parameters of a fit, common to all runs so far, whose values differ between the runs beyond chance.
+def may_differ(model: WeakModel, runs: Sequence[Run]) -> list[tuple[str, ...]]:
+    """Free parameters, common to all runs so far, that nature may have changed between them, by effect.
 
-    Parameters
-    ----------
-    model : WeakModel
-        The model with its free parameters.
-    p : array
-        All parameters, fitted.
-    data : WeakData
-        What was fitted.
-    whitening : list of Whitening
-        Noise of every segment.
-    names : sequence of str, optional
-        Parameters that may differ; by default those that nature changes, as their effects declare and the
-        vehicle file does not deny.
-
-    Returns
-    -------
-    tuple of str
-        All such parameters of an effect or none: the direction of a current says little without its speed.
+    All of an effect or none: the direction of a current says little without its speed.
     """
-    vehicle = model.functions.vehicle
-    if len(origins(data.runs)) < 2:
-        return ()
-    asked = model.free if names is None else names
-    groups = {
-        e.id: [q.name for q in e.parameters if q.name in asked and _may_differ(vehicle, q.name, model)]
-        for e in vehicle.all_effects
-    }
-    groups = {key: own for key, own in groups.items() if own}
-    while groups:
-        chances = _chances(model, p, data, whitening, list(groups.values()))
-        worst = int(np.argmax(chances))
-        if chances[worst] < SETTINGS.chance:
-            break
-        groups.pop(list(groups)[worst])
-    return tuple(name for own in groups.values() for name in own)
+    if len(origins(runs)) < 2:
+        return []
+    vehicle, equal = model.functions.vehicle, model.functions.equal
+    tied = {*equal, *(other for other, _ in equal.values())}
+    names = [n for n in model.free if n not in tied and not run_of(n) and vehicle.differs_between_runs(n)]
+    owners = {vehicle.declaration(n).name: n for n in names}
+    groups = (tuple(owners[q.name] for q in e.parameters if q.name in owners) for e in vehicle.all_effects)
+    return [group for group in groups if group]
 
 
-def _may_differ(vehicle: Vehicle, name: str, model: WeakModel) -> bool:
-    tied = name in model.functions.equal or bool(model.functions.followers(name))
-    return name in model.free and vehicle.differs_between_runs(name) and not tied
+def least_differing(
+    model: WeakModel, values: Array, covariance: Array, groups: Sequence[Sequence[str]]
+) -> tuple[int, float]:
+    """Group of parameters whose values by run differ least, and the chance of that if they were the same.
 
-
-def _chances(
-    model: WeakModel, p: Array, data: WeakData, whitening: list[Whitening], groups: Sequence[Sequence[str]]
-) -> list[float]:
-    """Chance of differences as large as found, one step from the common values, for groups of parameters."""
-    split = [name for group in groups for name in group]
-    other = model.with_free(with_values_by_run(model.free, split, data.runs))
-    start = {n: float(p[k]) for n, k in zip(model.free, model.places, strict=True)}
-    q = other.started(start)
-    at = whitened(other.linearise(data, q), whitening)
-    gram, slope = normal_equations(at, q[list(other.places)], prior_of(other))
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    step = -scale * (np.linalg.pinv(gram * np.outer(scale, scale), hermitian=True) @ (scale * slope))
-    covariance = clustered(gram, summed_scores(at.r + at.J @ step, at.J, data.block))
-    return [_chance(other, step, covariance, group, data) for group in groups]
-
-
-def _chance(model: WeakModel, step: Array, covariance: Array, group: Sequence[str], data: WeakData) -> float:
-    runs = origins(data.runs)
-    places = [[model.free.index(in_run(name, run)) for run in runs] for name in group]
-    freedom = len(group) * (len(runs) - 1)
-    return float(chi2.sf(_wald(step, covariance, places), freedom))
+    values, covariance: of the free parameters, (n_free,) and (n_free, n_free).
+    """
+    chances = []
+    for group in groups:
+        places = [[model.free.index(n) for n in model.values.by_run[name]] for name in group]
+        freedom = sum(len(own) - 1 for own in places)
+        chances.append(float(chi2.sf(_wald(values, covariance, places), freedom)))
+    worst = int(np.argmax(chances))
+    return worst, chances[worst]
 
 
 def table_of(model: WeakModel, values: Array, covariance: Array) -> tuple[BetweenRuns, ...]:
@@ -171,7 +131,7 @@ def table_of(model: WeakModel, values: Array, covariance: Array) -> tuple[Betwee
     found = []
     for name, there in model.values.by_run.items():
         places = [model.free.index(n) for n in there]
-        runs = [n.partition("@")[2] for n in there]
+        runs = [run_of(n) for n in there]
         found.append(between_runs(name, runs, values[places], covariance[np.ix_(places, places)]))
     return tuple(found)
 
@@ -182,5 +142,5 @@ def of_the_vehicle(model: WeakModel, table: Sequence[BetweenRuns]) -> Array:
     matrix = np.zeros((len(model.values.names), len(model.free)))
     for column, name in enumerate(model.free):
         weights = rows.get(plain(name), {})
-        matrix[model.values.names.index(plain(name)), column] = weights.get(name.partition("@")[2], 1.0)
+        matrix[model.values.names.index(plain(name)), column] = weights.get(run_of(name), 1.0)
     return matrix

@@ -28,6 +28,11 @@ def plain(name: str) -> str:
     return name.partition(_AT)[0]
 
 
+def run_of(name: str) -> str:
+    """Run that a free parameter belongs to; empty for one of all runs."""
+    return name.partition(_AT)[2]
+
+
 def in_run(name: str, run: str) -> str:
     """Name of the value of a parameter in one run."""
     return f"{name}{_AT}{run}"
@@ -131,7 +136,7 @@ class LimitsByRun(Limits):
     def __init__(self, functions: Functions, values: RunValues, *, dissipative: bool = False) -> None:
         super().__init__(functions, values.local, dissipative=dissipative)
         self._values = values
-        names = dict.fromkeys(n.partition(_AT)[2] for n in values.split)
+        names = dict.fromkeys(run_of(n) for n in values.split)
         self._runs = [Run(name, np.zeros(0), {}) for name in names]
 
     def cuts(self, p: Array) -> list[Cut]:

@@ -199,6 +199,11 @@ class Fitted(ABC):
         spread = {t.parameter: t.spread**2 for t in table}
         return names, average @ self.covariance @ average.T + np.diag([spread.get(n, 0.0) for n in names])
 
+    @property
+    def runs_with_values(self) -> set[str]:
+        """Names of the runs that have values of their own."""
+        return {run for table in self.between_runs for run in table.values}
+
     def vehicle_in(self, run: Run) -> Vehicle:
         """The vehicle with the values of one run that was fitted; of another run, with the means."""
         own = self.model.values.own(self.p, run)

@@ -390,3 +390,28 @@ def predict(
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
     windows = runs if isinstance(runs, Windows) else cut(runs, predictor.functions.vehicle, horizon)
     return Prediction(windows, predictor.reports(windows, predictor.values))
+
+
+def predict_each(
+    vehicles: Sequence[Vehicle], windows: Windows, *, compiled: bool | None = None
+) -> Prediction:
+    """Predict windows of several runs, each run by a vehicle of its own, which differ in their values only.
+
+    Parameters
+    ----------
+    vehicles : sequence of Vehicle
+        One for every run of the windows.
+    windows : Windows
+        What is predicted.
+    compiled : bool, optional
+        As for `Simulator`.
+    """
+    predictor = Predictor(vehicles[0], compiled=compiled)
+    if all(vehicle == vehicles[0] for vehicle in vehicles):
+        return predict(predictor, windows)
+    reports = np.full(windows.measured.shape, np.nan)
+    for place in np.unique(windows.run).tolist():
+        rows, own = windows.of_run(place)
+        values = [vehicles[place].value_of(n).value for n in predictor.functions.parameter_names]
+        reports[rows] = predictor.reports(own, np.array(values, dtype=float))
+    return Prediction(windows, reports)

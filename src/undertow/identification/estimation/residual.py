@@ -197,7 +197,7 @@ class _At(NamedTuple):
 
 
 class WeakModel:
-    """Weak residuals of one vehicle for a choice of free parameters, some of which may be values in one run."""
+    """Weak residuals of one vehicle for a choice of free parameters, some of them values in one run."""
 
     def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
         self.functions, self._dissipative = functions, dissipative

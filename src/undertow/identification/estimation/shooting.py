@@ -172,7 +172,7 @@ class Shooting:
         self.places = list(self.values.local)
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
-        self._by_run = self._runs() if self.values.split else []
+        self.by_run = self._runs() if self.values.split else []
 
     def _runs(self) -> list[OneRun]:
         """The windows of every run with a model of their own."""
@@ -181,7 +181,7 @@ class Shooting:
             rows, windows = self.windows.of_run(place)
             shooting = copy(self)
             shooting.windows, shooting.free = windows, self.values.names
-            shooting.predictor, shooting._by_run = self.predictor.another(), []
+            shooting.predictor, shooting.by_run = self.predictor.another(), []
             found.append(OneRun(rows, self.windows.runs[place], shooting))
         return found
 
@@ -193,9 +193,9 @@ class Shooting:
 
     def _together(self, by_run: Callable[[OneRun], Array]) -> Array:
         """What there is of the windows of every run, (b, ...), at their places."""
-        parts = [by_run(one) for one in self._by_run]
+        parts = [by_run(one) for one in self.by_run]
         found = np.empty((len(self.windows), *parts[0].shape[1:]))
-        for one, part in zip(self._by_run, parts, strict=True):
+        for one, part in zip(self.by_run, parts, strict=True):
             found[one.rows] = part
         return found
 
@@ -206,11 +206,11 @@ class Shooting:
             shooting, own = self._own(one, p)
             return shooting.reports(own, starts[one.rows])
 
-        return self._together(of) if self._by_run else self.predictor.reports(self.windows, p, starts)
+        return self._together(of) if self.by_run else self.predictor.reports(self.windows, p, starts)
 
     def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
-        if self._by_run:
+        if self.by_run:
             return self._together(lambda one: one.shooting.measured_starts(self.values.own(p, one.run)))
         return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
 
@@ -287,8 +287,8 @@ class Shooting:
 
     def _products(self, p: Array, starts: Array) -> list[Products]:
         """Sums over windows, batch by batch, in the order of the windows."""
-        if self._by_run:
-            return [part for one in self._by_run for part in self._products_of_run(one, p, starts[one.rows])]
+        if self.by_run:
+            return [part for one in self.by_run for part in self._products_of_run(one, p, starts[one.rows])]
         finite = self._by_differences(p, starts)
         start, drive = self.predictor.start_and_drive(self.windows, p, starts)
         return [self._part(rows, p, start[rows], drive[rows], finite) for rows in self._batches()]

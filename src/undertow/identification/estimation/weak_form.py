@@ -13,7 +13,8 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
-from .between_runs import differing, stated_by_run
+from .between_runs import SETTINGS as BETWEEN_RUNS
+from .between_runs import least_differing, may_differ, stated_by_run
 from .by_run import origins, with_values_by_run
 from .data import Segment, WeakData, Whitening, prepare
 from .fitted import Fitted
@@ -206,8 +207,8 @@ def fit_weak_by_run(
 ) -> WeakFit:
     """Fit as `fit_weak` does, with values by run of what differs between the runs.
 
-    Those are the parameters that the vehicle file marks with `per_run`, and those that nature changes and that
-    differ beyond chance (see `between_runs.differing`).
+    Those are the parameters that the vehicle file marks with `per_run`, and those that nature changes and
+    that differ beyond chance (see `separated`).
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     stated = stated_by_run(model.functions.vehicle, model.values.names)
@@ -218,12 +219,17 @@ def fit_weak_by_run(
 
 def separated(fit: WeakFit) -> WeakFit:
     """The fit with values by run of those common parameters that differ between the runs beyond chance."""
-    while names := differing(fit.model, fit.p, fit.data, fit.whitening):
+    groups = may_differ(fit.model, fit.data.runs)
+    while groups:
+        names = [name for group in groups for name in group]
         model = fit.model.with_free(with_values_by_run(fit.model.free, names, fit.data.runs))
-        begun = start_fit(
-            model, fit.data, fit.values, fit.whitening, fit.disturbance, steps=SETTINGS.most_steps
-        )
-        fit = with_reestimated_noise(begun)
+        noise = fit.whitening, fit.disturbance
+        split = start_fit(model, fit.data, fit.values, *noise, steps=SETTINGS.most_steps)
+        values = split.p[list(model.places)]
+        worst, chance = least_differing(model, values, split.covariance, groups)
+        if chance < BETWEEN_RUNS.chance:
+            return separated(with_reestimated_noise(split))
+        groups.pop(worst)
     return fit
 
 

@@ -1,0 +1,85 @@
+"""A vehicle in a run that it was not fitted to: what belongs to each run comes from the first part of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+
+from .data import prepare
+from .fitted import Fitted
+from .weak_form import fit_weak
+
+
+@dataclass(frozen=True)
+class AdaptationSettings:
+    """Numbers of the adaptation to a run."""
+
+    # Share of a run from which what belongs to it is estimated; the rest judges. A current or a trim takes
+    # a few manoeuvres to show, and what judges should be the larger part.
+    share: float = 1.0 / 3.0
+    # Largest share that a least length may ask for.
+    most: float = 0.5
+
+
+SETTINGS = AdaptationSettings()
+
+
+def of_each_run(vehicle: Vehicle) -> tuple[str, ...]:
+    """Parameters that have a value in every run: those with ``per_run = true`` that may be estimated."""
+    values = ((n, vehicle.value_of(n)) for n in vehicle.parameter_names)
+    return tuple(n for n, value in values if value.per_run and value.estimate)
+
+
+def adapted(vehicle: Vehicle, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
+    """A vehicle as it is in a run, and the part of the run by which it may be judged.
+
+    What belongs to each run (current, trim: ``per_run = true``) is estimated by the weak form from the first
+    part of the run, all else being as stated; the stated value with its sigma, the mean and the spread of the
+    runs that were fitted, holds what this part leaves open. Nothing is estimated from what judges. Where
+    nothing belongs to each run, or nothing of it may be estimated, vehicle and run are returned as they are.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model, with the mean over other runs of what belongs to each.
+    run : Run
+        A run that it was not fitted to.
+    least : float
+        Least length of the first part, s, such as some of the vehicle's slowest time constants; it is never
+        more than half of the run.
+
+    Returns
+    -------
+    (Vehicle, Run)
+        The vehicle with the values of this run, and the rest of the run.
+    """
+    names = of_each_run(vehicle)
+    if not names:
+        return vehicle, run
+    begin, length = float(run.t[0]), float(run.t[-1] - run.t[0])
+    end = begin + max(SETTINGS.share * length, min(least, SETTINGS.most * length))
+    first, rest = run.slice(begin, end), run.slice(end, None)
+    try:
+        return fit_weak(vehicle, prepare([first], vehicle), names).vehicle, rest
+    except UndertowError:  # too short for the weak form, or without a finite force: the mean has to do
+        return vehicle, rest
+
+
+def in_run(fit: Fitted, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
+    """A fitted vehicle in a run, and the part of the run by which it may be judged (see `adapted`).
+
+    A run that was fitted, or a stretch of one, has the values found for it, and all of it judges.
+    """
+    if run.origin in fit.runs_with_values:
+        return fit.vehicle_in(run), run
+    return adapted(fit.vehicle, run, least=least)
+
+
+def in_runs(fit: Fitted, runs: Sequence[Run], *, least: float = 0.0) -> tuple[list[Vehicle], list[Run]]:
+    """The same for several runs: a vehicle for each, and what is left of each to judge by."""
+    pairs = [in_run(fit, run, least=least) for run in runs]
+    return [vehicle for vehicle, _ in pairs], [rest for _, rest in pairs]
