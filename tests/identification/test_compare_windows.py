@@ -9,16 +9,18 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
-from tests.identification.surge import TRUTH, surge_run, surge_vehicle
+from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
 from undertow.identification.estimation.predictor import Predictor, best_start, predict
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.windows import (
     arriving,
     cut,
+    horizons,
     local_value,
     prediction_error,
     start_values,
+    time_constants,
 )
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
@@ -282,3 +284,55 @@ def test_a_start_that_cannot_be_simulated_stays_where_it_is() -> None:
         lambda s: np.full((len(s), 4, 1), np.nan), np.ones((1, 4, 1)), np.ones((1, 2)), np.ones(2)
     )
     np.testing.assert_array_equal(found, 1.0)
+
+
+# --- how long windows have to be --------------------------------------------------------------------------
+
+
+def _damped(**damping: float) -> Vehicle:
+    vehicle = surge_vehicle()
+    return vehicle.with_values({n: replace(vehicle.value_of(n), value=v) for n, v in damping.items()})
+
+
+def _steady_run(seconds: float, speed: float = 0.2, interval: float = 0.1) -> Run:
+    t = np.arange(0.0, seconds, interval)
+    return Run("steady", t, {"u": np.full(len(t), speed), "tau_X": np.zeros(len(t))})
+
+
+def test_time_constant_is_inertia_over_the_damping_at_the_speeds_seen() -> None:
+    run = surge_run()
+    speed = float(np.mean(np.abs(run.channels["u"])))
+    expected = M_X / (TRUTH["X_u"] + 2.0 * TRUTH["X_uabsu"] * speed)
+    stated = _true_surge().value_of("X_udot").value
+    assert time_constants(_true_surge(), [run]) == pytest.approx([expected], rel=0.02)
+    assert stated == pytest.approx(-TRUTH["X_udot"])
+
+
+def test_horizons_are_a_quarter_one_and_four_times_the_slowest_time_constant() -> None:
+    vehicle = _damped(X_udot=-0.5, X_u=-0.4, X_uabsu=0.0)
+    (slowest,) = time_constants(vehicle, [_steady_run(1000.0)])
+    assert slowest == pytest.approx((M_X - TRUTH["X_udot"] + 0.5) / 0.4)
+    assert horizons(vehicle, [_steady_run(1000.0)]) == pytest.approx((slowest / 4, slowest, 4 * slowest))
+
+
+def test_horizons_are_bounded_by_the_record() -> None:
+    vehicle = _damped(X_udot=-0.5, X_u=-0.4, X_uabsu=0.0)
+    short, middle, long = horizons(vehicle, [_steady_run(30.0)] * 3)
+    assert long == pytest.approx(89.7 / 4, rel=0.01)
+    assert short <= middle / 2 <= long / 4
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_without_a_time_constant_horizons_are_shares_of_the_record(damping: float) -> None:
+    vehicle = _damped(X_u=damping, X_uabsu=0.0)
+    runs = [_steady_run(100.0)] * 4
+    assert len(time_constants(vehicle, runs)) == 0
+    assert horizons(vehicle, runs) == pytest.approx((2.0, 9.0, 36.0), rel=0.12)
+
+
+def test_shortest_windows_have_samples_enough() -> None:
+    vehicle = _damped(X_u=-50.0, X_uabsu=0.0)
+    short, middle, long = horizons(vehicle, [_steady_run(100.0, interval=0.5)] * 4)
+    assert short >= 20 * 0.5
+    assert middle >= 2 * short
+    assert long >= 2 * middle

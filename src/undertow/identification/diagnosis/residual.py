@@ -8,7 +8,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, eye_array, kron
+from scipy.sparse import bsr_array, csr_array, diags_array
 
 from undertow.codegen.engine import mapped
 from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
@@ -98,19 +98,22 @@ class ForceRow:
                 break
         return float(np.sqrt(max(total - noise, 0.0)))
 
+    def averaged(self, width: int) -> list[tuple[Array, Array]]:
+        """Mean force over every `width` neighbouring test functions and its variance by the noise.
+
+        N and N^2 (N m), in every segment shape (max(K - width + 1, 0),).
+        """
+        whole, found = self.weight * width, []
+        for part, noise in zip(self.parts, self.sensor_noise, strict=True):
+            groups = sliding(len(part.r), width)
+            variance = (groups @ csr_array(noise.covariance) @ groups.T).diagonal()
+            found.append((groups @ part.r / whole, variance / whole**2))
+        return found
+
     def _averaged(self, width: int) -> tuple[float, float]:
         """Mean square of the force over `width` test functions, and that of its noise."""
-        squares, variances = [], []
-        for part, noise in zip(self.parts, self.sensor_noise, strict=True):
-            whole = len(part.r) // width * width
-            groups = csr_array(kron(eye_array(whole // width), np.ones((1, width))))
-            covariance = groups @ csr_array(noise.covariance)[:whole, :whole] @ groups.T
-            squares.append((groups @ part.r[:whole]) ** 2)
-            variances.append(covariance.diagonal())
-        if not sum(map(len, squares)):
-            return 0.0, 0.0
-        square, variance = (float(np.mean(np.concatenate(s))) for s in (squares, variances))
-        return square / (self.weight * width) ** 2, variance / (self.weight * width) ** 2
+        force, variance = (np.concatenate(c) for c in zip(*self.averaged(width), strict=True))
+        return (float(np.mean(force**2)), float(np.mean(variance))) if len(force) else (0.0, 0.0)
 
     @cached_property
     def disturbance(self) -> float:
@@ -122,6 +125,12 @@ class ForceRow:
             square = float(np.mean(self.whitened(level).r ** 2))
             level *= float(np.clip(square**1.5, 0.02, 50.0))
         return level
+
+
+def sliding(count: int, width: int) -> csr_array:
+    """Sums over every `width` neighbours among `count` rows, shape (max(count - width + 1, 0), count)."""
+    shape = max(count - width + 1, 0), count
+    return csr_array(diags_array([np.ones(shape[0])] * width, offsets=range(width), shape=shape))
 
 
 def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linearised]:
@@ -140,7 +149,7 @@ class ForceRows:
         """The equation of one degree of freedom, by its place among those of the vehicle."""
         rows = len(self.data.rows)
         parts, sensor_noise = [], []
-        segments = zip(self.data.segments, self._residual, self._noise, self._mass, strict=True)
+        segments = zip(self.data.segments, self._residual, self._noise, self.mass, strict=True)
         for s, part, noise, mass in segments:
             to_force = self._to_force(mass[:, dof])
             known = None if part.known is None else part.known // rows
@@ -165,9 +174,9 @@ class ForceRows:
         return self._fit.model.whitening(self.data, self._fit.p)
 
     @cached_property
-    def _mass(self) -> list[Array]:
+    def mass(self) -> list[Array]:
         """Mass matrix under every test function, shape (K, n, n)."""
-        return [self._mean(s, mass) for s, _, mass in self._along]
+        return [self._mean(s, mass) for s, _, mass in self.along]
 
     def _mean(self, s: Segment, mass: Array) -> Array:
         weight = s.functions.value.sum(axis=1)[:, None]
@@ -177,15 +186,16 @@ class ForceRows:
     # --- further forces -----------------------------------------------------------------------
     def columns(self, columns: Sequence[Column]) -> list[Array]:
         """What forces with unit coefficients of columns add to a row, shape (K, columns) in every segment."""
-        return [_tested(s, along, columns) for s, along, _ in self._along]
+        return [tested(s, along, columns) for s, along, _ in self.along]
 
     def waves(self, frequency: float) -> list[Array]:
         """The same for a cosine and a sine of unit amplitude in time, shape (K, 2); frequency in Hz."""
-        phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self._along]
+        phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self.along]
         return [s.functions.value @ np.column_stack([np.cos(a), np.sin(a)]) for s, a in phases]
 
     @cached_property
-    def _along(self) -> list[tuple[Segment, Along, Array]]:
+    def along(self) -> list[tuple[Segment, Along, Array]]:
+        """Every segment with motion and commands at its samples, and its mass matrix (N, n, n)."""
         functions, p, data = self._fit.model.functions, self._fit.p, self.data
         actuators, motion, late = ActuatorStates(functions, ()), self._motion, SensorDelay(functions)
         driven = [actuators.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
@@ -214,7 +224,7 @@ class ForceRows:
         return ca.Function("motion", [points.measured, f.p, f.t], true)
 
 
-def _tested(s: Segment, along: Along, columns: Sequence[Column]) -> Array:
+def tested(s: Segment, along: Along, columns: Sequence[Column]) -> Array:
     smooth, held = np.zeros((2, len(s.t), len(columns)))
     for k, column in enumerate(columns):
         motion, commands = along.smooth(column), along.held(column)
@@ -510,6 +520,14 @@ _FORGOTTEN = 0.3
 _MEMORIES = 3.0
 
 
+def forgetful(r: Array, data: WeakData) -> float:
+    """Length of blocks of data, s, that forget each other where r (K,) is left, but enough of them."""
+    covariance = np.correlate(r, r, "full")[len(r) - 1 :]
+    memory = Clock.of(data).step * int(np.argmax(covariance < _FORGOTTEN * covariance[0]))
+    total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
+    return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
+
+
 class Characteriser:
     """Residual forces of a fitted model, on the data of the fit and on validation data."""
 
@@ -551,18 +569,10 @@ class Characteriser:
             self.rows[dof].whitened(level, second),
             self.rows[dof].whitened(0.0, second),
         ]
-        seconds = self._block_seconds(tables[0].r)
+        seconds = forgetful(tables[0].r, self._validation.data)
         blocks = [c.blocks(seconds) for c in (*self._clocks, self._clocks[1])]
         samples = [Sample(t.r, t.J[:, :own], t.J[:, own:], b) for t, b in zip(tables, blocks, strict=True)]
         return Association(self._terms, Samples(*samples), self._stiffness(dof))
-
-    def _block_seconds(self, r: Array) -> float:
-        """Blocks that forget each other, but enough of them on the validation data."""
-        covariance = np.correlate(r, r, "full")[len(r) - 1 :]
-        memory = self._clocks[0].step * int(np.argmax(covariance < _FORGOTTEN * covariance[0]))
-        data = self._validation.data
-        total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
-        return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
 
     def _stiffness(self, dof: int) -> Array:
         """What priors and the equations of the other motions say about the parameters, as information."""

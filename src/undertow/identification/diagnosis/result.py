@@ -170,6 +170,33 @@ class BetweenRuns(ResultTable):
     chance: float
 
 
+class Predictability(ResultTable):
+    """How much of a residual force a flexible function of the logged signals predicts on validation data.
+
+    Shares are of `residual_rms`, squared: the force averaged over `averaged_over` s, N or N m. `share` has
+    its 95 % interval from blocks of validation data, `noise_share` is that of the noise of the sensors, and
+    `disturbance_rms` what neither explains. `of_motion` is the residual's mean square over that of inertia
+    times acceleration. `variables` are the signals that the prediction needs: the part of the residual that
+    is lost without each of them, the largest first.
+    """
+
+    degree_of_freedom: str
+    unit: str
+    averaged_over: float
+    residual_rms: float
+    share: float
+    interval: tuple[float, float]
+    noise_share: float
+    disturbance_rms: float
+    of_motion: float
+    variables: dict[str, float]
+
+    @property
+    def something(self) -> bool:
+        """Whether more than chance can be predicted."""
+        return self.interval[0] > 0.0
+
+
 class Remaining(ResultTable):
     """What the final model leaves in one degree of freedom on validation data.
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from undertow.codegen.engine import mapped
+from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
@@ -490,3 +493,95 @@ def _mean(values: Array) -> Array:
 def _rms(values: Array) -> Array:
     with np.errstate(over="ignore"):  # a simulation on its way to infinity
         return np.sqrt(_mean(values**2))
+
+
+# --- how long windows have to be ------------------------------------------------------------------
+@dataclass(frozen=True)
+class HorizonSettings:
+    """Numbers by which a vehicle's time constants become lengths of windows."""
+
+    # Multiples of the slowest time constant. After a quarter of it an error of a force still grows with
+    # time, after four of them the motion at the start is forgotten (e^-4 is 2 %).
+    multiples: tuple[float, float, float] = (0.25, 1.0, 4.0)
+    # Shares of the record where nothing in the model is known to die away.
+    shares: tuple[float, float, float] = (0.02, 0.1, 0.4)
+    fewest_samples: int = 20  # of the shortest windows: fewer show noise only
+    apart: float = 2.0  # least ratio of one length to the next
+    fewest_windows: int = 4  # that the logs together make of the longest
+    longest: float = 0.9  # share of a usual stretch without gaps that a window may have
+    samples: int = 400  # of each run that the damping is averaged over
+    # Time constants beyond this many records are as good as infinite: their damping is not seen.
+    unseen: float = 10.0
+
+
+HORIZONS = HorizonSettings()
+
+
+def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float]:
+    """Short, middle and long window for a vehicle's logs, s: 1/4, 1 and 4 of its slowest time constants.
+
+    Where the record is too short for that, the long windows are as long as it allows, and the others at most
+    half of the next longer. Where the model has no time constant (no damping, or an unstable one), they are
+    shares of the record. Short windows have twenty samples at least, as far as the record allows.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Model with at least a rough idea of inertia and damping.
+    runs : sequence of Run
+        Logs with its velocities.
+    """
+    stretches = [_longest_stretch(vehicle, run) for run in runs]
+    record = float(np.sum(stretches))
+    limit = min(HORIZONS.longest * float(np.median(stretches)), record / HORIZONS.fewest_windows)
+    known = time_constants(vehicle, runs)
+    known = known[known < HORIZONS.unseen * record]
+    wanted = HORIZONS.multiples if len(known) else HORIZONS.shares
+    short, middle, long = (m * (float(known[-1]) if len(known) else limit) for m in wanted)
+    sample = max(float(np.median(np.diff(run.t))) for run in runs)
+    short = max(short, HORIZONS.fewest_samples * sample)
+    middle = max(middle, HORIZONS.apart * short)
+    long = min(max(long, HORIZONS.apart * middle), limit)
+    middle = min(middle, long / HORIZONS.apart)
+    return min(short, middle / HORIZONS.apart), middle, long
+
+
+def _longest_stretch(vehicle: Vehicle, run: Run) -> float:
+    """Length of the longest part of a run without gaps, s."""
+    names = [n for n in (*vehicle.velocity_names, *vehicle.command_names) if run.has(n)]
+    return max((float(run.t[s.stop - 1] - run.t[s.start]) for s in run.segments(names)), default=0.0)
+
+
+def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:
+    """Time constants of a vehicle's velocities, s, the fastest first; those of motions that die away.
+
+    They are those of M^-1 d(forcing)/d(nu), averaged over the motion in the logs: for quadratic damping that
+    is the damping at the speeds seen. A motion that nothing damps, or that the model makes grow, has none.
+    """
+    functions = Functions(vehicle)
+    rates = ca.jacobian(functions.x_dot[functions.acceleration_rows], functions.nu)
+    rates = ca.substitute(rates, functions.actuator_states, functions.chain_rest)
+    rates = ca.substitute(rates, functions.memory, ca.SX.zeros(functions.memory.shape))
+    inputs = [functions.eta, functions.nu, functions.u, functions.p, functions.t]
+    function = ca.Function("rates", inputs, [ca.densify(rates)])
+    p = np.array(functions.values(), dtype=float)
+    seen = [_mean_rates(function, vehicle, run, p) for run in runs]
+    poles = np.linalg.eigvals(np.mean(seen, axis=0)).real
+    return np.sort(-1.0 / poles[poles < 0.0])
+
+
+def _mean_rates(function: ca.Function, vehicle: Vehicle, run: Run, p: Array) -> Array:
+    """Mean of the derivatives of the accelerations in the velocities over a run, 1/s."""
+    rows = np.unique(np.linspace(0, len(run.t) - 1, HORIZONS.samples).astype(np.intp))
+    columns = [
+        np.column_stack([_there(run, n)[rows] for n in names]) if names else np.zeros((len(rows), 0))
+        for names in (vehicle.pose_names, vehicle.velocity_names, vehicle.command_names)
+    ]
+    (rates,) = mapped(function, columns, p, run.t[rows])
+    good = np.isfinite(rates).all(axis=(1, 2))
+    return np.asarray(rates[good].mean(axis=0)) if good.any() else np.zeros(rates.shape[1:])
+
+
+def _there(run: Run, name: str) -> Array:
+    """A channel with zero where it is missing."""
+    return np.nan_to_num(run.channels[name]) if run.has(name) else np.zeros(len(run.t))

@@ -1,0 +1,376 @@
+"""How much of what a model leaves could be predicted at all: a flexible function of the logged signals."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import t as student
+
+from undertow.identification.estimation.data import Segment, WeakData
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.inputs import without_gaps
+from undertow.identification.logs.run import ACCELERATION
+from undertow.model.symbols import FORCE_UNITS, POSE
+from undertow.typing import Array, Flags, Index
+
+from .associations import WAVE, Along, Clock, Column, command_of, plain_of, terms_of
+from .residual import ForceRow, ForceRows, forgetful, measured_pose, sliding, tested
+from .result import Predictability
+
+
+@dataclass(frozen=True)
+class ReferenceSettings:
+    """Numbers of the reference; they were chosen on simulated vehicles for its time and its false alarms."""
+
+    # Test functions that are averaged over, and the mean square over that of noise from which it is enough.
+    widths: tuple[int, ...] = (1, 2, 4, 8, 16)
+    stands_out: float = 2.0
+    # Time constants of the lags through which signals are seen as well, in distances of test functions.
+    lags: tuple[float, ...] = (1.0, 4.0, 16.0)
+    folds: int = 5  # stretches of the training data, each of which is predicted from the others
+    # Weights of the squared coefficients of standardised columns, per row of data.
+    penalties: tuple[float, ...] = tuple(np.logspace(-4, 3, 15))
+    # Boosting: trees, their leaves, the fewest rows in a leaf, and the share of each tree that is added.
+    trees: int = 80
+    leaves: int = 6
+    fewest_in_leaf: int = 20
+    learning_rate: float = 0.1
+    most_rows: int = 5000  # rows that are learned from; of longer logs every second, third, ... is
+    level: float = 0.95  # of the intervals
+
+
+SETTINGS = ReferenceSettings()
+_LAGGED = re.compile(r" filtered over .* s$")
+
+
+def variable_of(factor: str) -> str:
+    """The logged signal in a factor: ``psi`` of ``sin(2 psi)``, ``port`` of ``|command port|``."""
+    wave = WAVE.fullmatch(factor)
+    return wave[3] if wave else command_of(factor) or _LAGGED.sub("", plain_of(factor))
+
+
+def predictable(
+    fit: Fitted,
+    train: WeakData,
+    test: WeakData,
+    variables: Sequence[str] | None = None,
+    settings: ReferenceSettings = SETTINGS,
+) -> list[Predictability]:
+    """How much of the residual force of every degree of freedom depends on what was logged.
+
+    Ridge regression on the signals and their products, and boosted trees on what that leaves, whichever
+    predicts stretches of the training data better; judged on the validation data.
+
+    Parameters
+    ----------
+    fit : Fitted
+        The model.
+    train, test : WeakData
+        What is learned from, and what is judged by.
+    variables : sequence of str, optional
+        Signals that may be used: velocities, pose, commands, further channels; by default all of them but
+        the place and the time, of which a force of the water is no function.
+    settings : ReferenceSettings
+        The numbers that decide.
+
+    Returns
+    -------
+    list of Predictability
+        In the order of the vehicle's degrees of freedom.
+    """
+    import sklearn.ensemble  # takes long to import, and brings the threads that are limited below
+    from threadpoolctl import threadpool_limits
+
+    assert sklearn.ensemble
+    vehicle = fit.model.functions.vehicle
+    with threadpool_limits(1):
+        logs = [_Log(fit, data, settings) for data in (train, test)]
+        signals = _Signals.common(logs, variables)
+        return [_Force(logs, signals, i, settings).result() for i in range(len(vehicle.dof_indices))]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Small trees lose more time by waiting for other threads than they win."""
+    import sklearn.ensemble  # noqa: F401  takes long to import, and brings the threads that are limited
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """Columns that are learned from, and which of them are single signals."""
+
+    columns: list[Column]
+    single: Index
+
+    @classmethod
+    def common(cls, logs: Sequence[_Log], variables: Sequence[str] | None) -> _Signals:
+        """Columns of what all logs have."""
+        further = [n for n in logs[0].further if all(n in log.further for log in logs)]
+        pose = measured_pose(logs[1].rows.data)
+        terms = [c for t in terms_of(logs[0].vehicle, pose) for c in t.columns if c and "t" not in c]
+        lagged = [_lagged(n, log) for n in logs[0].moving for log in logs[0].lags]
+        columns = [*terms, *_angles(further), *((n,) for n in (*further, *lagged))]
+        allowed = set(variables) if variables is not None else None
+        kept = [c for c in columns if _uses(c, allowed)]
+        return cls(kept, np.array([k for k, c in enumerate(kept) if _is_single(c)], dtype=np.intp))
+
+
+def _angles(names: Sequence[str]) -> list[Column]:
+    return [(f"{f}({n})",) for n in names if n in POSE[3:] for f in ("sin", "cos")]
+
+
+def _uses(column: Column, allowed: set[str] | None) -> bool:
+    used = {variable_of(f) for f in column}
+    return not used & {"x", "y"} if allowed is None else used <= allowed
+
+
+def _is_single(column: Column) -> bool:
+    return len(column) == 1 and not column[0].startswith("|")
+
+
+def _lagged(name: str, seconds: float) -> str:
+    return f"{name} filtered over {seconds:.3g} s"
+
+
+class _Log:
+    """Force equations along logs with the signals that they may depend on."""
+
+    def __init__(self, fit: Fitted, data: WeakData, settings: ReferenceSettings) -> None:
+        self.rows, self._settings = ForceRows(fit, data), settings
+        self.vehicle = fit.model.functions.vehicle
+        self.clock = Clock.of(data)
+        self.lags = [lag * self.clock.step for lag in settings.lags]
+        self.moving = (*self.vehicle.velocity_names, *data.commands)
+        self._tables: dict[int, list[Array]] = {}
+
+    @property
+    def further(self) -> list[str]:
+        """Logged channels that are no part of the model."""
+        data = self.rows.data
+        known = {*data.names, *data.commands, *ACCELERATION}
+        first, *others = data.runs
+        return [n for n in first.channels if n not in known and all(r.has(n) for r in others)]
+
+    def table(self, signals: _Signals, width: int) -> list[Array]:
+        """Columns averaged as forces are, (K - width + 1, q) in every segment."""
+        if width not in self._tables:
+            self._tables[width] = [
+                (
+                    sliding(s.functions.count, width)
+                    @ tested(s, self._with_lags(s, along, width), signals.columns)
+                )
+                for s, along, _ in self.rows.along
+            ]
+        return self._tables[width]
+
+    def _with_lags(self, s: Segment, along: Along, width: int) -> Along:
+        """The signals with the further ones and what they were some time ago.
+
+        Velocities are delayed by as long as the averages last: the noise of the force is that of velocities
+        differentiated, and what came earlier in the average goes with it.
+        """
+        run = self.rows.data.runs[s.run]
+        values = dict(along.values)
+        values |= {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
+        step = float(np.median(np.diff(s.t)))
+        late = (width + 3) * self.clock.step
+        for name in self.moving:
+            command = name in along.commands
+            signal = along.commands[name] if command else np.interp(s.t - late, s.t, along.values[name])
+            values |= {_lagged(name, lag): _filtered(signal, step / lag) for lag in self.lags}
+        return Along(values, along.commands)
+
+
+def _filtered(signal: Array, rate: float) -> Array:
+    """A signal after a lag, `rate` being the step over the time constant."""
+    keep = float(np.exp(-rate))
+    return np.asarray(lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0])
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A residual force with what it may depend on."""
+
+    force: Array  # (K,) N or N m
+    noise: float  # mean square that the sensors give to it
+    inertia: Array  # (K,) mass times acceleration
+    signals: Array  # (K, q)
+    row: Index  # (K,) place of the middle among the rows of the data
+
+    @property
+    def square(self) -> float:
+        return float(np.mean(self.force**2)) if len(self.force) else 0.0
+
+
+class _Force:
+    """The residual force of one degree of freedom, and what predicts it."""
+
+    def __init__(
+        self, logs: Sequence[_Log], signals: _Signals, dof: int, settings: ReferenceSettings
+    ) -> None:
+        self._logs, self._signals, self._dof, self._settings = logs, signals, dof, settings
+        self._rows = [log.rows.row(dof) for log in logs]
+        self._width = self._enough()
+
+    def _enough(self) -> int:
+        """Test functions to be averaged over, so that the force stands out of the noise."""
+        for width in self._settings.widths:
+            force, variance = (np.concatenate(c) for c in zip(*self._rows[0].averaged(width), strict=True))
+            if not len(force) or np.mean(force**2) > self._settings.stands_out * np.mean(variance):
+                break
+        return width
+
+    def _table(self, log: _Log, row: ForceRow) -> _Table:
+        width = self._width
+        parts, first = [], 0
+        tables = log.rows.along, row.averaged(width), log.table(self._signals, width), log.rows.mass
+        for (s, _, _), (force, noise), signals, mass in zip(*tables, strict=True):
+            groups = sliding(len(mass), width)
+            moved = np.sum(mass[:, self._dof] * -(s.functions.rate @ s.measured[:, mass.shape[1] :]), axis=1)
+            place = first + width // 2 + np.arange(len(force))
+            parts.append((-force, noise, groups @ moved / (row.weight * width), signals, place))
+            first += len(mass)
+        force, noise, inertia, signals, place = (np.concatenate(c) for c in zip(*parts, strict=True))
+        weight = row.weight * width
+        return _Table(force, float(np.mean(noise)), inertia, signals / weight, place)
+
+    def result(self) -> Predictability:
+        """What can be predicted, on the validation data."""
+        learned, judged = (self._table(*pair) for pair in zip(self._logs, self._rows, strict=True))
+        predict = Learner(self._settings, self._signals.single, self._width).learned(learned)
+        left = judged.force - predict(judged.signals)
+        square = max(judged.square, 1e-300)
+        share, interval = self._share(judged, left)
+        noise_share = min(judged.noise / square, 1.0)
+        beyond = square * max(1.0 - noise_share - share, 0.0)
+        vehicle = self._logs[0].vehicle
+        return Predictability(
+            degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
+            unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
+            averaged_over=self._width * self._logs[1].clock.step,
+            residual_rms=float(np.sqrt(judged.square)),
+            share=share,
+            interval=interval,
+            noise_share=noise_share,
+            disturbance_rms=float(np.sqrt(beyond)),
+            of_motion=square / max(float(np.mean(judged.inertia**2)), 1e-300),
+            variables=self._needed(predict, judged) if interval[0] > 0 else {},
+        )
+
+    def _share(self, judged: _Table, left: Array) -> tuple[float, tuple[float, float]]:
+        """Share of the mean square that was predicted, and its interval from independent blocks."""
+        log = self._logs[1]
+        block = log.clock.blocks(forgetful(judged.force, log.rows.data))[judged.row]
+        number = np.unique(block, return_inverse=True)[1]
+        before, after = (np.bincount(number, a**2) for a in (judged.force, left))
+        total, others = max(float(np.sum(before)), 1e-300), max(len(before) - 1, 1)
+        share = 1.0 - float(np.sum(after)) / total
+        scatter = before - after - share * before
+        error = float(np.sqrt(len(before) / others * np.sum(scatter**2))) / total
+        reach = float(student.ppf(0.5 + self._settings.level / 2, others)) * error
+        low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
+        return middle, (low, high)
+
+    def _needed(self, predict: Callable[[Array], Array], judged: _Table) -> dict[str, float]:
+        """Share of the mean square that is lost where a signal is taken from another instant."""
+        other = np.random.default_rng(0).permutation(len(judged.force))
+        without = np.mean((judged.force - predict(judged.signals)) ** 2)
+        used = [{variable_of(f) for f in c} for c in self._signals.columns]
+        found = {}
+        for name in sorted(set().union(*used)):
+            mixed = judged.signals.copy()
+            of_it = np.array([name in names for names in used])
+            mixed[:, of_it] = mixed[other][:, of_it]
+            lost = np.mean((judged.force - predict(mixed)) ** 2) - without
+            found[name] = float(lost / judged.square)
+        ordered = sorted(found.items(), key=lambda item: -item[1])
+        return {name: lost for name, lost in ordered if lost > 0.01}
+
+
+class Learner:
+    """Ridge regression, and boosted trees on what it leaves, as far as they predict held-out stretches."""
+
+    def __init__(self, settings: ReferenceSettings, single: Index, width: int) -> None:
+        self._settings, self._single, self._gap = settings, single, width + 3
+
+    def learned(self, table: _Table) -> Callable[[Array], Array]:
+        """Function from signals (K, q) to the force (K,)."""
+        step = -(-len(table.force) // self._settings.most_rows)
+        y, X = table.force[::step], table.signals[::step]
+        folds = [*self._folds(len(y), -(-self._gap // step))]
+        if len(y) < 2 * self._settings.folds * self._settings.fewest_in_leaf or not X.shape[1]:
+            mean = float(np.mean(y)) if len(y) else 0.0
+            return lambda signals: np.full(len(signals), mean)
+        held_out = [(Ridge(X[kept], y[kept]), kept, out) for kept, out in folds]
+        squares = [
+            sum(np.sum((y[out] - ridge.predict(X[out], a)) ** 2) for ridge, _, out in held_out)
+            for a in self._settings.penalties
+        ]
+        penalty = self._settings.penalties[int(np.argmin(squares))]
+        trees = self._trees(X, y, held_out, penalty)
+        ridge = Ridge(X, y)
+        if not trees:
+            return lambda signals: ridge.predict(signals, penalty)
+        boosted = self._boosted(X[:, self._single], y - ridge.predict(X, penalty), trees)
+        return lambda signals: ridge.predict(signals, penalty) + boosted.predict(signals[:, self._single])
+
+    def _trees(
+        self, X: Array, y: Array, held_out: Sequence[tuple[Ridge, Flags, Index]], penalty: float
+    ) -> int:
+        """Trees with which held-out stretches are predicted best, or none."""
+        square = np.zeros(self._settings.trees + 1)
+        for ridge, kept, out in held_out:
+            left = y - ridge.predict(X, penalty)
+            boosted = self._boosted(X[kept][:, self._single], left[kept], self._settings.trees)
+            square[0] += np.sum(left[out] ** 2)
+            stages = np.array([*boosted.staged_predict(X[out][:, self._single])])
+            square[1:] += np.sum((left[out] - stages) ** 2, axis=1)
+        return int(np.argmin(square))
+
+    def _boosted(self, X: Array, y: Array, trees: int) -> Any:
+        from sklearn.ensemble import HistGradientBoostingRegressor
+
+        s = self._settings
+        return HistGradientBoostingRegressor(
+            max_iter=trees,
+            learning_rate=s.learning_rate,
+            max_leaf_nodes=s.leaves,
+            min_samples_leaf=s.fewest_in_leaf,
+            early_stopping=False,
+        ).fit(X, y)
+
+    def _folds(self, count: int, gap: int) -> Iterator[tuple[Flags, Index]]:
+        """Rows to learn from and stretch to be predicted, which no average has a part in."""
+        edges = np.linspace(0, count, self._settings.folds + 1).astype(int)
+        place = np.arange(count)
+        for low, high in pairwise(edges.tolist()):
+            yield (place < low - gap) | (place >= high + gap), place[low:high]
+
+
+class Ridge:
+    """Ridge regression on standardised columns, for any penalty."""
+
+    def __init__(self, X: Array, y: Array) -> None:
+        self._middle, spread = X.mean(axis=0), X.std(axis=0)
+        size = np.maximum(np.abs(X).max(axis=0, initial=0.0), 1e-300)
+        self._scale = np.where(spread > 1e-6 * size, 1.0 / np.maximum(spread, 1e-300), 0.0)
+        self._mean = float(np.mean(y))
+        Z = (X - self._middle) * self._scale
+        self._value, self._vector = np.linalg.eigh(Z.T @ Z / len(y))
+        self._product = self._vector.T @ (Z.T @ (y - self._mean)) / len(y)
+
+    def predict(self, X: Array, penalty: float) -> Array:
+        """Prediction (K,) with a penalty on the squared coefficients."""
+        coefficients = self._vector @ (self._product / (np.maximum(self._value, 0.0) + penalty))
+        return np.asarray(self._mean + ((X - self._middle) * self._scale) @ coefficients)

@@ -1,0 +1,74 @@
+"""How much of what a model leaves could be predicted: a missing term, a disturbance, noise alone."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
+from undertow.identification.diagnosis.reference import predictable
+from undertow.identification.diagnosis.result import Predictability
+from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.weak_form import WeakFit, fit_weak
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+
+NOISE = 1e-3  # m/s
+
+
+def surge_run(seed: int, rms: float, memory: float, duration: float = 100.0) -> Run:
+    """Surge under random steps of the force, with a disturbance of `rms` N that is correlated over `memory` s."""
+    rng, count = np.random.default_rng(seed), round(duration / INTERVAL)
+    command = np.repeat(rng.uniform(-0.5, 0.5, 1 + count // 60), 60)[:count]
+    keep, u, force = np.exp(-INTERVAL / memory), np.zeros(count), rms * rng.standard_normal()
+    for i in range(count - 1):
+        drag = TRUTH["X_u"] * u[i] + TRUTH["X_uabsu"] * abs(u[i]) * u[i]
+        u[i + 1] = u[i] + INTERVAL * (command[i] + force - drag) / M_X
+        force = keep * force + rms * np.sqrt(1 - keep**2) * rng.standard_normal()
+    t = INTERVAL * np.arange(count)
+    return Run(f"{seed}", t, {"u": u + NOISE * rng.standard_normal(count), "tau_X": command}, sha256=f"{seed}")
+
+
+def _split(vehicle: Vehicle, runs: list[Run]) -> tuple[WeakFit, WeakData]:
+    train = prepare(runs[:-1], vehicle)
+    return fit_weak(vehicle, train), prepare(runs[-1:], vehicle, sigma=train.sigma)
+
+
+@cache
+def _ship(*effects: str) -> tuple[WeakFit, WeakData]:
+    case = make_case("usv", effects, 1, duration=60.0)
+    return _split(vehicle_of(case), runs_of(case))
+
+
+def _by_motion(*effects: str, variables: tuple[str, ...] | None = None) -> dict[str, Predictability]:
+    fit, aside = _ship(*effects)
+    return {p.degree_of_freedom: p for p in predictable(fit, fit.data, aside, variables)}
+
+
+def test_noise_cannot_be_predicted() -> None:
+    for found in _by_motion().values():
+        assert not found.something
+        assert found.noise_share > 0.85
+        assert found.variables == {}
+
+
+def test_a_missing_lift_can_nearly_all_be_predicted_from_its_own_variables() -> None:
+    whole, own = _by_motion("lift")["yaw"], _by_motion("lift", variables=("u", "v", "r"))["yaw"]
+    assert whole.interval[0] > 0.8
+    assert own.share == pytest.approx(whole.share, abs=0.1)
+    assert set(own.variables) <= {"u", "v", "r"}
+    without = _by_motion("lift", variables=("psi",))["yaw"]
+    assert without.share < 0.2
+
+
+@pytest.mark.parametrize("memory", [0.5, 5.0])
+def test_a_disturbance_is_none_of_the_signals(memory: float) -> None:
+    fit, aside = _split(surge_vehicle(), [surge_run(seed, 0.05, memory) for seed in range(4)])
+    (found,) = predictable(fit, fit.data, aside)
+    assert found.share < 0.1
+    assert found.interval[0] < 0.05
+    assert found.disturbance_rms == pytest.approx(0.05, rel=0.35)
