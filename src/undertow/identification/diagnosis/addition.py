@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
+from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.predictor import predict
@@ -107,7 +108,8 @@ def set_up_addition(
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
     """Put an effect into the model, refit all, and judge it on validation data."""
-    candidate = _candidate(effect, setup.bench.base.model.functions.vehicle)
+    base = setup.bench.base.model.functions.vehicle
+    candidate = replace(_candidate(effect, base), runs=origins(setup.bench.train.runs))
     screened = screen(candidate, setup.bench)
     if not _visible(candidate, screened[0].start):
         raise UndertowError(
@@ -167,7 +169,7 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
 def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
     fit, base = (setup.validator.refined(f)[0] for f in (weak, bench.base))
     own = tuple(p.name for p in candidate.parameters)
-    kept = tuple(n for n in own if n in fit.model.free)
+    kept = tuple(n for n in own if n in fit.model.values.names)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
     given = Functions(setup.vehicle)
     p = np.array(given.values(), dtype=float)

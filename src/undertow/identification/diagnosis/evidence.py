@@ -102,7 +102,7 @@ class FoundEffect:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Parameters that its fit brings into the model."""
-        free = self.trial.fit.model.free
+        free = self.trial.fit.model.values.names
         return tuple(p.name for p in self.trial.candidate.parameters if p.name in free)
 
     @property

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
     PRIOR_WIDTH,
@@ -78,7 +79,9 @@ class Round:
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate on top of a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    screened = _screened(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
+    runs = origins(bench.train.runs)
+    listed = possible(vehicle, known, derived=bench.train.velocities_derived, runs=runs)
+    screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
     by_chance = null_distribution([s.linear for s in screened], settings)
     worth = [s for s in screened if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]

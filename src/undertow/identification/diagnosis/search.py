@@ -170,6 +170,7 @@ def search(
     """Look for missing effects until the noise floor or until nothing helps."""
     report(0.0, "fitting the model as it is")
     opened = open_bench(vehicle, train, test, settings)
+    vehicle = opened.base.model.functions.vehicle
     steps = _stepwise(vehicle, opened, known, report, residual_is_noise, values_to_free)
     if names := steps.freed:
         _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
@@ -403,7 +404,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
 def _refitted(fit: WeakFit, free: Collection[str]) -> WeakFit:
     start = {n: v for n, v in fit.values.items() if n in free}
     return fit_weak(
-        WeakModel(fit.model.functions, tuple(free)),
+        fit.model.with_free(tuple(free)),
         fit.data,
         start=start,
         whitening=fit.whitening,

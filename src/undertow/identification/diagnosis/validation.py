@@ -203,7 +203,8 @@ class SimulationValidator:
 
     def _shooting(self, fit: Fitted, horizon: float, free: Sequence[str] = ()) -> Shooting:
         windows = self.windows if horizon == self.settings.short_windows else self._long_windows
-        return Shooting(fit.model.functions, windows, free, channel_weights(windows), compiled=False)
+        weights = channel_weights(windows)
+        return Shooting(fit.model.functions, windows, free, weights, compiled=False, values=fit.model.values)
 
     def ahead(self, vehicle: Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
@@ -359,7 +360,8 @@ class SimulationValidator:
             )
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
-        return refined
+        # What is known of the validation runs themselves stays what it is.
+        return replace(refined, model=refined.model.knowing(weak.model.values.known))
 
 
 def _freedom(effect_set: EffectSet) -> int:

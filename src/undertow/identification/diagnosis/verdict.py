@@ -260,8 +260,8 @@ def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[E
 def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT) -> dict[str, float]:
     """Change of the parameters that a fit moved far, in standard deviations of prior and fit."""
     changes = {}
-    for name, value in fit.values.items():
-        prior = stated.value_of(name)
+    for name in fit.model.values.names:
+        value, prior = fit.values[name], stated.value_of(name)
         if prior.sigma is not None:
             spread = float(np.hypot(prior.sigma, fit.standard_errors[name]))
             if abs(value - prior.value) > settings.moved * spread:
@@ -373,7 +373,8 @@ def absorbing(
 
 def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
     errors, found = fit.standard_errors, []
-    for name, value in fit.values.items():
+    for name in fit.model.values.names:
+        value = fit.values[name]
         stated, bound = vehicle.value_of(name), _bound(vehicle, name, value)
         if (
             stated.sigma is None

@@ -8,7 +8,7 @@ that is estimated would shrink in between, but two or three runs say next to not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,7 +95,9 @@ def stated_by_run(vehicle: Vehicle, free: Sequence[str]) -> list[str]:
     return [n for n in free if vehicle.value_of(n).per_run]
 
 
-def may_differ(model: WeakModel, runs: Sequence[Run]) -> list[tuple[str, ...]]:
+def may_differ(
+    model: WeakModel, runs: Sequence[Run], among: Collection[str] | None = None
+) -> list[tuple[str, ...]]:
     """Free parameters, common to all runs so far, that nature may have changed between them, by effect.
 
     All of an effect or none: the direction of a current says little without its speed.
@@ -104,7 +106,8 @@ def may_differ(model: WeakModel, runs: Sequence[Run]) -> list[tuple[str, ...]]:
         return []
     vehicle, equal = model.functions.vehicle, model.functions.equal
     tied = {*equal, *(other for other, _ in equal.values())}
-    names = [n for n in model.free if n not in tied and not run_of(n) and vehicle.differs_between_runs(n)]
+    asked = [n for n in model.free if among is None or n in among]
+    names = [n for n in asked if n not in tied and not run_of(n) and vehicle.differs_between_runs(n)]
     owners = {vehicle.declaration(n).name: n for n in names}
     groups = (tuple(owners[q.name] for q in e.parameters if q.name in owners) for e in vehicle.all_effects)
     return [group for group in groups if group]

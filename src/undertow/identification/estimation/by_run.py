@@ -43,16 +43,24 @@ def origins(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(run.origin for run in runs))
 
 
-def with_values_by_run(free: Sequence[str], names: Sequence[str], runs: Sequence[Run]) -> tuple[str, ...]:
-    """Free parameters of which some have a value in every run."""
-    split = [in_run(n, run) for n in free if n in names for run in origins(runs)]
+def with_values_by_run(free: Sequence[str], names: Sequence[str], runs: Sequence[str]) -> tuple[str, ...]:
+    """Free parameters of which some have a value in every run; of a single run they are what they were."""
+    if len(runs) < 2:
+        return tuple(free)
+    split = [in_run(n, run) for n in free if n in names for run in runs]
     return (*(n for n in free if n not in names), *split)
 
 
 class RunValues:
-    """Where the values of the free parameters of a model are, for each run."""
+    """Where the values of the free parameters of a model are, for each run.
 
-    def __init__(self, functions: Functions, free: Sequence[str]) -> None:
+    `known` are values, by names such as V_N@dive2, in runs that are not fitted.
+    """
+
+    def __init__(
+        self, functions: Functions, free: Sequence[str], known: Mapping[str, float] | None = None
+    ) -> None:
+        self.known = dict(known or {})
         self.free, self.size = tuple(free), len(functions.parameter_names)
         #: Free parameters as the equations have them, each once.
         self.names = tuple(dict.fromkeys(map(plain, self.free)))
@@ -112,7 +120,8 @@ class RunValues:
         found, values = p[: self.size].copy(), dict(zip(self.split, p[self.size :].tolist(), strict=True))
         for name, there in self.by_run.items():
             mean = float(np.mean([values[n] for n in there]))
-            found[self._place[name]] = values.get(in_run(name, run.origin), mean)
+            key = in_run(name, run.origin)
+            found[self._place[name]] = values.get(key, self.known.get(key, mean))
         return found
 
     def columns(self, run: Run) -> Index:

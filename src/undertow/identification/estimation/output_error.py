@@ -74,7 +74,14 @@ class OutputErrorFit(Fitted):
     def noise_gram(self) -> Array:
         """J' J in units of the noise of the sensors alone, the starts eliminated."""
         weight = channel_weights(self.windows)
-        shooting = Shooting(self.model.functions, self.windows, self.model.free, weight, compiled=False)
+        shooting = Shooting(
+            self.model.functions,
+            self.windows,
+            self.model.free,
+            weight,
+            compiled=False,
+            values=self.model.values,
+        )
         J = shooting.linearise(self.p, self.starts).J
         return np.asarray(J.T @ J)
 
@@ -125,7 +132,9 @@ class Descent:
         self._enough = enough
         self.model, self.windows = model, windows
         self._weight = channel_weights(windows)
-        self._shooting = Shooting(model.functions, windows, model.free, self._weight, compiled=compiled)
+        self._shooting = Shooting(
+            model.functions, windows, model.free, self._weight, compiled=compiled, values=model.values
+        )
         self._space = SearchSpace(model)
         self._progress = progress
         self._steps = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -199,9 +200,16 @@ class _At(NamedTuple):
 class WeakModel:
     """Weak residuals of one vehicle for a choice of free parameters, some of them values in one run."""
 
-    def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
+    def __init__(
+        self,
+        functions: Functions,
+        free: Sequence[str],
+        *,
+        dissipative: bool = False,
+        known: Mapping[str, float] | None = None,
+    ) -> None:
         self.functions, self._dissipative = functions, dissipative
-        self.free, self.values = tuple(free), RunValues(functions, free)
+        self.free, self.values = tuple(free), RunValues(functions, free, known)
         self.places, local = self.values.places, self.values.local
         self._chain = ActuatorStates(functions, local)
         self._points = Pointwise(functions, local, chain_moves=self._chain.moves)
@@ -218,7 +226,13 @@ class WeakModel:
 
     def with_free(self, free: Sequence[str]) -> WeakModel:
         """The same equations and constraints with other free parameters."""
-        return WeakModel(self.functions, free, dissipative=self._dissipative)
+        return WeakModel(self.functions, free, dissipative=self._dissipative, known=self.values.known)
+
+    def knowing(self, values: Mapping[str, float]) -> WeakModel:
+        """The same model with values, by names such as V_N@dive2, in runs that are not fitted."""
+        other = copy(self)
+        other.values, other._known = RunValues(self.functions, self.free, values), {}
+        return other
 
     def started(self, start: Mapping[str, float]) -> Array:
         """All parameters: the vehicle's, those in `start` replaced."""

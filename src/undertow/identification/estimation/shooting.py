@@ -153,7 +153,8 @@ class Shooting:
 
     `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `block` is the length
     in s of the parts of a window that count as independent of each other. `trust` (b, k, 2n) weighs each
-    sample in the sum of squares, beside its channel; None: all alike.
+    sample in the sum of squares, beside its channel; None: all alike. `values` says where values by run stand
+    in p where these are not among the free parameters.
     """
 
     def __init__(
@@ -165,11 +166,13 @@ class Shooting:
         *,
         block: float = 5.0,
         compiled: bool | None = None,
+        values: RunValues | None = None,
     ) -> None:
         self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
         self.trust: Array | None = None
-        self.values = RunValues(functions, free)
-        self.places = list(self.values.local)
+        self._columns = RunValues(functions, free)
+        self.values = self._columns if values is None else values
+        self.places = list(self._columns.local)
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
         self.by_run = self._runs() if self.values.split else []
@@ -180,7 +183,7 @@ class Shooting:
         for place in np.unique(self.windows.run).tolist():
             rows, windows = self.windows.of_run(place)
             shooting = copy(self)
-            shooting.windows, shooting.free = windows, self.values.names
+            shooting.windows, shooting.free = windows, self._columns.names
             shooting.predictor, shooting.by_run = self.predictor.another(), []
             found.append(OneRun(rows, self.windows.runs[place], shooting))
         return found
@@ -296,7 +299,7 @@ class Shooting:
     def _products_of_run(self, one: OneRun, p: Array, starts: Array) -> Iterator[Products]:
         """Sums over the windows of one run, with a row and a column for every free parameter."""
         shooting, own = self._own(one, p)
-        columns, more = self.values.columns(one.run), len(self.free) - len(self.values.names)
+        columns, more = self._columns.columns(one.run), len(self.free) - len(self._columns.names)
         for part in shooting._products(own, starts):
             size = part.table.shape[-1]
             places = np.concatenate([columns, np.arange(len(columns), size) + more])

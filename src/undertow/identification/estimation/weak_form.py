@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -212,23 +212,25 @@ def fit_weak_by_run(
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     stated = stated_by_run(model.functions.vehicle, model.values.names)
-    if stated and len(origins(data.runs)) > 1:
-        model = model.with_free(with_values_by_run(model.free, stated, data.runs))
+    model = model.with_free(with_values_by_run(model.free, stated, origins(data.runs)))
     return separated(fit_weak(model, data))
 
 
-def separated(fit: WeakFit) -> WeakFit:
-    """The fit with values by run of those common parameters that differ between the runs beyond chance."""
-    groups = may_differ(fit.model, fit.data.runs)
+def separated(fit: WeakFit, among: Collection[str] | None = None) -> WeakFit:
+    """The fit with values by run of those common parameters that differ between the runs beyond chance.
+
+    `among` are the parameters in question; by default all that nature changes.
+    """
+    groups = may_differ(fit.model, fit.data.runs, among)
     while groups:
         names = [name for group in groups for name in group]
-        model = fit.model.with_free(with_values_by_run(fit.model.free, names, fit.data.runs))
+        model = fit.model.with_free(with_values_by_run(fit.model.free, names, origins(fit.data.runs)))
         noise = fit.whitening, fit.disturbance
         split = start_fit(model, fit.data, fit.values, *noise, steps=SETTINGS.most_steps)
         values = split.p[list(model.places)]
         worst, chance = least_differing(model, values, split.covariance, groups)
         if chance < BETWEEN_RUNS.chance:
-            return separated(with_reestimated_noise(split))
+            return separated(with_reestimated_noise(split), among)
         groups.pop(worst)
     return fit
 
