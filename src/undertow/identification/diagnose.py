@@ -201,7 +201,7 @@ class ResultBuilder:
         return [*first, *steps]
 
     def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
-        ahead = self.validator.ahead(fit.vehicle)
+        ahead = self.validator.ahead(fit)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
             added=added,

@@ -19,10 +19,11 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
+from undertow.identification.estimation.adaptation import in_runs
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.predictor import predict
+from undertow.identification.estimation.predictor import predict, predict_each
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
@@ -58,6 +59,14 @@ class AdditionSetup:
     def ahead(self, vehicle: Vehicle) -> float:
         """Velocity error of the prediction ahead on validation data, as a share of the motion."""
         return float(prediction_error(predict(vehicle, self.windows, compiled=False)))
+
+    def ahead_by(self, fit: Fitted) -> float:
+        """The same by a fit, with what has a value in every run as it is in each."""
+        if not fit.between_runs:
+            return self.ahead(fit.vehicle)
+        vehicles, runs = in_runs(fit, self.test)
+        windows = cut(runs, self.vehicle, self.windows.horizon)
+        return float(prediction_error(predict_each(vehicles, windows)))
 
 
 @dataclass(frozen=True)
@@ -178,7 +187,7 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
         fit,
         kept,
         tuple(n for n in own if n not in kept),
-        _step(setup, [], setup.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
+        _step(setup, [], setup.ahead(setup.vehicle), WeakModel(given, ()).linearise(bench.test, p), noise),
         _fitted(setup, [], base, noise),
         _fitted(setup, [candidate.id], fit, noise),
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
@@ -187,16 +196,16 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
 
 def _fitted(setup: AdditionSetup, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
     at = fit.model.linearise(setup.bench.test, np.asarray(fit.p))
-    return _step(setup, added, fit.vehicle, at, noise)
+    return _step(setup, added, setup.ahead_by(fit), at, noise)
 
 
 def _step(
-    setup: AdditionSetup, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
+    setup: AdditionSetup, added: list[str], ahead: float, at: list[Linearised], noise: list[Whitening]
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
     r = whitened(at, noise).r
     return Step(
         added=added,
         error=error_of(mean_square(r, setup.bench.test)),
-        prediction=setup.ahead(vehicle),
+        prediction=ahead,
     )

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.step import inverse_of
 from undertow.identification.estimation.weak_form import (
     WeakFit,
@@ -392,7 +392,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
     fit = with_reestimated_noise(fit)
     names = fit.model.functions.parameter_names
     removable = {n for c in candidates for n in c.removable if n in names}
-    left_out = removable - set(fit.model.free)
+    left_out = removable - set(fit.model.values.names)
     if not left_out:
         return fit
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))

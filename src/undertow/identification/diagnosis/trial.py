@@ -8,8 +8,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from undertow.identification.estimation.data import WeakData, Whitening
+from undertow.codegen.functions import Functions
+from undertow.identification.estimation.adaptation import end_of_first_part, first_part, values_in
+from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
+from undertow.identification.estimation.between_runs import may_differ, stated_by_run
+from undertow.identification.estimation.by_run import origins, with_values_by_run
+from undertow.identification.estimation.data import WeakData, Whitening, numbered
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
@@ -23,8 +29,12 @@ from undertow.identification.estimation.step import (
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
+    fit_weak_by_run,
+    free_parameters,
     mean_square,
+    mean_square_by,
     predicted_cost,
+    separated,
     start_fit,
     with_process_noise,
     with_reestimated_noise,
@@ -117,7 +127,7 @@ class Bench:
     @cached_property
     def base_score(self) -> Score:
         """How the model without any candidate does on the validation data."""
-        return scored(self.base, self.test, self.test_whitening)
+        return self.judge(self.base)
 
     @cached_property
     def base_on_test(self) -> Linearised:
@@ -131,12 +141,50 @@ class Bench:
 
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the validation data."""
-        return scored(fit, self.test, self.test_whitening, self.base_score.r)
+        beside = None if fit is self.base else self.base_score.r
+        score = scored(fit, self.test, self.test_whitening, beside)
+        if not fit.model.values.known:
+            return score
+        r = self._by_the_rest(score.r)
+        return Score(r, mean_square(r, self.test), score.open)
+
+    def _by_the_rest(self, r: Array) -> Array:
+        """A residual whose first part in a run is as large as its rest there, by equation, if it was smaller.
+
+        A model may have learned from the first part what belongs to the run, and is judged by the rest.
+        """
+        first, group = self._in_first_part, numbered(self.test.run_of, self.test.equation)
+        size = int(group.max(initial=0)) + 1
+        learned, rest = (mean_square_by(group[rows], r[rows], size) for rows in (first, ~first))
+        factor = np.sqrt(np.nan_to_num(rest / np.maximum(learned, 1e-300), nan=1.0))
+        return np.asarray(np.where(first, r * np.maximum(factor, 1.0)[group], r))
+
+    @cached_property
+    def _in_first_part(self) -> NDArray[np.bool_]:
+        """Rows of the validation data from which a model may learn what belongs to their run."""
+        fitted = origins(self.train.runs)
+        ends = [-np.inf if r.origin in fitted else end_of_first_part(r) for r in self.test.runs]
+        return np.asarray(self.test.time <= np.array(ends)[self.test.run_of])
+
+    @cached_property
+    def _first_parts(self) -> list[WeakData]:
+        """First parts of the validation runs that are no stretches of what is fitted."""
+        fitted, vehicle = origins(self.train.runs), self.base.model.functions.vehicle
+        others = (r for r in self.test.runs if r.origin not in fitted)
+        parts = (first_part(r, vehicle, self.train.sigma) for r in others)
+        return [part for part in parts if part is not None]
+
+    def in_all_runs(self, fit: WeakFit) -> WeakFit:
+        """A fit with values in the validation runs of what has a value in every run."""
+        if not fit.model.values.split:
+            return fit
+        return replace(fit, model=fit.model.knowing(values_in(fit, self._first_parts)))
 
     def on_test(self, fit: WeakFit) -> Linearised:
         """A fitted model on the validation data, where unknown first states win nothing over the base."""
         parts = fit.model.linearise(self.test, fit.p)
-        return whitened(parts, self.test_whitening, self.base_score.r)
+        at = whitened(parts, self.test_whitening, self.base_score.r)
+        return replace(at, r=self._by_the_rest(at.r)) if fit.model.values.known else at
 
     def fit(
         self,
@@ -147,7 +195,10 @@ class Bench:
         enough: float = 0.0,
     ) -> WeakFit:
         """Fit a model to the training data under the noise model of the base."""
-        return fit_weak(
+        if isinstance(model, Vehicle):
+            names = free_parameters(model) if free is None else free
+            free = with_values_by_run(names, stated_by_run(model, names), origins(self.train.runs))
+        fit = fit_weak(
             model,
             self.train,
             free,
@@ -156,6 +207,7 @@ class Bench:
             disturbance=self.base.disturbance,
             enough=enough,
         )
+        return self.in_all_runs(fit)
 
     @cached_property
     def noise_level(self) -> Array:
@@ -210,10 +262,20 @@ class Bench:
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
-    base = fit_weak(vehicle, train)
+    base = _marked(fit_weak_by_run(vehicle, train))
     sensor_noise = base.model.whitening(test, base.p)
     noise = base.whitening, with_process_noise(sensor_noise, base.disturbance, test)
-    return Bench(train, test, *noise, base, settings)
+    bench = Bench(train, test, *noise, base, settings)
+    return replace(bench, base=bench.in_all_runs(base))
+
+
+def _marked(fit: WeakFit) -> WeakFit:
+    """The fit of a vehicle that says which of its parameters were found to have a value in every run."""
+    if not fit.model.values.split:
+        return fit
+    vehicle = fit.model.functions.vehicle
+    by_run = {n: replace(vehicle.value_of(n), per_run=True) for n in fit.model.values.by_run}
+    return replace(fit, model=WeakModel(Functions(vehicle.with_values(by_run)), fit.model.free))
 
 
 def noise_ratio(fit: Fitted, data: WeakData) -> Array:
@@ -253,7 +315,10 @@ def try_candidate(
     # one its parameters show how well they are known.
     if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = with_reestimated_noise(fit, most=1)
-    kept = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
+    fit = bench.in_all_runs(separated(fit, [p.name for p in candidate.parameters]))
+    matter = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
+    # What differs between runs beyond chance is not zero in all of them.
+    kept = tuple(n for n in candidate.removable if n in matter or n in fit.model.values.by_run)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
     thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
@@ -272,7 +337,7 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
     start = {n: v for n, v in fit.values.items() if n not in dropped}
     free = tuple(n for n in fit.model.free if n not in dropped)
     return fit_weak(
-        candidate.model(free),
+        candidate.model(free).knowing(fit.model.values.known),
         fit.data,
         start=start,
         whitening=fit.whitening,
@@ -289,7 +354,8 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
     shapes = {p.name for p in candidate.parameters if p.starts and p.bounds[0] <= p.unsaid <= p.bounds[1]}
     if not shapes:
         return set()
-    without = np.where(np.isin(fit.model.functions.parameter_names, list(dropped)), 0.0, fit.p)
+    without, places = fit.p.copy(), fit.model.functions.parameter_names.index
+    without[[places(n) for n in dropped]] = 0.0
     used = np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, without)], axis=0)
     lost = np.any(fit.at.J, axis=0) & ~used
     return {n for n, idle in zip(fit.model.free, lost, strict=True) if n in shapes and idle}
@@ -344,6 +410,7 @@ class Screened:
         begin = bench.base.values | dict(start)
         self.start = start_fit(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
         self.cost, after = predicted_cost(self.start)
+        self.cost = min(self.cost, _cost_by_run(self.start, [p.name for p in candidate.parameters]))
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
@@ -368,6 +435,25 @@ class Screened:
         if not np.allclose(at.r, known.r, rtol=_SAME, atol=_SAME * size):
             return None
         return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
+
+
+def _cost_by_run(fit: WeakFit, own: Sequence[str]) -> float:
+    """Sum of squares predicted if an effect's parameters have a value in every run, less what chance gives.
+
+    Infinite where they cannot differ between the runs.
+    """
+    names = [n for group in may_differ(fit.model, fit.data.runs, own) for n in group]
+    runs = origins(fit.data.runs)
+    if not names:
+        return float("inf")
+    place = np.array([runs.index(r.origin) for r in fit.data.runs])[fit.data.run_of]
+    chosen = [k for k, n in enumerate(fit.model.free) if n in names]
+    rest = np.delete(fit.at.J, chosen, axis=1)
+    split = [fit.at.J[:, chosen] * (place == i)[:, None] for i in range(len(runs))]
+    J = np.hstack([rest, *split])
+    slope = J.T @ fit.at.r
+    by_chance = chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))
+    return float(fit.at.r @ fit.at.r - slope @ inverse_of(J.T @ J) @ slope + by_chance)
 
 
 def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
@@ -431,6 +517,7 @@ class _PackedFit:
     """A fit without its model; no whitening where it is the bench's."""
 
     free: tuple[str, ...]
+    known: dict[str, float]
     p: Array
     whitening: list[Whitening] | None
     at: Linearised
@@ -458,7 +545,8 @@ def packed(trial: Trial, bench: Bench) -> PackedTrial:
 
 def _packed_fit(fit: WeakFit, bench: Bench) -> _PackedFit:
     whitening = None if fit.whitening is bench.train_whitening else fit.whitening
-    return _PackedFit(fit.model.free, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
+    known = fit.model.values.known
+    return _PackedFit(fit.model.free, known, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
 
 
 def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
@@ -470,5 +558,5 @@ def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
 
 def _unpacked_fit(bare: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
     whitening = bench.train_whitening if bare.whitening is None else bare.whitening
-    model = candidate.model(bare.free)
+    model = candidate.model(bare.free).knowing(bare.known)
     return WeakFit(model, bare.p, bench.train, whitening, bare.at, bare.disturbance, bare.iterations)

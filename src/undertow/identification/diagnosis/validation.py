@@ -14,10 +14,11 @@ from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.adaptation import in_runs
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
-from undertow.identification.estimation.predictor import Predictor, predict
+from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
@@ -206,18 +207,18 @@ class SimulationValidator:
         weights = channel_weights(windows)
         return Shooting(fit.model.functions, windows, free, weights, compiled=False, values=fit.model.values)
 
-    def ahead(self, vehicle: Vehicle) -> dict[str, float]:
+    def ahead(self, fit: Fitted) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        predictor = Predictor(vehicle, compiled=False)
-        found = {
-            f"{horizon:g} s": prediction_error(
-                predict(predictor, cut(self.test, self._vehicle, horizon, sigma=self._sigma))
-            )
-            for horizon in self.settings.horizons
-            if horizon <= self.shortest
-        }
-        whole = cut(self.test, self._vehicle, None, sigma=self._sigma)
-        return found | {"free run": prediction_error(predict(predictor, whole))}
+        vehicles, runs = in_runs(fit, self.test)
+        predictor = Predictor(fit.vehicle, compiled=False)
+
+        def error(horizon: float | None) -> float:
+            windows = cut(runs, self._vehicle, horizon, sigma=self._sigma)
+            return prediction_error(predict_each(vehicles, windows, predictor))
+
+        shortest = min(self.shortest, 0.9 * min(float(r.t[-1] - r.t[0]) for r in runs))
+        found = {f"{h:g} s": error(h) for h in self.settings.horizons if h <= shortest}
+        return found | {"free run": error(None)}
 
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""

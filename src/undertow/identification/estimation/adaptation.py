@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
-from .data import prepare
+from .by_run import in_run as at_run
+from .by_run import run_of
+from .data import WeakData, prepare
 from .fitted import Fitted
+from .residual import WeakModel
 from .weak_form import fit_weak
 
 
@@ -60,13 +64,36 @@ def adapted(vehicle: Vehicle, run: Run, *, least: float = 0.0) -> tuple[Vehicle,
     names = of_each_run(vehicle)
     if not names:
         return vehicle, run
-    begin, length = float(run.t[0]), float(run.t[-1] - run.t[0])
-    end = begin + max(SETTINGS.share * length, min(least, SETTINGS.most * length))
-    first, rest = run.slice(begin, end), run.slice(end, None)
+    end = end_of_first_part(run, least)
+    first, rest = run.slice(None, end), run.slice(end, None)
     try:
         return fit_weak(vehicle, prepare([first], vehicle), names).vehicle, rest
     except UndertowError:  # too short for the weak form, or without a finite force: the mean has to do
         return vehicle, rest
+
+
+def end_of_first_part(run: Run, least: float = 0.0) -> float:
+    """When the part of a run ends from which what belongs to it is estimated, s (see `adapted`)."""
+    begin, length = float(run.t[0]), float(run.t[-1] - run.t[0])
+    return begin + max(SETTINGS.share * length, min(least, SETTINGS.most * length))
+
+
+def first_part(run: Run, vehicle: Vehicle, sigma: Array | None = None) -> WeakData | None:
+    """That part, prepared for the weak form; None where it is too short."""
+    try:
+        return prepare([run.slice(None, end_of_first_part(run))], vehicle, sigma)
+    except UndertowError:
+        return None
+
+
+def values_in(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, float]:
+    """Values in runs that a fit was not fitted to, by names such as V_N@dive2, from their first parts."""
+    found: dict[str, float] = {}
+    names = list(fit.model.values.by_run)
+    for data in first_parts:
+        own = fit_weak(WeakModel(fit.model.functions, names), data, start=fit.values).values
+        found |= {at_run(name, data.runs[0].origin): own[name] for name in names}
+    return found
 
 
 def in_run(fit: Fitted, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
@@ -76,6 +103,8 @@ def in_run(fit: Fitted, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
     """
     if run.origin in fit.runs_with_values:
         return fit.vehicle_in(run), run
+    if run.origin in {run_of(name) for name in fit.model.values.known}:
+        return fit.vehicle_in(run), run.slice(end_of_first_part(run, least), None)
     return adapted(fit.vehicle, run, least=least)
 
 

@@ -393,7 +393,7 @@ def predict(
 
 
 def predict_each(
-    vehicles: Sequence[Vehicle], windows: Windows, *, compiled: bool | None = None
+    vehicles: Sequence[Vehicle], windows: Windows, predictor: Predictor | None = None
 ) -> Prediction:
     """Predict windows of several runs, each run by a vehicle of its own, which differ in their values only.
 
@@ -403,15 +403,15 @@ def predict_each(
         One for every run of the windows.
     windows : Windows
         What is predicted.
-    compiled : bool, optional
-        As for `Simulator`.
+    predictor : Predictor, optional
+        One of such a vehicle.
     """
-    predictor = Predictor(vehicles[0], compiled=compiled)
-    if all(vehicle == vehicles[0] for vehicle in vehicles):
-        return predict(predictor, windows)
-    reports = np.full(windows.measured.shape, np.nan)
+    predictor = Predictor(vehicles[0]) if predictor is None else predictor
+    names, reports = predictor.functions.parameter_names, np.full(windows.measured.shape, np.nan)
+    values = np.array([[vehicle.value_of(n).value for n in names] for vehicle in vehicles])
+    if np.all(values == values[0]):
+        return Prediction(windows, predictor.reports(windows, values[0]))
     for place in np.unique(windows.run).tolist():
         rows, own = windows.of_run(place)
-        values = [vehicles[place].value_of(n).value for n in predictor.functions.parameter_names]
-        reports[rows] = predictor.reports(own, np.array(values, dtype=float))
+        reports[rows] = predictor.reports(own, values[place])
     return Prediction(windows, reports)
