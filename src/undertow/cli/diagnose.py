@@ -107,6 +107,8 @@ def show(outcome: DiagnosisResult) -> None:
     console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
+    for values in diagnosis.by_run:
+        console.print(escape(str(values)), highlight=False)
     for equals in diagnosis.indistinguishable:
         if equals.separated_by:
             console.print(f"to tell {' and '.join(equals.effects)} apart: {escape(equals.separated_by)}")

@@ -116,8 +116,8 @@ def show(done: Refit) -> None:
         say(f"  {line}")
     for line in _combined(done.fit):
         say(f"  {line}", "yellow")
-    for between in done.between_runs:
-        say(f"  {between}; chance of that if all agree {between.p_value:.1g}")
+    for values in done.by_run:
+        say(f"  {values}")
     for name, said in remarks(done.fit, done.stated).items():
         if said:
             say(f"  {name}: {'; '.join(said)}", "yellow")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
-from undertow.model.parameter import printed
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
@@ -21,11 +20,10 @@ from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.result import RunInfo
-from .diagnosis.verdict import estimates
+from .diagnosis.result import RunInfo, ValuesByRun
+from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
-from .estimation.between_runs import BetweenRuns
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
 from .estimation.output_error import LossName, fit_output_error
@@ -204,15 +202,15 @@ class Refit:
         )
 
     @property
-    def between_runs(self) -> list[BetweenRuns]:
+    def by_run(self) -> list[ValuesByRun]:
         """Parameters with a value in every run: these values, their mean and spread, in the file's signs."""
-        return [in_file_signs(table, self.stated) for table in self.fit.between_runs]
+        return values_by_run(self.fit, self.stated)
 
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""
         rows = self.parameters.iter_rows(named=True)
         lines = [f"{r['parameter']:16} {r['value']:.5g}{_spread(r)} {r['unit']}".rstrip() for r in rows]
-        return "\n".join([self._headline, *lines, *map(str, self.between_runs)])
+        return "\n".join([self._headline, *lines, *map(str, self.by_run)])
 
     @property
     def _headline(self) -> str:
@@ -264,6 +262,7 @@ def _history(
 ) -> dict[str, object]:
     """How the values of a vehicle file came about."""
     names, covariance = fit.vehicle_covariance
+    by_run = values_by_run(fit, fit.model.functions.vehicle)
     return {
         "command": command,
         "date": date.today().isoformat(),
@@ -271,28 +270,16 @@ def _history(
         "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
         "error_before": errors[0],
         "error_after": errors[1],
-        **({"by_run": [_history_of(t, fit.vehicle) for t in fit.between_runs]} if fit.between_runs else {}),
+        **({"by_run": list(map(_history_of, by_run))} if by_run else {}),
         "covariance": {"parameters": list(names), "matrix": covariance.tolist()},
     }
 
 
-def _history_of(table: BetweenRuns, vehicle: Vehicle) -> dict[str, object]:
-    """Values by run for a vehicle file, in its signs, with their mean, spread and the test of equality."""
-    own = in_file_signs(table, vehicle)
-    errors = own.standard_errors
-    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in own.values.items()]
-    return {
-        "parameter": own.parameter,
-        "runs": runs,
-        "spread": own.spread,
-        "q": own.q,
-        "p_value": own.p_value,
-    }
-
-
-def in_file_signs(table: BetweenRuns, vehicle: Vehicle) -> BetweenRuns:
-    """Values by run in the units and signs of the vehicle file."""
-    return table.turned(printed(vehicle.declaration(table.parameter), 1.0, vehicle.signs))
+def _history_of(table: ValuesByRun) -> dict[str, object]:
+    """Values by run for a vehicle file."""
+    errors = table.standard_errors
+    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in table.values.items()]
+    return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
 
 
 def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:

@@ -50,6 +50,7 @@ from .diagnosis.verdict import (
     judge,
     reliefs,
     unique_ids,
+    values_by_run,
     with_values,
 )
 from .report.data import ReportData
@@ -122,6 +123,7 @@ class ResultBuilder:
             warnings=self._warnings(equivalent),
             remaining=left,
             parameters=estimates(self.after, self.vehicle),
+            by_run=values_by_run(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
             seconds=seconds,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.estimation.between_runs import BetweenRuns
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.step import (
@@ -27,7 +28,7 @@ from undertow.typing import Array
 
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
-from .result import Equivalent, Estimate, Indistinguishable, Verdict
+from .result import Equivalent, Estimate, Indistinguishable, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
 from .settings import DEFAULT, Settings
@@ -176,6 +177,26 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
         about=parameter.about,
         prior=None if prior is None else printed(parameter, prior.value, stated.signs),
         prior_sigma=None if prior is None else prior.sigma,
+    )
+
+
+def values_by_run(fit: Fitted, stated: Vehicle) -> list[ValuesByRun]:
+    """What has a value in every run, in the signs of the vehicle as the user gave it."""
+    return [
+        _by_run(t, fit.model.functions.vehicle.declaration(t.parameter), stated) for t in fit.between_runs
+    ]
+
+
+def _by_run(table: BetweenRuns, parameter: Parameter, stated: Vehicle) -> ValuesByRun:
+    return ValuesByRun(
+        parameter=table.parameter,
+        unit=_unit(parameter),
+        values={run: printed(parameter, value, stated.signs) for run, value in table.values.items()},
+        standard_errors=table.standard_errors,
+        mean=printed(parameter, table.mean, stated.signs),
+        spread=table.spread,
+        q=table.q,
+        chance=table.p_value,
     )
 
 

@@ -9,7 +9,7 @@ that is estimated would shrink in between, but two or three runs say next to not
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -48,18 +48,10 @@ class BetweenRuns:
     q: float  # Cochran's Q, by the joint covariance; chi-square with one degree less than runs if all agree
     p_value: float
 
-    def turned(self, sign: float) -> BetweenRuns:
-        """The same with the signs of a vehicle file, 1 or -1."""
-        return replace(self, values={run: 0.0 + sign * value for run, value in self.values.items()})
-
     @property
     def mean(self) -> float:
         """Mean over the runs, weighted by how well each knows it."""
         return sum(self.weights[run] * value for run, value in self.values.items())
-
-    def __str__(self) -> str:
-        shown = (f"{v:.3g} ± {self.standard_errors[run]:.2g} in {run}" for run, v in self.values.items())
-        return f"{self.parameter}: {', '.join(shown)}; mean {self.mean:.3g}, spread {self.spread:.2g}"
 
 
 def between_runs(parameter: str, runs: Sequence[str], values: Array, covariance: Array) -> BetweenRuns:
