@@ -20,6 +20,7 @@ from benchmarks.hidden_effects.cases import hidden_world
 from benchmarks.hidden_effects.conversion import converted
 from benchmarks.hidden_effects.demo import DEMO_DATA, DURATION, demo_case
 from benchmarks.hidden_effects.files import FILES, csv_text, toml_text
+from benchmarks.hidden_effects.hardships import TIMES, WITHIN
 from benchmarks.hidden_effects.plant import STEP, SUBSTEPS, Plant
 from benchmarks.hidden_effects.simulation import CHANNELS, NOISE, integrate
 from benchmarks.hidden_effects.vehicles import NOMINAL, Vehicle
@@ -517,3 +518,29 @@ def test_the_generator_is_no_mirror_of_the_product() -> None:
 
 def test_samples_are_four_steps_apart() -> None:
     assert pytest.approx(1 / 20) == STEP * SUBSTEPS
+
+
+# --- as hard as real logs ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("times", TIMES)
+def test_random_forces_change_velocities_by_a_multiple_of_the_noise(times: int) -> None:
+    def changes(kind: str) -> np.ndarray:
+        """Rms change of the velocities in 2 s that random forces make, without drag."""
+        world = world_of("box", f"{kind}_force_{times}")
+        world.linear[:], world.quadratic[:] = 0.0, 0.0
+        states = coast(world, np.zeros((12, 8)), 100.0)[:: round(WITHIN / STEP), 6]
+        return np.sqrt(np.mean(np.diff(states, axis=0) ** 2)) / NOISE[6]
+
+    for kind in ("white", "slow"):
+        assert changes(kind) == pytest.approx(times, rel=0.35)
+
+
+def test_a_current_of_each_run_is_another_and_waves_have_phases_of_their_own() -> None:
+    world = world_of("usv", "ocean_current_per_run")
+    drifted = coast(world, np.zeros((12, 3)), 200.0)[-1, 6:8]
+    assert len({tuple(np.round(v, 3)) for v in drifted.T}) == 3
+    world = world_of("usv", "waves_per_run")
+    moved = coast(world, np.zeros((12, 2)), 20.0)[:, 6]
+    assert np.max(np.abs(moved[:, 0] - moved[:, 1])) > 0.01
+    assert not np.ptp(coast(world_of("usv", "waves"), np.zeros((12, 2)), 20.0)[:, 6], axis=1).any()

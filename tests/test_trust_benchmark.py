@@ -29,7 +29,7 @@ from benchmarks.trust.report import page
 from benchmarks.trust.run import records, run
 from benchmarks.trust.sizing import sized
 from benchmarks.trust.tally import Share, scored
-from benchmarks.trust.terms import _filled, make_terms
+from benchmarks.trust.terms import filled, make_terms
 from benchmarks.trust.verdicts import Answer, accepted
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.settings import Settings
@@ -435,6 +435,6 @@ def test_other_methods_get_straight_lines_where_a_channel_has_gaps() -> None:
     t = np.arange(0.0, 20.0, 0.05)
     nan = np.isin(np.arange(len(t)), [0, 1, 150, 151, len(t) - 1])
     run = Run("gaps", t, {"u": np.where(nan, np.nan, 0.3 * t)}, sha256="")
-    filled = _filled(run, ["u"])[:, 0]
-    np.testing.assert_allclose(filled[2:-1], 0.3 * t[2:-1], atol=1e-12)
-    assert np.isfinite(filled).all()
+    whole = filled(run, ["u"])[:, 0]
+    np.testing.assert_allclose(whole[2:-1], 0.3 * t[2:-1], atol=1e-12)
+    assert np.isfinite(whole).all()

@@ -45,9 +45,14 @@ def vehicle_of(path: str | Path, effects: tuple[str, ...] = ()) -> Vehicle:
     return load_vehicle(str(file if file.is_file() else path), effect_files=[ROOT / e for e in effects])
 
 
-def runs_of(what: Judged, data: Path, vehicle: Vehicle, *, held: bool = False) -> list[Run]:
-    """The logs that are identified on, or those kept aside, as the command line reads them."""
+def logs_of(what: Judged, data: Path, vehicle: Vehicle, *, held: bool = False) -> list[Run]:
+    """The logs that are identified on, or those kept aside, with the channels that they have."""
     mapping = read_mapping(ROOT / what.mapping)
     names = what.holdout if held else what.logs
-    runs = [read_log(data / n, mapping, vehicle.command_names, window=what.window) for n in names]
+    return [read_log(data / n, mapping, vehicle.command_names, window=what.window) for n in names]
+
+
+def runs_of(what: Judged, data: Path, vehicle: Vehicle, *, held: bool = False) -> list[Run]:
+    """The same as the command line reads them: velocities that a log lacks are taken from its pose."""
+    runs = logs_of(what, data, vehicle, held=held)
     return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]

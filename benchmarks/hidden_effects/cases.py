@@ -13,10 +13,12 @@ from .belief import hydrodynamic_values, prior_vehicle
 from .drawing import Vehicle
 from .manoeuvres import MANOEUVRES
 from .plant import RATE
-from .registry import EFFECTS, Draw, Values
+from .registry import EFFECTS, NOTHING_HIDDEN, Draw, Values
 from .simulation import RUNS, Conduct, simulate, stream
 from .vehicles import NOMINAL, real_vehicle
 from .world import World, plain_world
+
+from . import hardships  # noqa: F401  isort: skip  (last, so that the order of all others is as it was)
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def hidden_world(
 
 def _verdict(effects: tuple[str, ...]) -> dict[str, Any]:
     """Class and catalogue ids: null, library, alien (any that no catalogue lists) or double."""
-    hidden = [EFFECTS[name] for name in effects if EFFECTS[name].kind != "prior"]
+    hidden = [EFFECTS[name] for name in effects if EFFECTS[name].kind not in NOTHING_HIDDEN]
     ids = [effect.catalogue or effect.name for effect in hidden]
     if any(effect.kind == "alien" for effect in hidden):
         return {"class": "alien", "effects": ids}

@@ -55,7 +55,7 @@ class Plant:
         if np.linalg.eigvalsh(total[own]).min() <= 0:
             raise ValueError("the mass matrix is not positive definite: lower the strength of the effects")
         self.inverse[own] = np.linalg.inv(total[own])
-        self.rigid = coriolis_products(world.rigid_mass)
+        self.rigid = world.rigid_coriolis * coriolis_products(world.rigid_mass)
         self.added = world.added_coriolis * coriolis_products(world.added_mass)
         self.damping = np.concatenate(
             [world.linear, world.quadratic, world.cubic, world.products.reshape(6, 36)], 1

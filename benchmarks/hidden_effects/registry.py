@@ -62,6 +62,8 @@ class Draw:
         return [int(options[i]) for i in sorted(kept)]
 
 
+#: Kinds of effects with which nothing is missing in the prior model.
+NOTHING_HIDDEN = ("prior", "disturbance")
 Values = dict[str, float]
 Apply = Callable[[World, Draw], Values]
 
@@ -70,7 +72,8 @@ Apply = Callable[[World, Draw], Values]
 class HiddenEffect:
     """One effect: name, id in the catalogue (None: in none), vehicles, and what it does to a world.
 
-    `kind` is "library" (in the catalogue), "alien" (in none), or "prior" (nothing hidden, a guess is wrong).
+    `kind` is "library" (in the catalogue), "alien" (in none), or one of `NOTHING_HIDDEN`: "prior" (a guess is
+    wrong) and "disturbance" (random forces that no model foretells).
     """
 
     name: str

@@ -25,6 +25,11 @@ def waves(world: World, draw: Draw) -> Values:
     w^2 = g k; s = position of the vehicle along the wave. The wave's pressure acts on the displaced mass
     (Froude-Krylov force rho V Du/Dt), so that a neutrally buoyant hull is carried along.
     """
+    return add_wave(world, draw, np.zeros(1))
+
+
+def add_wave(world: World, draw: Draw, shifts: np.ndarray) -> Values:
+    """A wave whose phase is shifted by an angle of its own in each run (or the same in all)."""
     period, towards = draw.shape(4.0, 7.0), draw.shape(-np.pi, np.pi)
     omega = 2 * np.pi / period
     k = omega**2 / GRAVITY
@@ -34,7 +39,7 @@ def waves(world: World, draw: Draw) -> Values:
     down = np.array([[0.0], [0.0], [1.0]])
 
     def flow(t: float, eta: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phase = k * (eta[0] * along[0] + eta[1] * along[1]) - omega * t
+        phase = k * (eta[0] * along[0] + eta[1] * along[1]) - omega * t + shifts[: eta.shape[1]]
         speed = amplitude * omega * np.exp(-k * np.maximum(eta[2], 0.0))
         cosine, sine = speed * np.cos(phase), speed * np.sin(phase)
         turning = k * (moving[0] * along[0] + moving[1] * along[1]) - omega

@@ -47,9 +47,9 @@ class Memory:
 class World:
     """A vehicle and its surroundings, which the hidden effects change before the simulation starts.
 
-    M_RB nu_dot + C_RB(nu) nu + M_A nu_r_dot + c C_A(nu_r) nu_r = D(nu_r) + G k + B f + wrenches + memories
+    M_RB nu_dot + b C_RB(nu) nu + M_A nu_r_dot + c C_A(nu_r) nu_r = D(nu_r) + G k + B f + wrenches + memories
     with D = L nu_r + Q |nu_r| nu_r + K nu_r^3 + T nu_r nu_r, k = unit vector downwards in body axes,
-    c = `added_coriolis`, 1 or 0.
+    b = `rigid_coriolis` and c = `added_coriolis`, 1 or 0.
 
     Commands become forces f: `command_delay`, `stages` (f, t), `lag` (first order), `inflow` (f, nu_r).
     States become readings: `velocity_delay` (u, v, w only), then `sensors` in their order, then noise.
@@ -65,6 +65,7 @@ class World:
     gravity_wrench: np.ndarray
     allocation: np.ndarray
     added_coriolis: float = 1.0
+    rigid_coriolis: float = 1.0
     command_delay: float = 0.0
     velocity_delay: float = 0.0
     lag: float = 0.0

@@ -10,6 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from benchmarks.hidden_effects import EFFECTS
+from benchmarks.hidden_effects.hardships import TIMES
+from benchmarks.hidden_effects.registry import NOTHING_HIDDEN
 from benchmarks.hidden_effects.vehicles import NOMINAL
 
 T = TypeVar("T")
@@ -23,7 +25,7 @@ SIZES = (0.4, 1.0, 2.5)
 FAINT = (1.1, 3.0)
 NOISES = (1.0, 1.0, 0.3, 3.0)
 FEEDBACK = (False, False, False, True)
-VARIANTS = ("plain", "60s", "pose-only", "mass-5")
+VARIANTS = ("plain", "60s", "pose-only", "mass-5", "filtered", "20min")
 #: Complete models: label -> hidden (a wrong guess), noise, closed loop, variant.
 COMPLETE: dict[str, tuple[tuple[str, ...], float, bool, str]] = {
     "as drawn": ((), 1.0, False, "plain"),
@@ -38,6 +40,18 @@ COMPLETE: dict[str, tuple[tuple[str, ...], float, bool, str]] = {
     "one added mass 2 x off": (("wrong_added_mass",), 1.0, False, "plain"),
     "all guesses 2 x off": (("wrong_all",), 1.0, False, "plain"),
 }
+#: What makes a log as hard as a real one: label -> disturbances, variant.
+HARD: dict[str, tuple[tuple[str, ...], str]] = {
+    **{f"white forces, {n} x": ((f"white_force_{n}",), "plain") for n in TIMES},
+    **{f"slow forces, {n} x": ((f"slow_force_{n}",), "plain") for n in TIMES},
+    "filtered records": ((), "filtered"),
+    "20-min logs": ((), "20min"),
+}
+#: Effects that are those of the catalogue in another form: values of each run, another law, a whole term.
+OTHER_FORMS = (
+    "ocean_current_per_run", "waves_per_run", "thrust_loss_straight", "no_added_mass",
+    "no_rigid_body_coriolis",
+)  # fmt: skip
 #: Effects of the catalogue. One that goes by the name of another is left out (a dead band with a jump): its
 #: equations are not those of the catalogue, so that neither that name nor `unexplained` would be wrong.
 SINGLES = tuple(name for name, effect in EFFECTS.items() if effect.catalogue == name)
@@ -82,17 +96,25 @@ class Planned:
 
     @property
     def kind(self) -> str:
-        """`complete`, `single`, `pair` or `outsider`, as the simulator sees it."""
-        kinds = [EFFECTS[name].kind for name in self.hidden if EFFECTS[name].kind != "prior"]
+        """`complete`, `single`, `pair`, `outsider` or `hard` (of `HARD` or `OTHER_FORMS`)."""
+        kinds = [EFFECTS[name].kind for name in self.hidden if EFFECTS[name].kind not in NOTHING_HIDDEN]
         if "alien" in kinds:
             return "outsider"
-        return ("complete", "single", "pair")[len(kinds)]
+        return "hard" if kinds and self._hardship else ("complete", "single", "pair")[len(kinds)]
+
+    @property
+    def _hardship(self) -> str:
+        """Label of what makes it hard; empty where nothing does."""
+        forces = tuple(name for name in self.hidden if EFFECTS[name].kind == "disturbance")
+        found = (label for label, made in HARD.items() if made == (forces, self.variant))
+        return next((name for name in self.hidden if name in OTHER_FORMS), next(found, ""))
 
     @property
     def label(self) -> str:
-        """What is special about a complete model."""
+        """What is special about a complete model, or what makes a case hard."""
         own = (self.hidden, self.noise, self.closed_loop, self.variant)
-        return next((label for label, made in COMPLETE.items() if made == own), "other")
+        usual = next((label for label, made in COMPLETE.items() if made == own), "other")
+        return self._hardship or usual
 
     @classmethod
     def read(cls, word: str) -> Planned:
@@ -132,7 +154,24 @@ def _round(r: int, base: int) -> list[Planned]:
     complete = [_complete(label, NULLS_PER_ROUND * r + i, base)
                 for label in COMPLETE for i in range(NULLS_PER_ROUND)]  # fmt: skip
     pairs = [_pair(PAIRS_PER_ROUND * r + i, base) for i in range(PAIRS_PER_ROUND)]
-    return _mixed([singles, outsiders, complete, pairs], _random(base, "order", r))
+    usual = mixed([singles, outsiders, complete, pairs], seeded_generator(base, "order", r))
+    # Between the usual ones, whose order stays what it was.
+    return spread([usual, _hard(r, base)])
+
+
+def _hard(r: int, base: int) -> list[Planned]:
+    """Of each hardship one complete model and one with an effect, and of each other form one."""
+    found = []
+    for label, (forces, variant) in HARD.items():
+        name = _turn(SINGLES, r, base, f"{label} effect")
+        recipes = (tuple(NOMINAL), forces), (EFFECTS[name].vehicles, (name, *forces))
+        for vehicles, hidden in recipes:
+            vehicle = _turn(vehicles, r, base, f"{label} {hidden} vehicle")
+            found.append(_seeded((vehicle, hidden, 1.0, 1.0, False, variant), r, base))
+    for name in OTHER_FORMS:
+        vehicle = _turn(EFFECTS[name].vehicles, r, base, f"{name} vehicle")
+        found.append(_seeded((vehicle, (name,), 1.0, 1.0, False, "plain"), r, base))
+    return [found[int(k)] for k in seeded_generator(base, "hard order", r).permutation(len(found))]
 
 
 def _one(name: str, r: int, base: int) -> Planned:
@@ -145,13 +184,19 @@ def _faint(name: str, r: int, base: int) -> Planned:
     """A case in which the truth is worth little, for these decide how good a method is."""
     vehicle = _turn(EFFECTS[name].vehicles, r, base, f"{name} faint vehicle")
     low, high = np.log(FAINT)
-    aim = float(f"{np.exp(_random(base, f'{name} faint', r).uniform(low, high)):.3g}")
+    aim = float(f"{np.exp(seeded_generator(base, f'{name} faint', r).uniform(low, high)):.3g}")
     recipe = (vehicle, (name,), 1.0, *_conduct(f"{name} faint", r, base), "plain")
     return _seeded(recipe, r, base, aim)
 
 
 def _conduct(what: str, r: int, base: int) -> tuple[float, bool]:
     return _turn(NOISES, r, base, f"{what} noise"), _turn(FEEDBACK, r, base, f"{what} feedback")
+
+
+def spread(lists: Iterable[list[T]]) -> list[T]:
+    """All entries, each list in its order and spread evenly over the whole."""
+    placed = [((i + 0.5) / len(own), entry) for own in lists for i, entry in enumerate(own)]
+    return [entry for _, entry in sorted(placed, key=lambda pair: pair[0])]
 
 
 def _complete(label: str, number: int, base: int) -> Planned:
@@ -163,7 +208,7 @@ def _complete(label: str, number: int, base: int) -> Planned:
 def _pair(number: int, base: int) -> Planned:
     vehicle = _turn(tuple(NOMINAL), number, base, "pair vehicle")
     names = [n for n in SINGLES if vehicle in EFFECTS[n].vehicles]
-    rng = _random(base, "pair", number)
+    rng = seeded_generator(base, "pair", number)
     while True:
         first, second = (names[int(i)] for i in rng.permutation(len(names))[:2])
         if {first, second} not in _ALIKE:
@@ -183,14 +228,15 @@ def _seeded(
 def _turn(options: Sequence[T], number: int, base: int, purpose: str) -> T:
     """One option after the other in random order, each once before any comes again."""
     lap, place = divmod(number, len(options))
-    return options[int(_random(base, purpose, lap).permutation(len(options))[place])]
+    return options[int(seeded_generator(base, purpose, lap).permutation(len(options))[place])]
 
 
-def _random(base: int, purpose: str, number: int) -> np.random.Generator:
+def seeded_generator(base: int, purpose: str, number: int) -> np.random.Generator:
+    """Dice of their own for each purpose, so that none depends on what else is drawn."""
     return np.random.default_rng([base, zlib.crc32(purpose.encode()), number])
 
 
-def _mixed(kinds: Iterable[list[Planned]], rng: np.random.Generator) -> list[Planned]:
+def mixed(kinds: Iterable[list[T]], rng: np.random.Generator) -> list[T]:
     """All cases, every kind shuffled and spread evenly over the whole."""
     placed = []
     for cases in kinds:

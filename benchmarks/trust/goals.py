@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .cases import COMPLETE
+from .cases import COMPLETE, HARD
 from .tally import VISIBLE, Scored, Share, of_kind, share
 
 WHOLE_CATALOGUE_SECONDS = 30.0
@@ -63,30 +63,30 @@ def _found(cases: Sequence[Scored]) -> list[Goal]:
         ("medium", "truth named and nothing else", 0.92, lambda c: c.only),
     )
     return [
-        _at_least(f"{grade}: {name}", share(of_kind(cases, "single", grade), right), least)
+        at_least(f"{grade}: {name}", share(of_kind(cases, "single", grade), right), least)
         for grade, name, least, right in aims
     ]
 
 
 def _silent(cases: Sequence[Scored]) -> list[Goal]:
     complete = of_kind(cases, "complete")
-    found = [_at_most("complete models: false alarms", share(complete, lambda c: c.answer.claims), 0.01)]
-    for label in COMPLETE:
+    found = [at_most("complete models: false alarms", share(complete, lambda c: c.answer.claims), 0.01)]
+    for label in (*COMPLETE, *HARD):
         own = [c for c in complete if c.record["label"] == label]
-        found.append(_at_most(f"– {label}", share(own, lambda c: c.answer.claims), 0.01))
+        found.append(at_most(f"– {label}", share(own, lambda c: c.answer.claims), 0.01))
     return found
 
 
 def _others(cases: Sequence[Scored]) -> list[Goal]:
     outsiders, pairs = of_kind(cases, "outsider", *VISIBLE), of_kind(cases, "pair", *VISIBLE)
     return [
-        _at_least("outside the catalogue: unexplained", share(outsiders, _unexplained), 0.95),
-        _at_most(
+        at_least("outside the catalogue: unexplained", share(outsiders, _unexplained), 0.95),
+        at_most(
             "outside the catalogue: a catalogue effect claimed",
             share(outsiders, lambda c: c.answer.claims),
             0.0,
         ),
-        _at_least("pairs: both found", share(pairs, lambda c: c.reported), 0.85),
+        at_least("pairs: both found", share(pairs, lambda c: c.reported), 0.85),
     ]
 
 
@@ -106,7 +106,7 @@ def _costs(cases: Sequence[Scored]) -> list[Goal]:
 
 
 def _time(cases: Sequence[Scored]) -> Goal:
-    six = [c.record for c in cases if len(c.record["motions"]) == 6]
+    six = [c.record for c in cases if len(c.record["motions"]) == 6 and c.record["variant"] != "20min"]
     # The goal is for two cores; cases that ran side by side had one each.
     cores = max((r.get("cores", 1) for r in six), default=1)
     seconds = [r["seconds"] for r in six if r.get("cores", 1) == cores]
@@ -131,12 +131,14 @@ def seconds_by_motions(cases: Iterable[Scored]) -> list[list[str]]:
     return rows
 
 
-def _at_least(name: str, found: Share, least: float) -> Goal:
+def at_least(name: str, found: Share, least: float) -> Goal:
+    """A share that is to be large."""
     aim = "100 %" if least == 1.0 else f"≥ {100 * least:g} %"
     return Goal(name, aim, str(found), _met(found.value >= least, found.n), _needed(1.0 - least), found.n)
 
 
-def _at_most(name: str, found: Share, most: float) -> Goal:
+def at_most(name: str, found: Share, most: float) -> Goal:
+    """A share that is to be small."""
     aim = "none" if most == 0.0 else f"≤ {100 * most:g} %"
     return Goal(name, aim, str(found), _met(found.value <= most, found.n), _needed(most), found.n)
 

@@ -7,9 +7,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
 from benchmarks.hidden_effects import Case, make_case, write_case
 from benchmarks.hidden_effects.files import FILES
-from benchmarks.hidden_effects.simulation import stream
+from benchmarks.hidden_effects.plant import RATE
+from benchmarks.hidden_effects.simulation import CHANNELS, stream
 from benchmarks.results.reading import read
 from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
@@ -18,9 +22,11 @@ from undertow.model.vehicle import Vehicle
 from .cases import Planned
 
 #: Seconds of a run.
-LENGTH = {"60s": 60.0}
+LENGTH = {"60s": 60.0, "20min": 1200.0}
 USUAL_LENGTH = 100.0
 MASS_SPREAD = 0.05
+#: Corner and order of what records were filtered with, forward and backward, before they were published.
+CORNER, ORDER = 1.0, 2
 # A drawn size with which the vehicle runs away is taken smaller.
 _MILDER = (1.0, 0.7, 0.5, 0.35, 0.25)
 _VELOCITY = ("u", "v", "w", "p", "q", "r")
@@ -56,13 +62,21 @@ def _made(case: Planned, strength: float) -> Case:
 
 
 def varied(made: Case, case: Planned) -> Case:
-    """The case as its variant has it: without velocities, or with a mass that is a guess."""
+    """The case as its variant has it: without velocities, filtered, or with a mass that is a guess."""
+    if case.variant == "filtered":
+        return replace(made, runs={name: _filtered(run) for name, run in made.runs.items()})
     if case.variant == "pose-only":
         runs = {name: {c: v for c, v in run.items() if c not in _VELOCITY} for name, run in made.runs.items()}
         return replace(made, runs=runs)
     if case.variant == "mass-5":
         return replace(made, vehicle=_mass_guessed(made.vehicle, case.seed))
     return made
+
+
+def _filtered(run: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The readings of all sensors through a low-pass filter without delay; commands as they were."""
+    low = butter(ORDER, CORNER, fs=RATE, output="sos")
+    return {name: sosfiltfilt(low, v) if name in CHANNELS else v for name, v in run.items()}
 
 
 def _mass_guessed(vehicle: dict[str, Any], seed: int) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 from benchmarks.results.text import table
 
-from .cases import COMPLETE
+from .cases import COMPLETE, HARD, OTHER_FORMS
 from .failures import HEAD, failures, row
 from .goals import goals, seconds_by_motions
 from .grade import HIDDEN
 from .measure import Record
 from .tally import OURS, VISIBLE, Scored, expressible, methods, of_kind, scored, share
-from .words import DEFINITIONS, EXPRESSIBLE, FAILURES, INTRODUCTION, NO_PEERS, PEERS
+from .words import DEFINITIONS, EXPRESSIBLE, FAILURES, HARDER, INTRODUCTION, NO_PEERS, PEERS
 
 _SECONDS = ("degrees of freedom", "cases", "median s", "longest s", "median s of processor time")
 _SINGLE: tuple[tuple[str, Callable[[Scored], bool]], ...] = (
@@ -40,6 +40,9 @@ def page(records: Iterable[Record]) -> str:
         "## Effects outside the catalogue and pairs\n",
         _outsiders(cases),
         _pairs(kept),
+        "## As hard as real logs\n",
+        HARDER,
+        _hard(cases),
         "## Every effect\n",
         _by_effect(cases),
         "## Seconds\n",
@@ -71,6 +74,7 @@ _KINDS = {
     "pair": "with two",
     "complete": "complete models",
     "outsider": "with an effect that no catalogue lists",
+    "hard": "with one effect and as hard as real logs",
 }
 
 
@@ -103,7 +107,7 @@ def _complete(records: Sequence[Record]) -> str:
     names = methods(records)
     by_method = {name: of_kind(scored(records, name), "complete") for name in names}
     rows = []
-    for label in (*COMPLETE, "all"):
+    for label in (*COMPLETE, *HARD, "all"):
         own = {n: [c for c in of if label in ("all", c.record["label"])] for n, of in by_method.items()}
         adequate = share(own[OURS], lambda c: c.answer.verdict == "adequate")
         alarms = [str(share(of, lambda c: c.answer.claims)) for of in own.values()]
@@ -134,6 +138,17 @@ def _pairs(records: Sequence[Record]) -> str:
             for n, of in by_method.items()]  # fmt: skip
     head = ("pairs of which both show", "both found", "both and nothing else")
     return table(head, rows) if len(names) > 1 else ""
+
+
+def _hard(cases: Sequence[Scored]) -> str:
+    """One row for each hardship: of the visible cases how often the truth is found, of all wrong names."""
+    rows = []
+    for label in (*HARD, *OTHER_FORMS):
+        own = [c for c in cases if c.kind == "hard" and c.record["label"] == label]
+        visible = [c for c in own if c.grade in VISIBLE]
+        wrong = str(share(own, lambda c: c.false_claim))
+        rows.append([label, *(str(share(visible, right)) for _, right in _SINGLE), wrong])
+    return table(("", *(words for words, _ in _SINGLE), "something else named"), rows)
 
 
 def _by_effect(cases: Sequence[Scored]) -> str:

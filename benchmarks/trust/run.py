@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any, Protocol
 
 from undertow.fleet.engine import Engine, Failure
 
@@ -23,20 +24,40 @@ from .measure import Record, measured
 ROOT = Path(__file__).parents[2]
 #: Seconds after which a case is given up and recorded as failed.
 LIMIT = 1800.0
-Work = Callable[[Planned], Record]
+Work = Callable[[Any], Record]
 Progress = Callable[[Record, int], None]
+
+
+class Job(Protocol):
+    """What is run: anything with an id, and with what the record of a failure says of it."""
+
+    @property
+    def id(self) -> str:
+        """All that makes the case, as one word."""
+
+    @property
+    def kind(self) -> str:
+        """Kind of case."""
+
+    @property
+    def label(self) -> str:
+        """What is special about it."""
+
+    @property
+    def vehicle(self) -> str:
+        """What it is about."""
 
 
 @dataclass(frozen=True)
 class _Running:
-    case: Planned
+    case: Job
     process: BaseProcess
     answer: Connection
     began: float
 
 
 def run(
-    cases: Sequence[Planned],
+    cases: Sequence[Job],
     out: Path,
     work: Work,
     *,
@@ -106,7 +127,7 @@ def worker(peers: bool) -> Work:
 
 
 # --- a cluster --------------------------------------------------------------------------------
-def _by(engine: Engine, todo: Sequence[Planned], work: Work, minutes: float | None) -> Iterator[Record]:
+def _by(engine: Engine, todo: Sequence[Job], work: Work, minutes: float | None) -> Iterator[Record]:
     """Records of cases that a cluster works on; what nobody answers for is a failure."""
     until = time.time() + 60 * minutes if minutes is not None else float("inf")
     for place, answer in engine.results(_in_time, [(work, case, until) for case in todo]):
@@ -116,7 +137,7 @@ def _by(engine: Engine, todo: Sequence[Planned], work: Work, minutes: float | No
             yield answer
 
 
-def _in_time(work: Work, case: Planned, until: float) -> Record | None:
+def _in_time(work: Work, case: Job, until: float) -> Record | None:
     """The record of a case; None where the time is over before it is begun."""
     if time.time() > until:
         return None
@@ -127,7 +148,7 @@ def _in_time(work: Work, case: Planned, until: float) -> Record | None:
 
 
 # --- processes --------------------------------------------------------------------------------
-def _results(todo: Sequence[Planned], work: Work, jobs: int, end: float, limit: float) -> Iterator[Record]:
+def _results(todo: Sequence[Job], work: Work, jobs: int, end: float, limit: float) -> Iterator[Record]:
     waiting, running = list(todo), list[_Running]()
     while running or (waiting and time.monotonic() < end):
         while waiting and len(running) < jobs and time.monotonic() < end:
@@ -138,7 +159,7 @@ def _results(todo: Sequence[Planned], work: Work, jobs: int, end: float, limit: 
             yield _record(one, limit)
 
 
-def _begun(case: Planned, work: Work, *, alone: bool) -> _Running:
+def _begun(case: Job, work: Work, *, alone: bool) -> _Running:
     # Forked: the imports are there already, and a case that crashes takes nothing with it.
     context = multiprocessing.get_context("fork")
     answer, speak = context.Pipe(duplex=False)
@@ -151,7 +172,7 @@ def _begun(case: Planned, work: Work, *, alone: bool) -> _Running:
     return _Running(case, process, answer, time.monotonic())
 
 
-def _do(work: Work, case: Planned, speak: Connection, alone: bool) -> None:
+def _do(work: Work, case: Job, speak: Connection, alone: bool) -> None:
     """One case: on all cores where it is alone, else on one."""
     if not alone:
         os.environ["UNDERTOW_JOBS"] = "1"
@@ -183,7 +204,7 @@ def _record(one: _Running, limit: float) -> Record:
     return failure(one.case, words)
 
 
-def failure(case: Planned, words: str, details: str = "") -> Record:
+def failure(case: Job, words: str, details: str = "") -> Record:
     """The record of a case that could not be measured."""
     return {
         "id": case.id,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from .grade import GRADES
 from .measure import Record
 from .verdicts import Answer, accepted, holding
 
+T = TypeVar("T")
 OURS = "undertow"
 #: Grades in which the truth is to be found.
 VISIBLE = tuple(name for name, _ in GRADES)
@@ -47,7 +49,7 @@ class Share:
         return f"{self.k} of {self.n}: {100 * self.value:.3g} % ({low} to {high})"
 
 
-def share(cases: Iterable[Scored], right: Callable[[Scored], bool]) -> Share:
+def share(cases: Iterable[T], right: Callable[[T], bool]) -> Share:
     """How many of the cases are right."""
     told = [right(case) for case in cases]
     return Share(sum(told), len(told))
@@ -66,9 +68,9 @@ class Scored:
 
     @property
     def kind(self) -> str:
-        """`complete`, `single`, `pair` or `outsider`; `outsider`: no catalogue lists it."""
+        """`complete`, `single`, `pair`, `hard` or `outsider`; `outsider`: no catalogue lists it."""
         kind = str(self.record["kind"])
-        return kind if kind == "complete" or self.record["known"] else "outsider"
+        return kind if kind in ("complete", "hard") or self.record["known"] else "outsider"
 
     @property
     def grade(self) -> str:

@@ -152,7 +152,7 @@ class _Regression:
 
     def _piece(self, run: Run) -> tuple[Array, Array, Array]:
         """Acceleration that the model leaves (n motions per sample), and its derivatives in parameters."""
-        x, nu_dot, u, t = _smoothed(run, self.vehicle)
+        x, nu_dot, u, t = smoothed(run, self.vehicle)
         x = np.hstack([x, np.zeros((len(x), self.functions.x.numel() - x.shape[1]))])
         inverse = np.linalg.inv(self._mass(x, u, t))
         model = self._residual(x, 0 * nu_dot, u, t) @ inverse.T
@@ -177,22 +177,23 @@ class _Regression:
         return np.asarray(function.map(len(x))(x.T, nu_dot.T, u.T, p, t[None]))  # type: ignore[attr-defined]
 
 
-def _filled(run: Run, names: Sequence[str]) -> Array:
+def filled(run: Run, names: Sequence[str]) -> Array:
     """Channels of a run, straight lines where one has a gap, which no filter stands."""
     columns = []
     for values in run.matrix(tuple(names)).T:
         known = np.isfinite(values)
         columns.append(np.interp(run.t, run.t[known], values[known]))
-    return np.column_stack(columns)
+    return np.column_stack(columns) if columns else np.empty((len(run.t), 0))
 
 
-def _smoothed(run: Run, vehicle: Vehicle) -> tuple[Array, Array, Array, Array]:
-    """Pose and velocity, acceleration, commands and time of a run, smoothed and thinned out."""
+def smoothed(run: Run, vehicle: Vehicle) -> tuple[Array, Array, Array, Array]:
+    """State (pose, velocity), acceleration, commands and time of a run, smoothed and thinned out."""
     step = float(np.median(np.diff(run.t)))
     window = 2 * round(WINDOW / step / 2) + 1
 
     def smooth(names: Sequence[str]) -> Array:
-        return np.asarray(savgol_filter(_filled(run, names), window, ORDER, axis=0))
+        values = filled(run, names)
+        return np.asarray(savgol_filter(values, window, ORDER, axis=0)) if names else values
 
     state, commands = smooth((*vehicle.pose_names, *vehicle.velocity_names)), smooth(vehicle.command_names)
     # The derivative of what was smoothed, so that accelerations and commands went through the same filter.

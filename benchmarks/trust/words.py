@@ -19,6 +19,14 @@ EXPRESSIBLE = """\
 The same, only effects that the other methods have terms for:
 
 """
+HARDER = """\
+One effect hidden in logs that are as hard as real ones: random forces that no model foretells, white and
+slow (times the sensors' noise by which they change the velocities in 2 s), records that were filtered before
+they were handed on (1 Hz, forward and backward), logs of 20 minutes; a current and the phase of waves that
+differ from run to run, a loss of thrust without the share of the rotation, and vehicle files that lack a
+whole inertial term. Complete models under the same conditions stand in the table above.
+
+"""
 FAILURES = """\
 Every answer that is not what it should be: a strong or medium effect that is not named alone, a weak one
 that is not in the reported set, an effect claimed for a complete model, an effect outside the catalogue

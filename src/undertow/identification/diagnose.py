@@ -20,6 +20,7 @@ from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -31,9 +32,21 @@ from undertow.version import __version__
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
+from .diagnosis.reference import predictable
 from .diagnosis.residual import remaining
-from .diagnosis.result import Diagnosis, Equivalent, Indistinguishable, Ranked, Remaining, RunInfo, Step
+from .diagnosis.result import (
+    AddedEffect,
+    Diagnosis,
+    Equivalent,
+    Indistinguishable,
+    Predictability,
+    Ranked,
+    Remaining,
+    RunInfo,
+    Step,
+)
 from .diagnosis.search import Search, last_fit, search
+from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator, sizes
@@ -48,6 +61,8 @@ from .diagnosis.verdict import (
     estimates,
     instead_of_effects,
     judge,
+    judge_selection,
+    only_disturbance,
     reliefs,
     unique_ids,
     values_by_run,
@@ -60,9 +75,15 @@ class ResultBuilder:
     """The outcome of a search, judged under one noise model for all steps and by simulation."""
 
     def __init__(
-        self, vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue
+        self,
+        vehicle: Vehicle,
+        found: Search,
+        validator: SimulationValidator,
+        known: Catalogue,
+        selection: Selection | None = None,
     ) -> None:
         self.vehicle, self.validator, self._known = vehicle, validator, known
+        self._selection = selection
         self.found = found = validated(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
@@ -74,16 +95,22 @@ class ResultBuilder:
         self.given = validator.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
-        self._residual_is_noise = residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
+        self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
+        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
+        self.judgement: Judgement = self._judged(weak[-1], scores)
+
+    def _judged(self, last: WeakFit, scores: tuple[Score, Score]) -> Judgement:
+        noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
+        if self._selection is not None and not residual_is_noise:
+            return judge_selection(self.found, scores, noise, self._selection)
         left = Remainder(
             residual_is_noise=residual_is_noise,
-            confirmed=not validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
+            confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
             nearly=residual_is_noise
-            or bool(np.nanmax(noise_ratio(weak[-1], self.bench.test)) < self.settings.nearly_noise),
+            or bool(np.nanmax(noise_ratio(last, self.bench.test)) < self.settings.nearly_noise),
             change="" if residual_is_noise else self._change(),
         )
-        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
-        self.judgement: Judgement = judge(found, scores, self.bench.noise_level, left)
+        return judge(self.found, scores, noise, left)
 
     def _change(self) -> str:
         """How the size of the one effect that was found changes in the course of the validation data."""
@@ -98,30 +125,51 @@ class ResultBuilder:
     @property
     def after(self) -> Fitted:
         """The fit with what is named, or the refitted model where nothing is."""
-        return self.fits[-1] if self.judgement.effects else self.base
+        return self.fits[len(self.judgement.effects)]
+
+    @cached_property
+    def _left(self) -> list[Remaining]:
+        return remaining(self.after, self.bench.train, self.bench.test)
+
+    @cached_property
+    def _predictable(self) -> list[Predictability]:
+        """What of the remaining forces depends on the logged signals, where more than noise is left."""
+        if self._residual_is_noise:
+            return []
+        return predictable(self.after, self.bench.train, self.bench.test)
+
+    @cached_property
+    def _verdict(self) -> Judgement:
+        """The judgement, or that nothing is missing which these logs could show."""
+        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+            return self.judgement
+        found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
+        return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
 
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
         doubts += self._repeated_commands() if self.judgement.effects else []
-        left = remaining(self.after, self.bench.train, self.bench.test)
-        doubts += self._nowhere_alone(left)
+        doubts += self._nowhere_alone(self._left)
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
             degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
             signs=self.vehicle.signs,
             runs=infos,
-            verdict=self.judgement.verdict,
+            verdict=self._verdict.verdict,
             headline=" ".join([self._headline(), *doubts]),
             effects=unique_ids(self.judgement.effects),
+            helps=unique_ids(self.judgement.helps),
+            added=self._added(),
             ranking=[self._ranked(f) for f in self._in_order()],
             steps=self._steps(),
             indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(equivalent),
-            remaining=left,
+            remaining=self._left,
+            predictable=self._predictable,
             parameters=estimates(self.after, self.vehicle),
             by_run=values_by_run(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
@@ -129,9 +177,18 @@ class ResultBuilder:
             seconds=seconds,
         )
 
+    def _added(self) -> list[AddedEffect]:
+        graded = [] if self._selection is None else self._selection.graded
+        return [
+            AddedEffect(
+                effect=winner.id, falls={f"{h:g} s": f for h, f in g.worth.falls.items()}, doubt=g.doubt
+            )
+            for winner, g in zip(self.found.winners, graded, strict=False)
+        ]
+
     def _headline(self) -> str:
         values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self.judgement, values, self._residual_is_noise)
+        return with_values(self._verdict, values, self._residual_is_noise)
 
     def _equivalents(self) -> list[Equivalent]:
         model, bench = self.found.vehicle, self.bench
@@ -143,7 +200,7 @@ class ResultBuilder:
         return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
-        nothing_found = self.judgement.verdict == "unexplained" and not self.found.winners
+        nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
         if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
         return ["It stands out in the force of no degree of freedom by itself."]
@@ -444,6 +501,11 @@ def diagnose(
         )
         report(0.9, "judging the result by simulation")
         builder = ResultBuilder(vehicle, found, validator, effects)
+        if builder.judgement.verdict == "unexplained":
+            report(0.92, "adding effects as long as predictions get better")
+            selection = select(found, validator, effects)
+            chosen = selected(found, selection)
+            builder = ResultBuilder(vehicle, chosen, validator, effects, selection)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
         diagnosis = _with_doctor(builder.build(infos, time.perf_counter() - began), examined())

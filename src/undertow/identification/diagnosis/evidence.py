@@ -13,7 +13,7 @@ from scipy.stats import wilcoxon
 
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.residual import Linearised, whitened
+from undertow.identification.estimation.residual import Linearised
 from undertow.identification.estimation.step import inverse_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.vehicle import Vehicle
@@ -286,9 +286,7 @@ def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Line
     """Linearise a model with a candidate where a fit of it stands, beside the model without it."""
     base = bench.base
     own = len(at.model.free) - len(base.model.free)
-    train = at.at
-    if at.whitening is not bench.train_whitening:
-        train = whitened(at.model.linearise(bench.train, at.p), bench.train_whitening)
+    train = bench.on_train(at)
     test = bench.on_test(at) if on_test is None else on_test
     return Linear(
         Blocks.of(train.J, train.r - base.at.r, base.at.r, bench.train.block),

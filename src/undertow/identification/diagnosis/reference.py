@@ -32,7 +32,8 @@ class ReferenceSettings:
     # Test functions that are averaged over, and the mean square over that of noise from which it is enough.
     widths: tuple[int, ...] = (1, 2, 4, 8, 16)
     stands_out: float = 2.0
-    # Time constants of the lags through which signals are seen as well, in distances of test functions.
+    # Time constants of the lags through which commands are seen as well, in distances of test functions. What
+    # the velocities were before, beside what they are, would show the acceleration, and so any disturbance.
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
     folds: int = 5  # stretches of the training data, each of which is predicted from the others
     # Weights of the squared coefficients of standardised columns, per row of data.
@@ -44,6 +45,7 @@ class ReferenceSettings:
     learning_rate: float = 0.1
     most_rows: int = 5000  # rows that are learned from; of longer logs every second, third, ... is
     level: float = 0.95  # of the intervals
+    least_share: float = 0.05  # predicted share below which nothing is worth a name
 
 
 SETTINGS = ReferenceSettings()
@@ -66,7 +68,8 @@ def predictable(
     """How much of the residual force of every degree of freedom depends on what was logged.
 
     Ridge regression on the signals and their products, and boosted trees on what that leaves, whichever
-    predicts stretches of the training data better; judged on the validation data.
+    predicts stretches of the training data better; judged on the validation data. What other values of the
+    model's own parameters would predict as well does not count.
 
     Parameters
     ----------
@@ -85,15 +88,49 @@ def predictable(
     list of Predictability
         In the order of the vehicle's degrees of freedom.
     """
-    import sklearn.ensemble  # takes long to import, and brings the threads that are limited below
-    from threadpoolctl import threadpool_limits
-
-    assert sklearn.ensemble
     vehicle = fit.model.functions.vehicle
-    with threadpool_limits(1):
+    with _one_thread():
         logs = [_Log(fit, data, settings) for data in (train, test)]
         signals = _Signals.common(logs, variables)
         return [_Force(logs, signals, i, settings).result() for i in range(len(vehicle.dof_indices))]
+
+
+def captured(
+    base: Fitted,
+    fit: Fitted,
+    train: WeakData,
+    test: WeakData,
+    variables: Sequence[str],
+    settings: ReferenceSettings = SETTINGS,
+) -> float:
+    """Share of what a flexible function of some variables explains that an effect explains.
+
+    One where nothing of what the effect leaves depends on them. Degrees of freedom count by how much the
+    effect explains in them: what else may be missing in the others is no matter of this effect.
+
+    Parameters
+    ----------
+    base, fit : Fitted
+        The model without the effect and with it.
+    train, test : WeakData
+        What is learned from, and what is judged by.
+    variables : sequence of str
+        Variables of the effect.
+    """
+    with _one_thread():
+        logs = [_Log(fit, data, settings) for data in (train, test)]
+        signals = _Signals.common(logs, variables)
+        without = ForceRows(base, test)
+        shares, weights = [], []
+        for dof in range(len(fit.model.functions.vehicle.dof_indices)):
+            force = _Force(logs, signals, dof, settings)
+            left = force.result()
+            before = force.square_of(without)
+            gained = max(before - left.residual_rms**2, 0.0)
+            lost = left.interval[0] * left.residual_rms**2
+            shares.append(gained / max(gained + lost, 1e-300))
+            weights.append(gained / max(before, 1e-300))
+    return float(np.average(shares, weights=weights)) if sum(weights) > 0.0 else 0.0
 
 
 @contextmanager
@@ -119,7 +156,7 @@ class _Signals:
         further = [n for n in logs[0].further if all(n in log.further for log in logs)]
         pose = measured_pose(logs[1].rows.data)
         terms = [c for t in terms_of(logs[0].vehicle, pose) for c in t.columns if c and "t" not in c]
-        lagged = [_lagged(n, log) for n in logs[0].moving for log in logs[0].lags]
+        lagged = [_lagged(n, log) for n in logs[0].rows.data.commands for log in logs[0].lags]
         columns = [*terms, *_angles(further), *((n,) for n in (*further, *lagged))]
         allowed = set(variables) if variables is not None else None
         kept = [c for c in columns if _uses(c, allowed)]
@@ -151,7 +188,6 @@ class _Log:
         self.vehicle = fit.model.functions.vehicle
         self.clock = Clock.of(data)
         self.lags = [lag * self.clock.step for lag in settings.lags]
-        self.moving = (*self.vehicle.velocity_names, *data.commands)
         self._tables: dict[int, list[Array]] = {}
 
     @property
@@ -166,29 +202,18 @@ class _Log:
         """Columns averaged as forces are, (K - width + 1, q) in every segment."""
         if width not in self._tables:
             self._tables[width] = [
-                (
-                    sliding(s.functions.count, width)
-                    @ tested(s, self._with_lags(s, along, width), signals.columns)
-                )
+                (sliding(s.functions.count, width) @ tested(s, self._with_lags(s, along), signals.columns))
                 for s, along, _ in self.rows.along
             ]
         return self._tables[width]
 
-    def _with_lags(self, s: Segment, along: Along, width: int) -> Along:
-        """The signals with the further ones and what they were some time ago.
-
-        Velocities are delayed by as long as the averages last: the noise of the force is that of velocities
-        differentiated, and what came earlier in the average goes with it.
-        """
+    def _with_lags(self, s: Segment, along: Along) -> Along:
+        """The signals with the further ones, and with the commands after each lag."""
         run = self.rows.data.runs[s.run]
-        values = dict(along.values)
-        values |= {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
+        values = along.values | {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
         step = float(np.median(np.diff(s.t)))
-        late = (width + 3) * self.clock.step
-        for name in self.moving:
-            command = name in along.commands
-            signal = along.commands[name] if command else np.interp(s.t - late, s.t, along.values[name])
-            values |= {_lagged(name, lag): _filtered(signal, step / lag) for lag in self.lags}
+        for name, command in along.commands.items():
+            values |= {_lagged(name, lag): _filtered(command, step / lag) for lag in self.lags}
         return Along(values, along.commands)
 
 
@@ -206,6 +231,7 @@ class _Table:
     noise: float  # mean square that the sensors give to it
     inertia: Array  # (K,) mass times acceleration
     signals: Array  # (K, q)
+    own: Array  # (K, n_free) derivative in the parameters of the model
     row: Index  # (K,) place of the middle among the rows of the data
 
     @property
@@ -232,29 +258,41 @@ class _Force:
         return width
 
     def _table(self, log: _Log, row: ForceRow) -> _Table:
-        width = self._width
+        width, weight = self._width, row.weight * self._width
         parts, first = [], 0
-        tables = log.rows.along, row.averaged(width), log.table(self._signals, width), log.rows.mass
-        for (s, _, _), (force, noise), signals, mass in zip(*tables, strict=True):
-            groups = sliding(len(mass), width)
+        tables = (
+            log.rows.along,
+            row.parts,
+            row.averaged(width),
+            log.table(self._signals, width),
+            log.rows.mass,
+        )
+        for (s, _, _), part, (force, noise), signals, mass in zip(*tables, strict=True):
+            groups = sliding(len(mass), width) / weight
             moved = np.sum(mass[:, self._dof] * -(s.functions.rate @ s.measured[:, mass.shape[1] :]), axis=1)
             place = first + width // 2 + np.arange(len(force))
-            parts.append((-force, noise, groups @ moved / (row.weight * width), signals, place))
+            parts.append((-force, noise, groups @ moved, signals / weight, -(groups @ part.J), place))
             first += len(mass)
-        force, noise, inertia, signals, place = (np.concatenate(c) for c in zip(*parts, strict=True))
-        weight = row.weight * width
-        return _Table(force, float(np.mean(noise)), inertia, signals / weight, place)
+        force, noise, inertia, signals, own, place = (np.concatenate(c) for c in zip(*parts, strict=True))
+        return _Table(force, float(np.mean(noise)), inertia, signals, own, place)
+
+    def square_of(self, rows: ForceRows) -> float:
+        """Mean square of another model's residual, averaged over as long as this one's."""
+        parts = [force for force, _ in rows.row(self._dof).averaged(self._width)]
+        return float(np.mean(np.concatenate(parts) ** 2))
 
     def result(self) -> Predictability:
         """What can be predicted, on the validation data."""
         learned, judged = (self._table(*pair) for pair in zip(self._logs, self._rows, strict=True))
         predict = Learner(self._settings, self._signals.single, self._width).learned(learned)
-        left = judged.force - predict(judged.signals)
+        other_values = judged.force - judged.own @ _other_values(learned)
+        before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
         square = max(judged.square, 1e-300)
-        share, interval = self._share(judged, left)
-        noise_share = min(judged.noise / square, 1.0)
-        beyond = square * max(1.0 - noise_share - share, 0.0)
+        after = judged.force - predict(judged.signals)
+        share, interval = self._share(judged, before, after)
+        unexplained = min(float(np.mean(before**2)), float(np.mean(after**2))) - judged.noise
         vehicle = self._logs[0].vehicle
+        something = interval[0] > 0.0 and share > self._settings.least_share
         return Predictability(
             degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
             unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
@@ -262,22 +300,22 @@ class _Force:
             residual_rms=float(np.sqrt(judged.square)),
             share=share,
             interval=interval,
-            noise_share=noise_share,
-            disturbance_rms=float(np.sqrt(beyond)),
+            something=something,
+            noise_share=min(judged.noise / square, 1.0),
+            disturbance_rms=float(np.sqrt(max(unexplained, 0.0))),
             of_motion=square / max(float(np.mean(judged.inertia**2)), 1e-300),
-            variables=self._needed(predict, judged) if interval[0] > 0 else {},
+            variables=self._needed(predict, judged) if something else {},
         )
 
-    def _share(self, judged: _Table, left: Array) -> tuple[float, tuple[float, float]]:
-        """Share of the mean square that was predicted, and its interval from independent blocks."""
+    def _share(self, judged: _Table, before: Array, after: Array) -> tuple[float, tuple[float, float]]:
+        """Share of the mean square that is predicted, and its interval from independent blocks."""
         log = self._logs[1]
         block = log.clock.blocks(forgetful(judged.force, log.rows.data))[judged.row]
         number = np.unique(block, return_inverse=True)[1]
-        before, after = (np.bincount(number, a**2) for a in (judged.force, left))
-        total, others = max(float(np.sum(before)), 1e-300), max(len(before) - 1, 1)
-        share = 1.0 - float(np.sum(after)) / total
-        scatter = before - after - share * before
-        error = float(np.sqrt(len(before) / others * np.sum(scatter**2))) / total
+        whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
+        total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)
+        share = float(np.sum(fall)) / total
+        error = float(np.sqrt(len(whole) / others * np.sum((fall - share * whole) ** 2))) / total
         reach = float(student.ppf(0.5 + self._settings.level / 2, others)) * error
         low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
         return middle, (low, high)
@@ -296,6 +334,12 @@ class _Force:
             found[name] = float(lost / judged.square)
         ordered = sorted(found.items(), key=lambda item: -item[1])
         return {name: lost for name, lost in ordered if lost > 0.01}
+
+
+def _other_values(table: _Table) -> Array:
+    """Change of the model's parameters that suits the training data best in this one equation."""
+    size = np.maximum(np.linalg.norm(table.own, axis=0), 1e-300)
+    return np.asarray(np.linalg.lstsq(table.own / size, table.force, rcond=1e-6)[0] / size)
 
 
 class Learner:

@@ -9,7 +9,14 @@ from pydantic import Field
 from undertow.identification.doctor.findings import Finding, ResultTable
 
 SCHEMA = "undertow/diagnosis/1"
-Verdict = Literal["adequate", "missing_effect", "indistinguishable", "unexplained", "not_identifiable"]
+Verdict = Literal[
+    "adequate",
+    "missing_effect",
+    "indistinguishable",
+    "helps_prediction",
+    "unexplained",
+    "not_identifiable",
+]
 
 
 class RunInfo(ResultTable):
@@ -195,11 +202,12 @@ class BetweenRuns(ResultTable):
 class Predictability(ResultTable):
     """How much of a residual force a flexible function of the logged signals predicts on validation data.
 
-    Shares are of `residual_rms`, squared: the force averaged over `averaged_over` s, N or N m. `share` has
-    its 95 % interval from blocks of validation data, `noise_share` is that of the noise of the sensors, and
-    `disturbance_rms` what neither explains. `of_motion` is the residual's mean square over that of inertia
-    times acceleration. `variables` are the signals that the prediction needs: the part of the residual that
-    is lost without each of them, the largest first.
+    Shares are of `residual_rms`, squared: the force averaged over `averaged_over` s, N or N m. `share` is
+    what is predicted beyond what other values of the model's parameters would predict, with its 95 % interval
+    from blocks of the validation data; `something` says whether that is more than chance and worth a name.
+    `noise_share` is that of the noise of the sensors, `disturbance_rms` what nothing explains. `of_motion` is
+    the residual's mean square over that of inertia times acceleration. `variables` are the signals that the
+    prediction needs: the part of the residual that is lost without each of them, the largest first.
     """
 
     degree_of_freedom: str
@@ -208,15 +216,11 @@ class Predictability(ResultTable):
     residual_rms: float
     share: float
     interval: tuple[float, float]
+    something: bool
     noise_share: float
     disturbance_rms: float
     of_motion: float
     variables: dict[str, float]
-
-    @property
-    def something(self) -> bool:
-        """Whether more than chance can be predicted."""
-        return self.interval[0] > 0.0
 
 
 class Remaining(ResultTable):
@@ -241,8 +245,24 @@ class Remaining(ResultTable):
     summary: str = ""
 
 
+class AddedEffect(ResultTable):
+    """An effect that was added where more than noise is left.
+
+    `falls` is the fall of the error of predicted velocities by horizon, as a share of it; `doubt` says why
+    the effect is not established as the cause, and is empty where it is.
+    """
+
+    effect: str
+    falls: dict[str, float]
+    doubt: str
+
+
 class Diagnosis(ResultTable):
-    """Outcome of `undertow diagnose`."""
+    """Outcome of `undertow diagnose`.
+
+    `effects` are those that are named, `helps` those that lower the error of predictions without being
+    established as the cause; `added` says of both what they are worth.
+    """
 
     schema_id: str = SCHEMA
     undertow: str
@@ -253,6 +273,8 @@ class Diagnosis(ResultTable):
     verdict: Verdict
     headline: str
     effects: list[str]
+    helps: list[str] = Field(default_factory=list)
+    added: list[AddedEffect] = Field(default_factory=list)
     ranking: list[Ranked]
     steps: list[Step]
     indistinguishable: list[Indistinguishable]
@@ -264,6 +286,7 @@ class Diagnosis(ResultTable):
     by_run: list[ValuesByRun] = Field(default_factory=list)
     false_alarm_rate: float
     noise: dict[str, float]
+    predictable: list[Predictability] = Field(default_factory=list)
     seconds: float
 
     @property
@@ -274,4 +297,4 @@ class Diagnosis(ResultTable):
     @property
     def last_step(self) -> Step:
         """The model as it is handed on: with the effects that are named, or with none of those tried."""
-        return self.steps[-1] if self.effects else [s for s in self.steps if not s.added][-1]
+        return [s for s in self.steps if set(s.added) <= set(self.effects)][-1]

@@ -238,6 +238,22 @@ class Settings:
         0.5, "share of the excess that has to go with the change", "as for size_change", off=0.0
     )
 
+    # --- where more than noise is left --------------------------------------------------------
+    worth: float = _number(
+        0.1, "fall of the error of long predictions from which an effect is worth adding", "option --worth",
+        off=0.0,
+    )  # fmt: skip
+    most_effects: int = _number(6, "effects that are added where each is worth it", _TIME, off=1)
+    best_share: float = _number(
+        0.9, "share of the resamples in which the named effect, or one of a set, is the best", _LEVEL, off=0.0
+    )
+    part_error: float = _number(
+        0.5, "standard error of the size of an effect up to which a part of the logs counts", "two to one"
+    )
+    size_parts: int = _number(
+        4, "parts of a run, and levels of speed, between which the size of an effect is compared", "quarters"
+    )
+
     # --- verdict and warnings -----------------------------------------------------------------
     named_share: float = _number(
         0.8,
@@ -268,9 +284,12 @@ class Settings:
     )
     same_commands: float = _number(
         0.15,
-        "relative rms difference up to which commands are repeated",
+        "rms difference over their standard deviation up to which commands are repeated",
         "half a sample of clock error",
         off=0.0,
+    )
+    changed_command: float = _number(
+        0.05, "standard deviation of a command, as a share of its largest, from which it changes", "the eye"
     )
     same_length: float = _number(0.5, "share of the shorter run over which they are compared", _DEVELOPMENT)
     manoeuvres: int = _number(20, "manoeuvres tried to separate equivalent effects", _TIME)
@@ -289,6 +308,11 @@ class Settings:
             raise UndertowError(
                 f"a chance of false alarms of {self.false_alarm_rate:g} is not possible: choose one between "
                 f"{_LEAST_RATE:g} and {_MOST_RATE:g} (0.01 by default)"
+            )
+        if not 0.0 < self.worth < 1.0:
+            raise UndertowError(
+                f"an effect cannot have to lower the error by {self.worth:g} of it: choose --worth between 0 "
+                "and 1 (0.1, a tenth, by default)"
             )
 
     @classmethod

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from undertow.codegen.functions import Functions
-from undertow.identification.estimation.adaptation import end_of_first_part, first_part, values_in
+from undertow.identification.estimation.adaptation import (
+    factor_of_the_rest,
+    first_part,
+    learned_from,
+    values_in,
+)
 from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
 from undertow.identification.estimation.between_runs import may_differ, stated_by_run
 from undertow.identification.estimation.by_run import origins, with_values_by_run
@@ -32,7 +37,6 @@ from undertow.identification.estimation.weak_form import (
     fit_weak_by_run,
     free_parameters,
     mean_square,
-    mean_square_by,
     predicted_cost,
     separated,
     start_fit,
@@ -145,26 +149,14 @@ class Bench:
         score = scored(fit, self.test, self.test_whitening, beside)
         if not fit.model.values.known:
             return score
-        r = self._by_the_rest(score.r)
+        r = self._by_the_rest(fit, score.r)
         return Score(r, mean_square(r, self.test), score.open)
 
-    def _by_the_rest(self, r: Array) -> Array:
-        """A residual whose first part in a run is as large as its rest there, by equation, if it was smaller.
-
-        A model may have learned from the first part what belongs to the run, and is judged by the rest.
-        """
-        first, group = self._in_first_part, numbered(self.test.run_of, self.test.equation)
-        size = int(group.max(initial=0)) + 1
-        learned, rest = (mean_square_by(group[rows], r[rows], size) for rows in (first, ~first))
-        factor = np.sqrt(np.nan_to_num(rest / np.maximum(learned, 1e-300), nan=1.0))
-        return np.asarray(np.where(first, r * np.maximum(factor, 1.0)[group], r))
-
-    @cached_property
-    def _in_first_part(self) -> NDArray[np.bool_]:
-        """Rows of the validation data from which a model may learn what belongs to their run."""
-        fitted = origins(self.train.runs)
-        ends = [-np.inf if r.origin in fitted else end_of_first_part(r) for r in self.test.runs]
-        return np.asarray(self.test.time <= np.array(ends)[self.test.run_of])
+    def _by_the_rest(self, fit: WeakFit, r: Array) -> Array:
+        """A residual that is no smaller where a fit learned of a run than in the rest of that run."""
+        data = self.test
+        first = learned_from(fit, data.runs, data.run_of, data.time)
+        return r * np.sqrt(factor_of_the_rest(r**2, first, numbered(data.run_of, data.equation)))
 
     @cached_property
     def _first_parts(self) -> list[WeakData]:
@@ -180,11 +172,17 @@ class Bench:
             return fit
         return replace(fit, model=fit.model.knowing(values_in(fit, self._first_parts)))
 
+    def on_train(self, fit: WeakFit) -> Linearised:
+        """A fitted model on the data for the fit, under the noise model of the bench."""
+        if fit.whitening is self.train_whitening:
+            return fit.at
+        return whitened(fit.model.linearise(self.train, fit.p), self.train_whitening)
+
     def on_test(self, fit: WeakFit) -> Linearised:
         """A fitted model on the validation data, where unknown first states win nothing over the base."""
         parts = fit.model.linearise(self.test, fit.p)
         at = whitened(parts, self.test_whitening, self.base_score.r)
-        return replace(at, r=self._by_the_rest(at.r)) if fit.model.values.known else at
+        return replace(at, r=self._by_the_rest(fit, at.r)) if fit.model.values.known else at
 
     def fit(
         self,

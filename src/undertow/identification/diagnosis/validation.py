@@ -14,7 +14,7 @@ from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
-from undertow.identification.estimation.adaptation import in_runs
+from undertow.identification.estimation.adaptation import factor_of_the_rest, in_runs, learned_from
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
@@ -23,7 +23,7 @@ from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.estimation.windows import Prediction, Windows, cut, horizons, prediction_error
 from undertow.identification.logs.checks import check_fit
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -137,6 +137,17 @@ class Contender:
         return float(np.sqrt(np.mean(self.squares)))
 
 
+def relative_squares(prediction: Prediction) -> Array:
+    """Mean square of the error of every velocity in every window over that of its motion in all, (b, n)."""
+    half = len(prediction.names) // 2
+    measured = prediction.windows.measured[:, 1:, half:]
+    error, inside = prediction.residual[:, 1:, half:], prediction.windows.inside
+    lost = np.any(~np.isfinite(prediction.predicted).all(axis=2) & inside, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.nanmean(error**2, axis=1) / np.nanmean(measured**2, axis=(0, 1))
+    return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _BEYOND), _BEYOND)
+
+
 class SimulationValidator:
     """Judges models by simulating the validation runs in windows whose starts are estimated.
 
@@ -192,7 +203,9 @@ class SimulationValidator:
 
     def _squares(self, fit: Fitted, horizon: float | None = None) -> Array:
         shooting, starts = self._shot(fit, horizon or self.settings.short_windows)
-        return shooting.mean_squares(np.asarray(fit.p), starts)
+        squares, windows = shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows
+        first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
+        return squares * factor_of_the_rest(squares, first, windows.run)
 
     def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         """A model in the windows of a length, and the best start of each."""
@@ -207,18 +220,43 @@ class SimulationValidator:
         weights = channel_weights(windows)
         return Shooting(fit.model.functions, windows, free, weights, compiled=False, values=fit.model.values)
 
+    @cached_property
+    def horizons(self) -> tuple[float, ...]:
+        """Horizons of predictions: fractions and multiples of the vehicle's own time constants, s."""
+        wanted = horizons(self._vehicle, self.test)
+        return tuple(dict.fromkeys(float(f"{min(h, self.shortest):.2g}") for h in wanted))
+
+    @cached_property
+    def _ahead(self) -> dict[float | None, Windows]:
+        lengths = (*self.horizons, None)
+        return {h: cut(self.test, self._vehicle, h, sigma=self._sigma) for h in lengths}
+
     def ahead(self, fit: Fitted) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        vehicles, runs = in_runs(fit, self.test)
-        predictor = Predictor(fit.vehicle, compiled=False)
+        vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)
+        return {
+            "free run" if h is None else f"{h:g} s": prediction_error(
+                predict_each(vehicles, windows, predictor)
+            )
+            for h, windows in self._ahead.items()
+        }
 
-        def error(horizon: float | None) -> float:
-            windows = cut(runs, self._vehicle, horizon, sigma=self._sigma)
-            return prediction_error(predict_each(vehicles, windows, predictor))
+    def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
+        """Mean square of the error of predicted velocities by horizon, window and velocity, (b, n).
 
-        shortest = min(self.shortest, 0.9 * min(float(r.t[-1] - r.t[0]) for r in runs))
-        found = {f"{h:g} s": error(h) for h in self.settings.horizons if h <= shortest}
-        return found | {"free run": error(None)}
+        In units of the mean square of the velocity in all windows; very large where a simulation diverged.
+        """
+        return self._once("ahead", fit, self._squares_ahead)
+
+    def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
+        vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)
+        found = {}
+        for h, windows in self._ahead.items():
+            if h is not None:
+                squares = relative_squares(predict_each(vehicles, windows, predictor))
+                first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
+                found[h] = squares * factor_of_the_rest(squares, first, windows.run)
+        return found
 
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""
@@ -475,9 +513,13 @@ def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> boo
     mine = np.nan_to_num(one.matrix(names)[: len(common)])
     place = np.searchsorted(second, common, side="right") - 1
     theirs = np.nan_to_num(other.matrix(names)[place])
-    size = float(np.sqrt(np.mean(mine**2)))
-    changes = bool(np.any(np.ptp(mine, axis=0) > 0.0))
-    return changes and float(np.sqrt(np.mean((mine - theirs) ** 2))) < settings.same_commands * size
+    # A command that is held, as of the propeller in a zigzag, is the same in manoeuvres that are not.
+    size = np.std(mine, axis=0)
+    moved = size > settings.changed_command * np.max(np.abs(mine), axis=0)
+    if not np.any(moved):
+        return False
+    difference = (mine - theirs)[:, moved] / size[moved]
+    return float(np.sqrt(np.mean(difference**2))) < settings.same_commands
 
 
 def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:

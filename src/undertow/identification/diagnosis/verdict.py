@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,9 +28,10 @@ from undertow.typing import Array
 
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
-from .result import Equivalent, Estimate, Indistinguishable, ValuesByRun, Verdict
+from .result import Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
+from .selection import Graded, Selection
 from .settings import DEFAULT, Settings
 from .trial import Bench, Score, comparable_mean_squares, screen
 
@@ -44,6 +45,7 @@ class Judgement:
     effects: the effects that are named.
     sets: effects that the data cannot tell apart.
     share: share of the excess over the noise that the added effects explain.
+    helps: effects that lower the error without being established as the cause.
     """
 
     verdict: Verdict
@@ -51,6 +53,7 @@ class Judgement:
     effects: list[FoundEffect]
     sets: list[Indistinguishable]
     share: float
+    helps: list[FoundEffect] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,35 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
     return Judgement(verdict, _named(winners, sets, share, left.residual_is_noise), winners, sets, share)
 
 
+def judge_selection(
+    found: Search, scores: tuple[Score, Score], noise: Array, selection: Selection
+) -> Judgement:
+    """Decide where more than noise is left: each effect by what it is worth and by what speaks against it."""
+    settings = found.bench.settings
+    share = explained(*comparable_mean_squares(*scores, found.bench.test), noise, settings)
+    count = len(selection.established)
+    named, helping = found.winners[:count], found.winners[count:]
+    sets = [s for s in _sets(found) if s.effects[0] in unique_ids(named)]
+    if not found.winners:
+        return _without_effect(residual_is_noise=False, share=share)
+    doubts = [_doubtful(f, g) for f, g in zip(helping, selection.graded[count:], strict=True)]
+    if not named:
+        return Judgement("helps_prediction", " ".join(doubts), [], [], share, helping)
+    verdict: Verdict = "indistinguishable" if sets else "missing_effect"
+    if any(len(s.effects) > settings.many_alike for s in sets):
+        verdict = "not_identifiable"
+    text = " ".join([_named(named, sets, share, residual_is_noise=False), *doubts])
+    return Judgement(verdict, text, named, sets, share, helping)
+
+
+def _doubtful(finding: FoundEffect, graded: Graded) -> str:
+    horizon = max(graded.worth.falls)
+    return (
+        f"Adding {finding.id} lowers the error of predictions over {horizon:g} s by "
+        f"{graded.worth.falls[horizon]:.0%}, but it is not established as the cause: {graded.doubt}."
+    )
+
+
 def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
     if residual_is_noise:
         text = "Nothing is missing: what the refitted model leaves is the noise of the sensors."
@@ -96,6 +128,16 @@ def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
         "of the catalogue is there enough evidence on validation data."
     )
     return Judgement("unexplained", text, [], [], share)
+
+
+def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
+    """That nothing is missing which the logs could show, although more than noise is left."""
+    rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
+    text = (
+        "Nothing is missing that these logs could show: what the refitted model leaves goes with none of the "
+        f"logged signals. A disturbance remains: {', '.join(rest)} (rms)."
+    )
+    return Judgement("adequate", text, [], [], share)
 
 
 def _doubt(winners: list[FoundEffect], share: float, left: Remainder, settings: Settings) -> str:
@@ -232,7 +274,7 @@ def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> s
     said = judgement.headline
     if not values:
         return said
-    if judgement.verdict == "adequate":
+    if judgement.verdict == "adequate" and residual_is_noise:
         return (
             "No effect is missing, but values that the vehicle file holds fixed do not fit. With others what "
             f"is left is the noise of the sensors: {values}."

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags, Index
 
 from .by_run import in_run as at_run
 from .by_run import run_of
@@ -106,6 +108,29 @@ def in_run(fit: Fitted, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
     if run.origin in {run_of(name) for name in fit.model.values.known}:
         return fit.vehicle_in(run), run.slice(end_of_first_part(run, least), None)
     return adapted(fit.vehicle, run, least=least)
+
+
+def learned_from(fit: Fitted, runs: Sequence[Run], run: Index, time: Array) -> Flags:
+    """Which rows or windows, of these runs and at these times, a fit has learned values of the run from."""
+    known = {run_of(name) for name in fit.model.values.known}
+    ends = np.array([end_of_first_part(r) if r.origin in known else -np.inf for r in runs])
+    return np.asarray(time < ends[run])
+
+
+def factor_of_the_rest(squares: Array, first: Flags, group: Index) -> Array:
+    """Factor by which squares in what was learned from count as those of the rest do, never less than 1.
+
+    squares: (m,) or (m, n), by row or window and quantity.
+    first: (m,), what was learned from.
+    group: (m,), groups that count by themselves, such as runs.
+    """
+    factor = np.ones(squares.shape)
+    for number in np.unique(group[first]):
+        learned, rest = ((group == number) & rows for rows in (first, ~first))
+        if rest.any():
+            means = [np.mean(squares[rows], axis=0) for rows in (learned, rest)]
+            factor[learned] = np.maximum(means[1] / np.maximum(means[0], 1e-300), 1.0)
+    return factor
 
 
 def in_runs(fit: Fitted, runs: Sequence[Run], *, least: float = 0.0) -> tuple[list[Vehicle], list[Run]]:

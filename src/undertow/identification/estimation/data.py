@@ -211,14 +211,19 @@ def white_noise(t: Array, y: Array) -> float:
     smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly
     less: then the lower one takes a fast signal for noise.
     """
+    known = noise_by_order(t, y)
+    clearly = 1.0 + NOISE.clearly / np.sqrt(len(y))
+    return next((f for f in known if f <= clearly * min(known)), 0.0)
+
+
+def noise_by_order(t: Array, y: Array) -> list[float]:
+    """Standard deviation of white noise by differences of rising order; none of too few samples."""
     if len(t) <= NOISE.samples_for_order * NOISE.orders[0]:
-        return 0.0  # too few samples to distinguish noise from motion
+        return []
     steps = np.diff(t)
     even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
     found = [_by_difference(y, even, k) for k in NOISE.orders if len(y) > NOISE.samples_for_order * k]
-    known = [f for f in found if np.isfinite(f)]
-    clearly = 1.0 + NOISE.clearly / np.sqrt(len(y))
-    return next((f for f in known if f <= clearly * min(known)), 0.0)
+    return [f for f in found if np.isfinite(f)]
 
 
 def _by_difference(y: Array, even: Flags, order: int) -> float:

@@ -68,6 +68,13 @@ _MEANINGS: dict[Verdict, Meaning] = {
             *_LIMITS,
         ),
     ),
+    "helps_prediction": Meaning(
+        "An effect helps to predict, and is not established as the cause",
+        "The model fails by more than the noise. Adding the effect named here lowers the error of "
+        "predictions on data that the fit has not seen, but its size differs between runs, times or "
+        "speeds, or another function of the same variables explains much more.",
+        ("That the effect is there: something else may act through the same variables.", *_LIMITS),
+    ),
     "unexplained": Meaning(
         "Something is missing that the catalogue does not explain",
         "The model fails by more than the noise, and what is left after the best effects of the catalogue "

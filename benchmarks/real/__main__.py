@@ -1,0 +1,156 @@
+"""Command line: python -m benchmarks.real --help"""
+
+from __future__ import annotations
+
+import os
+
+# Before NumPy is loaded: cases run side by side, each on one core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from benchmarks.trust.cases import part
+from benchmarks.trust.measure import Record
+from benchmarks.trust.run import LIMIT, records, run
+from undertow.errors import UndertowError
+from undertow.files import write_whole
+
+from .cases import KINDS, Case, plan
+from .logs import LogSet, log_sets
+from .measure import worker
+from .page import errors, page
+
+PROGRAM = "python -m benchmarks.real"
+STORED = Path("benchmarks/results/real.jsonl")
+EXAMPLES = """\
+examples:
+  # all cases on two cores; the same command goes on where it was cut off
+  python -m benchmarks.real run --jobs 2 --minutes 60
+  # only the logs as they are, and the other methods on them
+  python -m benchmarks.real run --kind baseline --kind prediction
+  # the page from what is stored
+  python -m benchmarks.real page --out docs/real.md
+  # one case with all that is known of it
+  python -m benchmarks.real one cse1-joystick:current:0.25
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; 0 when all went well, 1 when a case failed to run, 2 for a bad request."""
+    options = _parser().parse_args(arguments)
+    commands = {"run": _run, "list": _list, "one": _one, "page": _page}
+    try:
+        return commands[options.command](options)
+    except (ValueError, OSError, UndertowError) as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="Known changes in real logs and their models, and how well the models predict.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    doing = commands.add_parser("run", help="diagnose the cases of the plan, one line of JSON for each")
+    doing.add_argument("--out", type=Path, default=STORED, metavar="FILE.jsonl", help="default: %(default)s")
+    doing.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
+    doing.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
+    doing.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    listing = commands.add_parser("list", help="the cases of the plan")
+    one = commands.add_parser("one", help="diagnose one case and print everything")
+    one.add_argument("case", help="id of the case")
+    for command in (doing, listing):
+        _add_plan(command)
+    for command in (doing, listing, one):
+        _add_data(command)
+    paging = commands.add_parser("page", help="the tables of a run")
+    paging.add_argument("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
+    paging.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    paging.add_argument("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
+    return parser
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--data", type=Path, default=Path("../shared/data"), help="folder of the logs (default %(default)s)")
+    add("--kvlcc2", type=Path, metavar="FOLDER", help="zigzags of the tanker with vehicle.toml and log.toml")
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--part", default="1/1", metavar="I/N", help="every n-th case, from the i-th")
+    add("--kind", action="append", choices=KINDS, help="only this kind")
+    add("--only", action="append", metavar="WORD", help="only cases with this word in their id")
+
+
+def _sets(options: argparse.Namespace) -> dict[str, LogSet]:
+    sets = log_sets(options.kvlcc2)
+    for logs in sets.values():
+        if not (options.data / logs.folder).is_dir():
+            raise ValueError(f"{options.data / logs.folder} is not there: give the folder with --data")
+    return sets
+
+
+def _planned(options: argparse.Namespace) -> list[Case]:
+    wanted = [
+        case
+        for case in plan(log_sets(options.kvlcc2))
+        if (not options.kind or case.kind in options.kind)
+        and (not options.only or any(word in case.id for word in options.only))
+    ]
+    return part(wanted, options.part)
+
+
+def _run(options: argparse.Namespace) -> int:
+    limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
+    work = worker(_sets(options), options.data)
+    return int(run(_planned(options), options.out, work, report=_report, **limits) > 0)
+
+
+def _report(record: Record, left: int) -> None:
+    print(f"{left:4d} left  {record['id']}  {_words(record)}", file=sys.stderr, flush=True)
+
+
+def _words(record: Record) -> str:
+    if "failure" in record:
+        return f"FAILED: {record['failure']}"
+    told = "; ".join(f"{name} {errors(e)}" for name, e in record.get("errors", {}).items())
+    said = record.get("answer", {"verdict": "", "named": []})
+    return f"{said['verdict']} {' + '.join(said['named'])} ({record['seconds']:.0f} s; {told})".lstrip()
+
+
+def _list(options: argparse.Namespace) -> int:
+    for case in _planned(options):
+        print(f"{case.kind:10s} {case.id}")
+    return 0
+
+
+def _one(options: argparse.Namespace) -> int:
+    sets = _sets(options)
+    print(json.dumps(worker(sets, options.data)(Case.read(options.case, sets)), indent=1))
+    return 0
+
+
+def _page(options: argparse.Namespace) -> int:
+    earlier = [options.before] if options.before else []
+    missing = [p for p in [*options.source, *earlier] if not p.is_file()]
+    if missing:
+        raise ValueError(f"{missing[0]} is not there: give the file that run wrote")
+    stored = {r["id"]: r for p in options.source for r in records(p)}
+    text = page(stored.values(), [r for p in earlier for r in records(p)])
+    if options.out is None:
+        print(text)
+    else:
+        write_whole(options.out, text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

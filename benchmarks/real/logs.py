@@ -1,0 +1,143 @@
+"""The real logs, each with its vehicle file, its horizons, and what can be taken out of it or put into it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from benchmarks.examples import cfd, cse1, kvlcc2, sf30k
+from benchmarks.examples.calls import Judged
+from benchmarks.examples.variants import logs_of, vehicle_of
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+
+#: Injections into the model ship's logs, which hold a pose and commands. Thrust per command is estimated
+#: there, so that a wrong gain is nothing that a log could show.
+_POSE_AND_COMMANDS = (
+    "current", "compass", "antenna", "dead-band", "command-delay", "asymmetry", "curve", "droop", "mass",
+    "centre",
+)  # fmt: skip
+#: Into a log with a velocity sensor as well, at uneven times.
+_VELOCITY_SENSOR = (
+    "current", "water-log", "compass", "antenna", "lever-arm", "misalignment", "bias", "gyro", "scale",
+)  # fmt: skip
+_SHIP_TERMS = ("rigid_body_coriolis", "added_mass", "linear_damping", "quadratic_damping")
+#: The zigzags with which the model of the tanker is fitted, and those that it is judged by.
+TANKER = ("Z_20_10_S.csv", "Z_10_10_P.csv", "Z_15_05.csv", "Z_30_05.csv"), ("Z_20_10_P.csv", "Z_25_05.csv")
+
+
+@dataclass(frozen=True)
+class LogSet:
+    """Logs to fit to and to judge by, with the sizes by which injections are measured.
+
+    what: vehicle, mapping, logs and window.
+    folder: where the logs are; relative to the folder of the data.
+    horizons: lengths of the simulated windows, s: a fraction, about one and a multiple of the slowest time
+        constant, the longest as long as the stretches without gaps allow.
+    scales: sizes of 1: speed (m/s), turning rate (rad/s), length (m), command (its unit), duration (s), time
+        (s, of delays).
+    injections, removals: names of what is injected, and ids of the effects that are taken out.
+    """
+
+    what: Judged
+    folder: str
+    horizons: tuple[float, float, float]
+    scales: Mapping[str, float] = field(default_factory=dict)
+    injections: tuple[str, ...] = ()
+    removals: tuple[str, ...] = ()
+
+    def read(self, data: Path) -> tuple[Vehicle, list[Run], list[Run]]:
+        """The vehicle as stated, the logs to fit to, and those to judge by (none: stretches are)."""
+        vehicle = vehicle_of(self.what.vehicle)
+        train, test = (logs_of(self.what, data / self.folder, vehicle, held=held) for held in (False, True))
+        return vehicle, train, test
+
+
+_CSE1 = {"speed": 0.2, "rate": 0.15, "length": 1.1, "command": 0.4, "duration": 700.0, "time": 1.0}
+_SF30K = {"speed": 0.3, "rate": 0.1, "length": 2.4, "command": 300.0, "duration": 1330.0}
+_BOX = {"speed": 0.2, "length": 0.6, "time": 0.5}
+_ROLL = {"length": 4.7}
+_TANKER = {"speed": 1.1, "rate": 0.05, "length": 7.0, "command": 0.35, "time": 2.0}
+_SURGE = ("current", "water-log", "bias", "scale", "sensor-delay", "mass")
+_SURGE_TERMS = ("added_mass", "linear_damping", "quadratic_damping")
+_ROLL_CHANGES = ("inclinometer", "righting-arm")
+_ROLL_TERMS = ("linear_damping", "restoring")
+
+
+def _ship(way: int, horizons: tuple[float, float, float] = (5.0, 30.0, 60.0)) -> LogSet:
+    return LogSet(cse1.WAYS[way], cse1.FOLDER, horizons)
+
+
+def _roll(way: Judged) -> LogSet:
+    return LogSet(way, kvlcc2.FOLDER, (5.0, 20.0, 45.0))
+
+
+def _box(way: int) -> LogSet:
+    return LogSet(cfd.WAYS[way], cfd.FOLDER, (1.0, 5.0, 20.0))
+
+
+def _rov(way: int) -> LogSet:
+    return LogSet(sf30k.WAYS[way], sf30k.FOLDER, (5.0, 30.0, 90.0))
+
+
+#: Logs by the name that cases have; those with neither injections nor removals are diagnosed as they are.
+SETS: dict[str, LogSet] = {
+    "cse1-joystick": replace(_ship(0), scales=_CSE1, injections=_POSE_AND_COMMANDS, removals=_SHIP_TERMS),
+    "cse1-joystick-back": _ship(1),
+    "cse1-slow": _ship(2),
+    "cse1-slow-back": _ship(3),
+    "cse1-positioning": replace(_ship(4), scales=_CSE1 | {"speed": 0.1}, injections=_POSE_AND_COMMANDS),
+    "cse1-positioning-back": _ship(5),
+    "cse1-mixed": _ship(6),
+    "cse1-mixed-back": _ship(7),
+    "cse1-waves": _ship(8),
+    "cse1-waves-back": _ship(9),
+    "sf30k-6": replace(_rov(0), scales=_SF30K, injections=("righting-arm", "buoyancy", "current", "compass")),
+    "sf30k-4": replace(
+        _rov(1),
+        scales=_SF30K,
+        injections=(
+            *_VELOCITY_SENSOR,
+            "gain",
+            "dead-band",
+            "asymmetry",
+            "curve",
+            "droop",
+            "mass",
+            "buoyancy",
+        ),
+    ),
+    "roll-38-37": replace(
+        _roll(kvlcc2.WAYS[0]), scales=_ROLL, injections=_ROLL_CHANGES, removals=_ROLL_TERMS
+    ),
+    "roll-37-38": replace(
+        _roll(kvlcc2.WAYS[1]), scales=_ROLL, injections=_ROLL_CHANGES, removals=_ROLL_TERMS
+    ),
+    "roll-under-way": _roll(kvlcc2.SPEED_WAYS[0]),
+    "box-step": replace(_box(0), scales=_BOX, injections=_SURGE, removals=_SURGE_TERMS),
+    "box-multistep": replace(_box(1), scales=_BOX, injections=_SURGE, removals=_SURGE_TERMS),
+    "box-fine": _box(2),
+}
+
+
+def tanker(folder: Path) -> LogSet:
+    """The zigzags of a 7 m tanker (HSVA), which nobody may hand on: from a folder of one's own."""
+    files = (str((folder / name).resolve()) for name in ("vehicle.toml", "log.toml"))
+    train, test = TANKER
+    return LogSet(
+        Judged("KVLCC2 zigzags", *files, train, test),
+        str(folder.resolve()),
+        (5.0, 30.0, 60.0),
+        _TANKER,
+        (*_VELOCITY_SENSOR, "sensor-delay", "dead-band", "command-delay", "asymmetry", "mass", "centre"),
+        (
+            "lift", "crossflow_drag", "rudder_force", "quadratic_damping", "rigid_body_coriolis",
+            "added_mass", "added_mass_coriolis",
+        ),
+    )  # fmt: skip
+
+
+def log_sets(zigzags: Path | None) -> dict[str, LogSet]:
+    """All sets, with the tanker's where its folder is given."""
+    return SETS if zigzags is None else {**SETS, "tanker": tanker(zigzags)}

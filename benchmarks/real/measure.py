@@ -1,0 +1,152 @@
+"""One case: what the diagnosis says, and errors of simulation with and without what is true."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from benchmarks.trust.measure import Record, answer_of
+from undertow.errors import UndertowError
+from undertow.identification.api import diagnose, fit, try_effect
+from undertow.identification.diagnose import DiagnosisResult
+from undertow.identification.diagnosis.parallel import jobs
+from undertow.identification.estimation.predictor import predict
+from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+
+from . import peers
+from .cases import Case, without
+from .injections import INJECTIONS
+from .logs import LogSet
+
+Errors = list[float | None]
+REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the diagnosis is given, and what is right.
+
+    value: size of an injection in its unit.
+    right: ids of right answers; none for logs as they are. Of the first, `known`, any is what was changed.
+    """
+
+    vehicle: Vehicle
+    train: list[Run]
+    test: list[Run]
+    value: float = 0.0
+    right: tuple[str, ...] = ()
+    known: int = 1
+
+
+def material(case: Case, logs: LogSet, data: Path) -> Material:
+    """Vehicle and logs of a case."""
+    vehicle, train, test = logs.read(data)
+    if case.removed:
+        return Material(without(vehicle, case.removed), train, test, right=(case.removed,))
+    if case.kind != "injection":
+        return Material(vehicle, train, test)
+    injection = INJECTIONS[case.change]
+    pose_only = not any(run.has(n) for run in train for n in vehicle.velocity_names)
+    value = injection.value(case.size, logs.scales)
+    changed, runs = injection.applied(vehicle, [*train, *test], value)
+    right = injection.right(vehicle.degrees_of_freedom, pose_only=pose_only)
+    known = len(injection.answers) + pose_only * len(injection.of_pose)
+    return Material(changed, runs[: len(train)], runs[len(train) :], value, tuple(right), known)
+
+
+def worker(sets: Mapping[str, LogSet], data: Path) -> Any:
+    """What is done with a case of these log sets."""
+
+    def work(case: Case) -> Record:
+        logs = sets[case.logs]
+        done = predicted if case.kind == "prediction" else measured
+        return _described(case, logs) | done(material(case, logs, data), logs.horizons)
+
+    return work
+
+
+def _described(case: Case, logs: LogSet) -> Record:
+    own = {"id": case.id, "kind": case.kind, "label": case.label, "vehicle": case.logs, "size": case.size}
+    return own | {"title": logs.what.title, "horizons": list(logs.horizons)}
+
+
+def measured(given: Material, horizons: Sequence[float]) -> Record:
+    """What the diagnosis says of a case, and the errors of the models about it."""
+    began = time.perf_counter()
+    facts = {"motions": list(given.vehicle.degrees_of_freedom), "value": given.value, "truth": given.right}
+    try:
+        outcome = diagnose(given.vehicle, given.train, given.test)
+    except UndertowError as error:
+        # A refusal in one line is an answer, too: that nothing is to be made of such logs.
+        said = {"verdict": REFUSED, "named": [], "sets": [], "ranking": []}
+        return facts | {"answer": said, "headline": str(error), "seconds": time.perf_counter() - began}
+    spent = {"seconds": time.perf_counter() - began, "cores": jobs()}
+    windows = cut_all(given.vehicle, outcome.test, horizons)
+    models = {"stated": given.vehicle, "refitted": outcome.before, "found": outcome.after}
+    errors = {name: ahead(vehicle, windows) for name, vehicle in models.items()}
+    errors |= {"true": with_truth(given, outcome, windows)} if given.right else {}
+    said = answer_of(outcome.diagnosis).as_dict()
+    return facts | {"answer": said, "headline": outcome.diagnosis.headline, "errors": errors} | spent
+
+
+def with_truth(given: Material, outcome: DiagnosisResult, windows: Sequence[Windows]) -> Errors:
+    """Errors of the model with what is true added and refitted; of several names the best far ahead."""
+    found = []
+    for effect in given.right[: given.known]:
+        try:
+            added = try_effect(given.vehicle, effect, outcome.train, outcome.test)[1]
+        except UndertowError:
+            continue
+        found.append(ahead(added.fit.vehicle, windows))
+    return min(found, key=_last, default=[None] * len(windows))
+
+
+def _last(errors: Errors) -> float:
+    return float("inf") if errors[-1] is None else errors[-1]
+
+
+def predicted(given: Material, horizons: Sequence[float]) -> Record:
+    """Errors of the refitted model and of the peers, all fitted to the same logs; not of our diagnosis."""
+    began = time.perf_counter()
+    refit = fit(given.vehicle, given.train, given.test)
+    seconds = {"undertow fit": time.perf_counter() - began}
+    windows = cut_all(given.vehicle, refit.test, horizons)
+    errors = {"undertow fit": ahead(refit.vehicle, windows)}
+    failures = {}
+    for name, method in peers.METHODS.items():
+        began = time.perf_counter()
+        try:
+            model = method(given.vehicle, refit.train, longest_of(refit.train, given.vehicle, horizons[1]))
+            errors[name] = [finite(prediction_error(model.predicted(w))) for w in windows]
+        except (peers.NotApplicable, ImportError) as error:
+            failures[name] = str(error)
+        seconds[name] = time.perf_counter() - began
+    return {"errors": errors, "not_applicable": failures, "seconds": sum(seconds.values()), "each": seconds}
+
+
+def cut_all(vehicle: Vehicle, test: Sequence[Run], horizons: Sequence[float]) -> list[Windows]:
+    """Windows of all lengths; where no stretch is so long, windows as long as it is."""
+    return [cut(test, vehicle, longest_of(test, vehicle, horizon)) for horizon in horizons]
+
+
+def longest_of(runs: Sequence[Run], vehicle: Vehicle, horizon: float) -> float:
+    """The horizon, or the longest stretch without gaps where none is so long."""
+    needed = [*vehicle.velocity_names, *vehicle.command_names]
+    pieces = ((run, piece) for run in runs for piece in run.segments(needed))
+    return min(horizon, max(float(run.t[p.stop - 1] - run.t[p.start]) for run, p in pieces))
+
+
+def ahead(vehicle: Vehicle, windows: Sequence[Windows]) -> Errors:
+    """Error of the simulated velocities as a share of the motion, for each length; None: it diverged."""
+    return [finite(prediction_error(predict(vehicle, w))) for w in windows]
+
+
+def finite(value: float) -> float | None:
+    """A number that JSON has."""
+    return round(value, 6) if isfinite(value) else None

@@ -1,0 +1,271 @@
+"""The page of tables, made from the records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from statistics import median
+
+from benchmarks.results.text import MISSING, listed, number, percent, table
+from benchmarks.trust.measure import Record
+
+from .injections import INJECTIONS
+from .peers import BLACK, GREY
+from .tally import (
+    STAGES,
+    WORTH,
+    Graded,
+    Predicted,
+    answer,
+    causes,
+    goals,
+    graded,
+    prediction_goal,
+    predictions,
+    share_of,
+)
+
+_GOALS = ("", "measured (95 % interval)", "goal", "")
+_CASE = ("case", "size", "error before → with the truth", "place", "verdict", "named", "s")
+
+
+def page(records: Iterable[Record], earlier: Iterable[Record] = ()) -> str:
+    """The whole page, Markdown; answers for logs as they are stand beside those of an earlier run."""
+    kept = list(records)
+    cases, ahead = graded(kept), predictions(kept, GREY, BLACK)
+    parts = [
+        INTRODUCTION,
+        _counts(kept, cases),
+        "## Goals\n",
+        table(_GOALS, [g.row for g in [*goals(cases), prediction_goal(ahead)]]),
+        "## Every log as it is\n",
+        _as_logged(kept, earlier),
+        "## Terms taken out\n",
+        REMOVAL,
+        _table([c for c in cases if c.record["kind"] == "removal"]),
+        "## Effects put in\n",
+        INJECTION,
+        _by_change(cases),
+        _by_logs(cases),
+        "## Prediction\n",
+        PREDICTION,
+        _prediction(ahead),
+        _not_applicable(kept),
+        "## Failures\n",
+        FAILURES,
+        _failures(cases),
+        _not_run(kept),
+        "## All cases\n",
+        _table([c for c in cases if c.record["kind"] == "injection"]),
+        seconds(kept),
+        MAKING,
+    ]
+    return "\n".join(parts)
+
+
+def _counts(records: Sequence[Record], cases: Sequence[Graded]) -> str:
+    kinds = {kind: sum(c.record["kind"] == kind for c in cases) for kind in ("removal", "injection")}
+    logs = len({r["vehicle"] for r in records})
+    commits = ", ".join(sorted({str(r.get("commit", "unknown")) for r in records}))
+    return (
+        f"{logs} sets of real logs; {kinds['removal']} cases with a term taken out, {kinds['injection']} "
+        f"with an effect put in, of which {sum(c.counts for c in cases)} count. Commits: {commits}.\n"
+    )
+
+
+def errors(values: Sequence[float | None] | None) -> str:
+    """Errors at the three lengths, in % of the motion."""
+    return " / ".join(percent(v) for v in values) if values else MISSING
+
+
+# --- the log as it is ---------------------------------------------------------------------------
+def _as_logged(records: Sequence[Record], earlier: Iterable[Record]) -> str:
+    own = _baselines(records)
+    before = {r["vehicle"]: _before(r) for r in _baselines(earlier)}
+    head = ("logs", "verdict", "named", "before", "s ahead", *STAGES.values(), "s")
+    rows = [
+        [
+            f"{r['vehicle']} ({r['title']})", r["answer"]["verdict"], _named(r),
+            before.get(r["vehicle"], MISSING), _lengths(r),
+            *(errors(r.get("errors", {}).get(stage)) for stage in STAGES), number(r["seconds"]),
+        ]
+        for r in own
+    ]  # fmt: skip
+    said = "\n".join(f"- {r['vehicle']}: {r['headline']}" for r in own)
+    return AS_LOGGED + table(head, rows, left=5) + "\nIn its own words:\n\n" + said + "\n"
+
+
+def _baselines(records: Iterable[Record]) -> list[Record]:
+    return [r for r in records if r["kind"] == "baseline" and "failure" not in r]
+
+
+def _before(record: Record) -> str:
+    """Verdict, names and seconds of an earlier run."""
+    return f"{record['answer']['verdict']}, {_named(record)}, {number(record['seconds'])} s"
+
+
+def _lengths(record: Record) -> str:
+    return " / ".join(f"{h:g}" for h in record["horizons"])
+
+
+def _named(record: Record) -> str:
+    said = answer(record)
+    if not causes(said):
+        return MISSING
+    sets = {effect: f" (or {', '.join(e for e in s if e != effect)})" for s in said.sets for effect in s[:1]}
+    return listed(effect + sets.get(effect, "") for effect in said.named)
+
+
+# --- cases --------------------------------------------------------------------------------------
+def _table(cases: Sequence[Graded]) -> str:
+    return table(_CASE, [_row(c) for c in cases], left=3) if cases else "None yet.\n"
+
+
+def _row(case: Graded) -> list[str]:
+    r = case.record
+    found = r.get("errors", {})
+    change = f"{errors(found.get('refitted'))} → {errors(found.get('true'))}" + " *" * case.counts
+    size = f"{r['value']:.3g}" if r.get("value") else MISSING
+    place = str(case.place or MISSING)
+    return [f"`{r['id']}`", size, change, place, r["answer"]["verdict"], _named(r), number(r["seconds"])]
+
+
+_GRADES = {"first": "ranked first", "named": "named", "wrong": "wrong cause", "new": "new beside it"}
+
+
+def _by_change(cases: Sequence[Graded]) -> str:
+    rows = []
+    for name, injection in INJECTIONS.items():
+        own = [c for c in cases if c.record["label"] == name]
+        if own:
+            rows.append([name, injection.equation, " or ".join(own[0].record["truth"]), *_shares(own)])
+    return table(("", "what is done", "right answers", "cases", *_GRADES.values()), rows, left=3)
+
+
+def _by_logs(cases: Sequence[Graded]) -> str:
+    names = dict.fromkeys(c.record["vehicle"] for c in cases)
+    rows = [[name, *_shares([c for c in cases if c.record["vehicle"] == name])] for name in names]
+    return table(("logs, both kinds of cases", "cases", *_GRADES.values()), rows)
+
+
+def _shares(cases: Sequence[Graded]) -> list[str]:
+    """Cases (those that count); of these first and named; of all a wrong cause and something new."""
+    counting = [c for c in cases if c.counts]
+    of = {"first": counting, "named": counting, "wrong": cases, "new": cases}
+    found = (share_of(own, what) for what, own in of.items())
+    return [f"{len(cases)} ({len(counting)})", *(f"{s.k} of {s.n}" if s.n else MISSING for s in found)]
+
+
+# --- prediction ---------------------------------------------------------------------------------
+def _prediction(found: Sequence[Predicted]) -> str:
+    names = [*STAGES.values(), *GREY, *BLACK]
+    rows = [
+        [
+            f"{p.logs}, {p.horizon:g} s",
+            *(percent(p.ours.get(stage)) for stage in STAGES),
+            *(percent(p.grey.get(name)) for name in GREY),
+            *(percent(p.black.get(name)) for name in BLACK),
+            number(p.over(p.grey)) + ("" if p.met else " **>**"),
+            number(p.over(p.black)),
+        ]
+        for p in found
+    ]
+    wins = [p for p in found if p.over(p.black) > 1.0]
+    lines = [
+        f"- {p.logs}, {p.horizon:g} s: {min((e, n) for n, e in p.black.items() if e is not None)[1]} leaves "
+        f"{percent(p.error / p.over(p.black))}, ours {percent(p.error)}.\n"
+        for p in wins
+    ]
+    told = "\nWhere a black box wins, which is what is still missing:\n\n" + "".join(lines) if wins else ""
+    return table(("logs", *names, "ours / best grey", "ours / best black"), rows) + told
+
+
+def _not_applicable(records: Sequence[Record]) -> str:
+    lines = [
+        f"- {r['vehicle']}: no {name}: {why}.\n"
+        for r in records
+        for name, why in r.get("not_applicable", {}).items()
+    ]
+    return "".join(lines)
+
+
+# --- failures -----------------------------------------------------------------------------------
+def _failures(cases: Sequence[Graded]) -> str:
+    rows = [[*_row(c)[:-1], why(c)] for c in cases if c.failed]
+    return table((*_CASE[:-1], "why it is here"), rows, left=3) if rows else "None.\n"
+
+
+def why(case: Graded) -> str:
+    """What of an answer is not as it should be."""
+    beside = f"{listed(sorted(case.new))} named, which the log as it is does not have"
+    found = [beside] if case.new else []
+    if case.counts and not case.named:
+        found.append("not named" if not case.right & causes(case.answer) else "named among too many")
+    if case.counts and not case.first:
+        leader = next(iter(case.answer.ranking), "nothing")
+        found.append(f"{leader} is first")
+    return "; ".join(found)
+
+
+def _not_run(records: Sequence[Record]) -> str:
+    lost = [r for r in records if "failure" in r]
+    lines = "".join(f"- `{r['id']}`: {r['failure']}\n" for r in lost)
+    return f"\nCases that did not run:\n\n{lines}" if lost else ""
+
+
+def seconds(records: Iterable[Record]) -> str:
+    """Median and longest time of a diagnosis."""
+    spent = [r["seconds"] for r in records if r["kind"] != "prediction" and "seconds" in r]
+    return f"Median {number(median(spent))} s, longest {number(max(spent))} s.\n" if spent else ""
+
+
+INTRODUCTION = """\
+# Real logs
+
+What the diagnosis says of real logs, and how good its models predict. Nobody knows what is missing in a model
+of a real vehicle. So two things are done of which the answer is known: a term that the model has is taken out
+of its vehicle file, and a known effect is put into the log, exactly, by working out what would have been
+logged with it. Beside each stands the answer for the log as it is.
+"""
+AS_LOGGED = """\
+Errors here and below: simulated velocities of the runs that were kept aside, in % of the motion (geometric
+mean over the degrees of freedom), from the measured state every so many seconds. A dash: it diverged, or
+there is none. Before: what was said before the changes of this version.
+
+"""
+REMOVAL = f"""\
+The error of the refitted model before and after the true effect is added by `undertow add`. With * it counts:
+the error of the longest simulation falls by {100 * WORTH:g} % or more.
+"""
+INJECTION = f"""\
+Each at three sizes, on every log whose channels can show it. A current is a ground that moves: nothing in the
+water changes, so that it is exact; and so are the others, but for what is read off noisy channels (a lever
+arm with the logged turning rate). Cases (in brackets those that count: adding the right effect lowers the
+error of the longest simulation by {100 * WORTH:g} % or more), and of those that count, how often the effect
+is ranked first and named alone or in a set of two; of all, a wrong cause, and anything that was not named for
+the log as it is. Where velocities are derived from the pose, a wrong pose is a wrong velocity as well, and
+both names are right.
+"""
+PREDICTION = """\
+The same windows of the same runs for all, fitted to the same training runs. Refitted: by `undertow fit`; ours
+in the last columns is the model that the diagnosis ends with. Grey boxes: least squares on smoothed
+accelerations with linear thrusters, the best delay of the commands and products of two velocities; the
+polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and a
+linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**
+marks where ours is not below 0.95 of the best grey box.
+"""
+FAILURES = """\
+Every case that counts and is not first and named, and every name that is not right and not that of the log as
+it is. One command repeats a case with all that is known of it:
+
+    python -m benchmarks.real one CASE
+"""
+MAKING = """\
+## How it was made
+
+    python -m benchmarks.real run --data ../shared/data --kvlcc2 FOLDER --jobs 2
+    python -m benchmarks.real page --out docs/real.md
+
+`FOLDER` has the zigzags of the KVLCC2 tanker (HSVA, SIMMAN 2008; repository
+martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), whose licence is not stated: they are
+not part of this project, only the numbers are here. Cases that ran side by side had one core each.
+"""

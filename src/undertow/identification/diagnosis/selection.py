@@ -1,0 +1,367 @@
+"""Where more than noise is left: effects are added as long as they lower the error of simulation.
+
+No model of a real vehicle leaves only the noise of its sensors. What can still be asked of an effect is that
+it is there beyond chance, that it is the best one, that predictions of the validation data get better by as
+much as matters and nowhere worse, and that it says the same in every run and every regime.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.weak_form import free_parameters
+from undertow.model.catalogue import Catalogue
+from undertow.model.effect import Measurement
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Index, Progress
+
+from .candidates import Candidate
+from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
+from .reference import captured
+from .rounds import Round, try_all
+from .search import Search
+from .settings import DEFAULT, Settings
+from .trial import Bench
+from .validation import SimulationValidator, worse_by_rank_test
+
+_log = logging.getLogger("undertow.diagnosis")
+
+
+# --- what an effect is worth ----------------------------------------------------------------------
+@dataclass(frozen=True)
+class Worth:
+    """What adding an effect does to predictions of the validation data.
+
+    falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
+    largest: the same of the velocity that gains most.
+    worse: horizons over which the predictions get worse by more than chance.
+    """
+
+    falls: dict[float, float]
+    largest: dict[float, float]
+    worse: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls, before: Mapping[float, Array], after: Mapping[float, Array], settings: Settings = DEFAULT
+    ) -> Worth:
+        """From mean squares by horizon, window and velocity, shape (b, n)."""
+        falls, largest, worse = {}, {}, []
+        for horizon in before:
+            old, new = before[horizon], after[horizon]
+            ratio = np.sqrt(np.mean(new, axis=0) / np.maximum(np.mean(old, axis=0), 1e-300))
+            falls[horizon] = 1.0 - float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
+            largest[horizon] = 1.0 - float(np.min(ratio))
+            unit = np.maximum(np.mean(old, axis=0), 1e-300)
+            if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
+                worse.append(horizon)
+        return cls(falls, largest, tuple(worse))
+
+    def enough(self, least: float) -> bool:
+        """Whether predictions over a long horizon get better by as much as matters, and over none worse."""
+        _, *longer = sorted(self.falls)
+        return not self.worse and any(self.falls[h] > 0.0 and self.largest[h] >= least for h in longer)
+
+    def something(self, least: float) -> bool:
+        """Whether predictions over any horizon get better by as much as matters."""
+        return max(self.largest.values()) >= least
+
+
+def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
+    """How often each candidate predicts best when the windows are drawn anew, shape (len(candidates),).
+
+    candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    """
+    rng = np.random.default_rng(settings.seed)
+    total = np.zeros((settings.resamples, len(candidates)))
+    for horizon in candidates[0]:
+        count = len(candidates[0][horizon])
+        weight = rng.multinomial(count, np.full(count, 1.0 / count), settings.resamples) / count
+        squares = np.stack([weight @ c[horizon] for c in candidates], axis=1)
+        total += np.mean(np.log(np.maximum(squares, 1e-12)), axis=2)
+    return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
+
+
+# --- whether it says the same everywhere ----------------------------------------------------------
+@dataclass(frozen=True)
+class Agreement:
+    """Size of an effect in parts of the logs, in units of the fitted one.
+
+    over: what the parts are: runs, times within a run, speeds.
+    value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
+    """
+
+    over: str
+    value: Array
+    error: Array
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation between the parts beyond that of chance (DerSimonian and Laird)."""
+        weight = 1.0 / self.error**2
+        scale = float(weight.sum() - np.sum(weight**2) / weight.sum())
+        return float(np.sqrt(max((self._q - (len(self.value) - 1)) / scale, 0.0)))
+
+    @property
+    def _q(self) -> float:
+        """Cochran's Q."""
+        weight = 1.0 / self.error**2
+        mean = float(np.sum(weight * self.value) / weight.sum())
+        return float(np.sum(weight * (self.value - mean) ** 2))
+
+    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
+        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
+        if among * chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
+            return ""
+        if self.spread < settings.size_change:
+            return ""
+        low, high = self.value.min(), self.value.max()
+        return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"
+
+
+def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
+    """Size of an effect by run, by time within the runs, and by speed, over all logs."""
+    pairs = [(bench.base.at.r, bench.train), (bench.base_score.r, bench.test)]
+    fit = finding.trial.fit
+    after = [bench.on_train(fit).r, finding.trial.score.r]
+    change = np.concatenate([a - r for a, (r, _) in zip(after, pairs, strict=True)])
+    before = np.concatenate([r for r, _ in pairs])
+    block = _numbered([data.block for _, data in pairs])
+    kinds = {
+        "runs": _numbered([_runs(data) for _, data in pairs]),
+        "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
+    }
+    kinds |= {
+        f"levels of {name}": _levels(np.concatenate(values), bench.settings)
+        for name, values in _signals([data for _, data in pairs]).items()
+    }
+    found = [_agreement(over, before, change, part, block, bench.settings) for over, part in kinds.items()]
+    return [a for a in found if len(a.value) > 1]
+
+
+def _agreement(
+    over: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
+) -> Agreement:
+    """Sizes by part: the share of the change by which the residual is least there."""
+    power = np.bincount(part, change**2)
+    size = -np.bincount(part, before * change) / np.maximum(power, 1e-300)
+    score = (before + size[part] * change) * change
+    table = np.zeros((int(part.max()) + 1, int(block.max()) + 1))
+    np.add.at(table, (part, block), score)
+    error = np.sqrt(np.maximum(np.sum(table**2, axis=1), power)) / np.maximum(power, 1e-300)
+    known = (power > 0.0) & (error < settings.part_error)
+    return Agreement(over, size[known], error[known])
+
+
+def _numbered(parts: Sequence[Index]) -> Index:
+    """Numbers of several tables, so that none comes twice."""
+    first = np.cumsum([0, *(int(p.max(initial=-1)) + 1 for p in parts)])
+    return np.concatenate([p + start for p, start in zip(parts, first, strict=False)])
+
+
+def _per_row(data: WeakData, values: Sequence[Array]) -> Array:
+    """Values at the test functions of every segment as values of the rows."""
+    return np.concatenate([np.repeat(v, len(data.rows)) for v in values])
+
+
+def _runs(data: WeakData) -> Index:
+    return _per_row(data, [np.full(s.functions.count, s.run) for s in data.segments]).astype(np.intp)
+
+
+def _times(data: WeakData, settings: Settings) -> Index:
+    shares = []
+    for s in data.segments:
+        t = data.runs[s.run].t
+        share = (s.functions.centre - t[0]) / (t[-1] - t[0])
+        shares.append(np.clip((share * settings.size_parts).astype(np.intp), 0, settings.size_parts - 1))
+    return _per_row(data, shares).astype(np.intp)
+
+
+def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
+    """Motion and commands, and the speed in units of each velocity's scatter, in the rows of each data."""
+    names, commands = data[0].names, data[0].commands
+    half = len(names) // 2
+    spread = np.nanstd(np.vstack([s.measured[:, half:] for d in data for s in d.segments]), axis=0)
+    found: dict[str, list[Array]] = {}
+    for d in data:
+        rows: dict[str, list[Array]] = {}
+        for s in d.segments:
+            table = np.column_stack([s.measured, s.u])
+            speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
+            for name, values in (*zip((*names, *commands), table.T, strict=True), ("the speed", speed)):
+                if name not in ("x", "y") and np.isfinite(values).all():
+                    rows.setdefault(name, []).append(np.interp(s.functions.centre, s.t, values))
+        for name, values in rows.items():
+            if len(values) == len(d.segments):
+                found.setdefault(name, []).append(_per_row(d, values))
+    return {name: values for name, values in found.items() if len(values) == len(data)}
+
+
+def _levels(values: Array, settings: Settings) -> Index:
+    edges = np.quantile(values, np.arange(1, settings.size_parts) / settings.size_parts)
+    return np.digitize(values, edges).astype(np.intp)
+
+
+# --- whether a function of its own variables would do much better ----------------------------------
+def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
+    """Velocities, pose and commands that what an effect adds to the equations depends on.
+
+    Of an effect of the sensors they are the velocities, of one of the actuators the commands.
+    """
+    symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
+    names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
+    there = (*base.velocity_names, *base.pose_names, *base.command_names)
+    if found := tuple(n for n in there if n in names):
+        return found
+    return base.velocity_names if issubclass(candidate.effect, Measurement) else base.command_names
+
+
+# --- the selection --------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Graded:
+    """An effect that predictions of the validation data are better with.
+
+    chosen: the effect; rivals: what does as well in its place.
+    worth: what it does to the predictions on top of those before it.
+    doubt: why it is not established as the cause; empty where it is.
+    """
+
+    chosen: FoundEffect
+    rivals: list[FoundEffect]
+    worth: Worth
+    doubt: str
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Effects that were added one after the other, each because predictions get better with it.
+
+    bench: data and noise model of the last round, on top of all of them.
+    rounds: the rounds.
+    """
+
+    graded: list[Graded] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+
+    @property
+    def established(self) -> list[Graded]:
+        """The effects up to the first one that is in doubt: later ones may only make up for that."""
+        doubted = next((i for i, g in enumerate(self.graded) if g.doubt), len(self.graded))
+        return self.graded[:doubted]
+
+
+def select(
+    found: Search,
+    validator: SimulationValidator,
+    known: Catalogue,
+    report: Progress = lambda done, words: None,
+) -> Selection:
+    """Add effects as long as predictions of the validation data get better by as much as matters."""
+    return _Selector(found, validator, known, report).run()
+
+
+class _Selector:
+    def __init__(
+        self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
+    ) -> None:
+        self._found, self._validator, self._known, self._report = found, validator, known, report
+        self._settings = found.bench.settings
+
+    def run(self) -> Selection:
+        graded: list[Graded] = []
+        rounds: list[Round] = []
+        while len(graded) < self._settings.most_effects:
+            current = self._round([g.chosen for g in graded], rounds)
+            rounds.append(current)
+            best = self._best(current)
+            if best is None:
+                break
+            _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
+            graded.append(best)
+            if best.doubt:
+                break
+        return Selection(graded, rounds)
+
+    def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
+        """Candidates on top of what was chosen; a round of the search serves where it is the same."""
+        vehicle = self._found.vehicle
+        grown = with_effects(vehicle, chosen)
+        for done in self._found.rounds:
+            if done.bench.base.vehicle.parameter_names == grown.parameter_names:
+                return done
+        bench = rounds[-1].bench
+        base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
+        return try_all(replace(bench, base=base), self._known, self._report)
+
+    def _best(self, current: Round) -> Graded | None:
+        """The best candidate that is worth adding, with what does as well; an established one leads."""
+        bench = current.bench
+        before = self._validator.squares_ahead(bench.base)
+        helping = {}
+        for finding in (f for f in current.findings if f.significant):
+            worth = Worth.of(before, self._validator.squares_ahead(finding.trial.fit), self._settings)
+            if worth.something(self._settings.worth):
+                helping[finding.id] = finding, worth
+        leading, near = self._leading([f for f, _ in helping.values()], bench)
+        worthy = [f for f in leading if helping[f.id][1].enough(self._settings.worth)]
+        if not worthy:
+            return None
+        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)}
+        chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
+        rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
+        doubt = doubts[chosen.id]
+        return Graded(chosen, [] if doubt else rivals, helping[chosen.id][1], doubt)
+
+    def _leading(
+        self, findings: list[FoundEffect], bench: Bench
+    ) -> tuple[list[FoundEffect], list[FoundEffect]]:
+        """The candidates of which one is the best in nearly all resamples, the best first; and others that
+        the data do not tell from that.
+
+        Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
+        """
+        if not findings:
+            return [], []
+        by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
+        ahead = [self._validator.squares_ahead(f.trial.fit) for f in findings]
+        often = 0.5 * (by_residual + best_in_resamples(ahead, self._settings))
+        order = np.argsort(-often, kind="stable")
+        enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
+        leading = [findings[k] for k in order[:enough]]
+        others = [findings[k] for k in order[enough:]]
+        return leading, [f for f in others if as_good(leading[0].trial.score, f.trial.score, bench)]
+
+    def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
+        """Why an effect is not established as the cause of what it explains; empty where it is."""
+        parts = agreements(finding, bench)
+        if not parts:
+            return "no part of the logs by itself shows how large it is"
+        if words := next(filter(None, (a.doubt(self._settings, len(parts)) for a in parts)), ""):
+            return words
+        fit = finding.trial.fit
+        vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
+        variables = own_variables(finding.trial.candidate, *vehicles)
+        share = captured(bench.base, fit, bench.train, bench.test, variables)
+        if share < self._settings.named_share:
+            return (
+                f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
+            )
+        return ""
+
+
+def selected(found: Search, selection: Selection) -> Search:
+    """The search with the effects that were selected in place of those that it found."""
+    findings = [g.chosen for g in selection.graded]
+    vehicle, bench = found.vehicle, selection.rounds[0].bench
+    rivals = [
+        [fitted(vehicle, [*findings[:i], r, *findings[i + 1 :]], bench) for r in graded.rivals]
+        for i, graded in enumerate(selection.graded)
+    ]
+    effect_set = fitted(vehicle, findings, bench)
+    return replace(found, rounds=selection.rounds, bench=bench, effect_set=effect_set, rivals=rivals)
