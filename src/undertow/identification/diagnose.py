@@ -18,6 +18,7 @@ from undertow.identification.diagnosis.parallel import in_background
 from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
+from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.weak_form import WeakFit
@@ -197,7 +198,8 @@ class ResultBuilder:
         if self.judgement.verdict != "adequate":
             return []
         derived = bench.train.velocities_derived
-        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
+        runs = origins(bench.train.runs)
+        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived, runs=runs))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners

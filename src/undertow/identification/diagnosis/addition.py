@@ -155,7 +155,7 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
 def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]]:
     """Effects that could be added to the model and that these logs could show."""
     bench = setup.bench
-    possible = candidates(bench.base.model.functions.vehicle, known)
+    possible = candidates(bench.base.model.functions.vehicle, known, runs=origins(bench.train.runs))
     return [c.effect for c in possible if _visible(c, screen(c, bench)[0].start)]
 
 

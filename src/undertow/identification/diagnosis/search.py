@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.step import inverse_of
@@ -111,7 +112,7 @@ def _columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
     fit = finding.trial.full
     at = whitened(fit.model.linearise(bench.train, fit.p), bench.train_whitening)
     own = {p.name for p in finding.trial.candidate.parameters}
-    chosen = [k for k, n in enumerate(fit.model.free) if n in own]
+    chosen = [k for k, n in enumerate(fit.model.free) if plain(n) in own]
     return at.r - bench.base.at.r, at.J[:, chosen]
 
 

@@ -19,7 +19,7 @@ from undertow.identification.estimation.adaptation import (
 )
 from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
 from undertow.identification.estimation.between_runs import may_differ, stated_by_run
-from undertow.identification.estimation.by_run import origins, with_values_by_run
+from undertow.identification.estimation.by_run import origins, plain, with_values_by_run
 from undertow.identification.estimation.data import WeakData, Whitening, numbered
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
@@ -504,7 +504,8 @@ def _promising(
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
         beside = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
-        now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
+        stated = model.functions.vehicle.value_of
+        now = np.array([values[n] if n in values else stated(plain(n)).value for n in model.free])
         step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
         costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
     return [starts[i] for i in np.argsort(costs)[: bench.settings.best_starts]]

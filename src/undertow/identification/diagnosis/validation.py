@@ -15,6 +15,7 @@ from scipy.stats import chi2, wilcoxon
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.adaptation import factor_of_the_rest, in_runs, learned_from
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
@@ -473,7 +474,7 @@ def sizes(
     p = np.asarray(fit.p)
     at = whitened(fit.model.linearise(data, p), noise)
     names = {q.name for q in own if q.linear}
-    chosen = [k for k, n in enumerate(fit.model.free) if n in names]
+    chosen = [k for k, n in enumerate(fit.model.free) if plain(n) in names]
     whole = at.J[:, chosen] @ p[[fit.model.places[k] for k in chosen]]
     stretch = _stretches(data, settings.size_stretches)
     power, slope = (np.bincount(stretch, weights=whole * other) for other in (whole, at.r))

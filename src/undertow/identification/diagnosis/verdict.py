@@ -323,7 +323,7 @@ def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[E
 def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT) -> dict[str, float]:
     """Change of the parameters that a fit moved far, in standard deviations of prior and fit."""
     changes = {}
-    for name in fit.model.values.names:
+    for name in (n for n in fit.model.values.names if n in fit.model.free):
         value, prior = fit.values[name], stated.value_of(name)
         if prior.sigma is not None:
             spread = float(np.hypot(prior.sigma, fit.standard_errors[name]))

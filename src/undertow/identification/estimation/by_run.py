@@ -115,13 +115,14 @@ class RunValues:
 
         p: (n_parameters + values by run,). Returns (n_parameters,).
         """
-        if not self.split:
+        if not (self.split or self.known):
             return p
         found, values = p[: self.size].copy(), dict(zip(self.split, p[self.size :].tolist(), strict=True))
         for name, there in self.by_run.items():
-            mean = float(np.mean([values[n] for n in there]))
-            key = in_run(name, run.origin)
-            found[self._place[name]] = values.get(key, self.known.get(key, mean))
+            found[self._place[name]] = float(np.mean([values[n] for n in there]))
+        for name, value in (self.known | values).items():
+            if run_of(name) == run.origin:
+                found[self._place[plain(name)]] = value
         return found
 
     def columns(self, run: Run) -> Index:
