@@ -68,6 +68,7 @@ def adapted(vehicle: Vehicle, run: Run, *, least: float = 0.0) -> tuple[Vehicle,
         return vehicle, run
     end = end_of_first_part(run, least)
     first, rest = run.slice(None, end), run.slice(end, None)
+    rest = rest.with_notes(f"{', '.join(names)} by the run until {end:.4g} s, the rest of it judges")
     try:
         return fit_weak(vehicle, prepare([first], vehicle), names).vehicle, rest
     except UndertowError:  # too short for the weak form, or without a finite force: the mean has to do
