@@ -20,7 +20,7 @@ from undertow.identification.diagnosis.trial import (
     try_candidate,
 )
 from undertow.identification.estimation.adaptation import in_runs
-from undertow.identification.estimation.by_run import origins
+from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.predictor import predict, predict_each
@@ -161,8 +161,8 @@ def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:
     """Whether its parameters change anything: a delay of commands that a vehicle lacks never could."""
-    influence = dict(zip(start.model.free, np.diag(start.gram), strict=True))
-    return not candidate.parameters or any(influence[p.name] > 0.0 for p in candidate.parameters)
+    felt = {plain(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
+    return not candidate.parameters or any(p.name in felt for p in candidate.parameters)
 
 
 def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all: bool) -> Trial:
@@ -171,7 +171,7 @@ def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all
 
 def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
     """The candidate with all of its parameters."""
-    fit = bench.fit(candidate.model(), start=start)
+    fit = bench.fit(candidate.model_from(start), start=start)
     return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 

@@ -103,6 +103,12 @@ class Candidate:
             self._models[names] = WeakModel(self._functions, names)
         return self._models[names]
 
+    def model_from(self, start: Mapping[str, float]) -> WeakModel:
+        """The model with all free parameters, with values by run of those that the start has by run."""
+        own = {p.name for p in self.parameters}
+        names = {plain(n) for n in start if run_of(n)} & own
+        return self.model(with_values_by_run(self.free(), sorted(names), self.runs))
+
     def on(self, base: Vehicle) -> Candidate:
         """The same effect as a candidate for another model."""
         return replace(self, base=base)

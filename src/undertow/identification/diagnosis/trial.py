@@ -18,7 +18,7 @@ from undertow.identification.estimation.adaptation import (
     values_in,
 )
 from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
-from undertow.identification.estimation.between_runs import may_differ, stated_by_run
+from undertow.identification.estimation.between_runs import least_differing, may_differ, stated_by_run
 from undertow.identification.estimation.by_run import origins, plain, with_values_by_run
 from undertow.identification.estimation.data import WeakData, Whitening, numbered
 from undertow.identification.estimation.fitted import Fitted
@@ -308,12 +308,12 @@ def try_candidate(
     """Fit a candidate, drop the parameters that do not matter, and judge it."""
     settings = bench.settings
     enough = settings.rough_step if enough is None else enough
-    fit = bench.fit(candidate.model(), start=start, enough=enough)
+    fit = bench.fit(candidate.model_from(start), start=start, enough=enough)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
     if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = with_reestimated_noise(fit, most=1)
-    fit = bench.in_all_runs(separated(fit, [p.name for p in candidate.parameters]))
+    fit = _by_run_if_need_be(candidate, fit, bench, enough)
     matter = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
     # What differs between runs beyond chance is not zero in all of them.
     kept = tuple(n for n in candidate.removable if n in matter or n in fit.model.values.by_run)
@@ -321,6 +321,18 @@ def try_candidate(
         return rejected(candidate, bench)
     thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
     return Trial(candidate, fit, thin, kept, bench.judge(thin))
+
+
+def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough: float) -> WeakFit:
+    """The fit with values by run of what differs between the runs beyond chance, and of nothing else."""
+    own = [p.name for p in candidate.parameters]
+    split = [n for n in own if n in fit.model.values.by_run]
+    if split:
+        values = fit.p[list(fit.model.places)]
+        if least_differing(fit.model, values, fit.covariance, [split])[1] < BETWEEN_RUNS.chance:
+            return bench.in_all_runs(with_reestimated_noise(fit))
+        fit = bench.fit(candidate.model(), start=fit.values, enough=enough)
+    return bench.in_all_runs(separated(fit, own))
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
@@ -403,12 +415,19 @@ class Screened:
     ) -> None:
         self._candidate, self._bench, self._values = candidate, bench, start
         known = (bench.base.at, bench.train, bench.train_whitening)
-        at = None if steps else self._beside(*known)
+        model = candidate.model_from(start)
+        at = None if steps or model.values.split != bench.base.model.values.split else self._beside(*known)
         noise = (bench.train_whitening, bench.base.disturbance)
         begin = bench.base.values | dict(start)
-        self.start = start_fit(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
+        self.start = start_fit(model, bench.train, begin, *noise, at=at, steps=steps)
         self.cost, after = predicted_cost(self.start)
-        self.cost = min(self.cost, _cost_by_run(self.start, [p.name for p in candidate.parameters]))
+        if names := _better_by_run(self.start.model, self.start.at, self.cost, candidate, bench.train):
+            free = with_values_by_run(self.start.model.free, names, candidate.runs)
+            split, at = self.start.model.with_free(free), None
+            self.start = start_fit(split, bench.train, self.start.values, *noise, steps=steps)
+            self.cost, after = predicted_cost(self.start)
+        own = [n for n in self.start.model.values.by_run if n not in bench.base.model.values.by_run]
+        self.cost += _by_chance(own, candidate.runs)
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
@@ -435,23 +454,29 @@ class Screened:
         return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
 
 
-def _cost_by_run(fit: WeakFit, own: Sequence[str]) -> float:
-    """Sum of squares predicted if an effect's parameters have a value in every run, less what chance gives.
+def _better_by_run(
+    model: WeakModel, at: Linearised, cost: float, candidate: Candidate, data: WeakData
+) -> list[str]:
+    """Parameters of a candidate that promise more than chance with a value in every run; or none."""
+    own = [p.name for p in candidate.parameters]
+    names = [n for group in may_differ(model, data.runs, own) for n in group]
+    return names if names and _cost_by_run(model, at, names, data) < cost else []
 
-    Infinite where they cannot differ between the runs.
-    """
-    names = [n for group in may_differ(fit.model, fit.data.runs, own) for n in group]
-    runs = origins(fit.data.runs)
-    if not names:
-        return float("inf")
-    place = np.array([runs.index(r.origin) for r in fit.data.runs])[fit.data.run_of]
-    chosen = [k for k, n in enumerate(fit.model.free) if n in names]
-    rest = np.delete(fit.at.J, chosen, axis=1)
-    split = [fit.at.J[:, chosen] * (place == i)[:, None] for i in range(len(runs))]
-    J = np.hstack([rest, *split])
-    slope = J.T @ fit.at.r
-    by_chance = chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))
-    return float(fit.at.r @ fit.at.r - slope @ inverse_of(J.T @ J) @ slope + by_chance)
+
+def _cost_by_run(model: WeakModel, at: Linearised, names: Sequence[str], data: WeakData) -> float:
+    """Sum of squares predicted if some parameters have a value in every run, and what chance gives them."""
+    runs = origins(data.runs)
+    place = np.array([runs.index(r.origin) for r in data.runs])[data.run_of]
+    chosen = [k for k, n in enumerate(model.free) if n in names]
+    split = [at.J[:, chosen] * (place == i)[:, None] for i in range(len(runs))]
+    J = np.hstack([np.delete(at.J, chosen, axis=1), *split])
+    slope = J.T @ at.r
+    return float(at.r @ at.r - slope @ inverse_of(J.T @ J) @ slope) + _by_chance(names, runs)
+
+
+def _by_chance(names: Sequence[str], runs: Sequence[str]) -> float:
+    """Fall of the sum of squares that chance gives values by run for which runs agree, at the most."""
+    return float(chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))) if names else 0.0
 
 
 def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
@@ -475,7 +500,7 @@ def best_start(
     """Where the better one of several fits ends: which start leads there, a few steps cannot show."""
     if len(starts) == 1:
         return starts[0]
-    fits = [bench.fit(candidate.model(), start=start, enough=enough) for start in starts]
+    fits = [bench.fit(candidate.model_from(start), start=start, enough=enough) for start in starts]
     return min(fits, key=lambda fit: fit.cost).values
 
 
@@ -483,7 +508,9 @@ def _own_columns(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], data: WeakData
 ) -> list[Linearised]:
     """The model with a candidate at a start, differentiated in the candidate's own parameters only."""
-    model = candidate.model(tuple(p.name for p in candidate.parameters))
+    base = bench.base.model.values
+    by_run = {n: bench.base.values[n] for n in base.split} | base.known
+    model = candidate.model(tuple(p.name for p in candidate.parameters)).knowing(by_run)
     names = model.functions.parameter_names
     stated = {n: model.functions.vehicle.value_of(n).value for n in names}
     values = stated | bench.base.values | dict(start)
@@ -507,7 +534,9 @@ def _promising(
         stated = model.functions.vehicle.value_of
         now = np.array([values[n] if n in values else stated(plain(n)).value for n in model.free])
         step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
-        costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
+        cost = float(np.sum((beside.r + beside.J @ step) ** 2))
+        names = _better_by_run(model, beside, cost, candidate, bench.train)
+        costs.append(_cost_by_run(model, beside, names, bench.train) if names else cost)
     return [starts[i] for i in np.argsort(costs)[: bench.settings.best_starts]]
 
 
