@@ -234,3 +234,16 @@ def test_values_by_run_do_not_absorb_what_a_structural_effect_explains(
     known = {i: catalogue()[i] for i in (effect, *PER_RUN)}
     d = diagnose(lacking, runs[:3], runs[3:], known=known, trust_log=True).diagnosis
     assert (d.verdict, d.effects, d.by_run) == ("missing_effect", [effect], [])
+
+
+@pytest.mark.slow
+def test_waves_with_another_phase_in_every_run_are_found() -> None:
+    case = make_case("usv", ("waves_per_run",), 3, duration=60.0)
+    runs, true = runs_of(case), case.truth["values"]["waves_per_run"]
+    known = {i: catalogue()[i] for i in ("waves", "radiation_memory", "constant_force", "sensor_bias")}
+    d = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis
+    assert (d.verdict, d.effects) == ("missing_effect", ["waves"])
+    cos, sin, direction = d.by_run
+    for run in ("steps", "cruise", "multisine"):
+        assert np.hypot(cos.values[run], sin.values[run]) == pytest.approx(true["amplitude"], rel=0.01)
+        assert direction.values[run] == pytest.approx(true["direction"], abs=0.02)
