@@ -124,7 +124,9 @@ def test_a_fit_says_what_it_found(vehicle: ut.Vehicle, run: ut.Run) -> None:
 
 
 def test_a_method_that_is_not_known_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
-    with pytest.raises(ut.UndertowError, match="method 'ols' is not known: choose one of weak, integral"):
+    with pytest.raises(
+        ut.UndertowError, match="method 'ols' is not known: choose one of default, weak, integral"
+    ):
         ut.fit(vehicle, [run], method="ols")
 
 

@@ -120,6 +120,9 @@ def show(outcome: DiagnosisResult) -> None:
     for equals in diagnosis.indistinguishable:
         if equals.separated_by:
             console.print(f"to tell {' and '.join(equals.effects)} apart: {escape(equals.separated_by)}")
+    for entry in diagnosis.ranking:
+        if entry.not_named:
+            console.print(escape(f"not named: {entry.effect} {entry.not_named}"), highlight=False)
     for left in diagnosis.remaining:
         console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):

@@ -1,11 +1,12 @@
 """Refit the parameters that a vehicle file marks as estimated, and judge the result on validation data.
 
-By the weak form (quick, needs no simulation; integral is its simplest kind), by output error: simulation of
-many windows with the start of each estimated, too (the final word), or by prediction error where something
-pushes the vehicle that no log holds: its strength is estimated with the parameters. Instrumental variables
-take the bias out of the weak form that noisy velocities cause, by regressors of the simulated motion. Every
-value comes with its standard error; values that the logs do not determine, or that are far from what was
-stated before, are pointed out.
+By the weak form (quick, needs no simulation; integral is its simplest kind), then by output error: simulation
+of many windows with the start of each estimated, too. They are as long as the vehicle's own time constants,
+and the result is kept where it predicts validation data no worse. --method has each of them alone (output
+error over windows of --horizon seconds), or prediction error where something pushes the vehicle that no log
+holds: its strength is estimated with the parameters. Instrumental variables take the bias out of the weak
+form that noisy velocities cause, by regressors of the simulated motion. Every value comes with its standard
+error; values that the logs do not determine, or that are far from what was stated before, are pointed out.
 
     undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
 
@@ -16,7 +17,8 @@ leaves out samples that stand off their neighbours).
 
 The mass matrix stays positive, and coefficients keep within what is physical. Coefficients that are known
 to be alike are fitted as one, with --equal; stated standard deviations (sigma), taken five times
-as wide, hold what logs leave open.
+as wide, hold what logs leave open, and where none is stated what a vehicle of this mass, inertia and length
+can have does.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
@@ -66,8 +68,8 @@ def fit(
     options: LogOptions,
     holdout: HoldoutOption = None,
     method: Annotated[
-        Literal["weak", "integral", "instrumental", "output-error", "prediction-error"], _METHOD
-    ] = "weak",
+        Literal["default", "weak", "integral", "instrumental", "output-error", "prediction-error"], _METHOD
+    ] = "default",
     loss: Annotated[Literal["gaussian", "huber", "student-t"], _LOSS] = "gaussian",
     horizon: Annotated[float, _HORIZON] = 5.0,
     equal: Annotated[list[str] | None, _EQUAL] = None,
@@ -108,13 +110,13 @@ def fit(
 
 def show(done: Refit) -> None:
     """Print parameters, how far they can be trusted, and the error before and after."""
-    from undertow.identification.estimation.fitted import remarks
+    from undertow.identification.estimation.fitted import notes, remarks
 
     section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
     console().print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
     for line in [*_tied(done), *done.fit.active, *_process_noise(done.fit)]:
         say(f"  {line}")
-    for line in _combined(done.fit):
+    for line in [*notes(done.fit), *_combined(done.fit)]:
         say(f"  {line}", "yellow")
     for values in done.by_run:
         say(f"  {values}")
@@ -140,6 +142,7 @@ def show_correlation(fit: Fitted) -> None:
 
 _BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"
 _METHODS = {
+    "default": "the weak form, then output error",
     "weak": "the weak form",
     "integral": "the integral form",
     "instrumental": "instrumental variables on the weak form",

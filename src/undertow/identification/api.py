@@ -26,7 +26,7 @@ from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
-from .estimation.output_error import LossName, fit_output_error
+from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Method = Literal["weak", "integral", "instrumental", "output-error", "prediction-error"]
-_FAMILIES = {"weak": test_functions, "integral": boxes}
+Method = Literal["default", "weak", "integral", "instrumental", "output-error", "prediction-error"]
+_FAMILIES = {"default": test_functions, "weak": test_functions, "integral": boxes}
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,13 @@ class Estimator:
     Attributes
     ----------
     method : str
-        "weak", "integral" (the weak form with boxes for test functions), "instrumental" (the weak form with
-        simulated regressors), "output-error" or "prediction-error" (output error with a disturbance).
+        "default" (the weak form, then output error over windows from the vehicle's own time constants, as
+        far as that predicts validation data no worse), "weak", "integral" (the weak form with boxes for test
+        functions), "instrumental" (the weak form with simulated regressors), "output-error" or
+        "prediction-error" (output error with a disturbance).
     horizon : float or None
         Length of the windows that output error and instrumental variables simulate, s; None for whole
-        stretches.
+        stretches. The default method chooses its own.
     constraints : Constraints
         What is asked of the parameters.
     loss : str
@@ -72,7 +74,7 @@ class Estimator:
         more than five standard deviations off their neighbours.
     """
 
-    method: Method = "weak"
+    method: Method = "default"
     horizon: float | None = 5.0
     constraints: Constraints = field(default_factory=Constraints)
     loss: LossName = "gaussian"
@@ -84,6 +86,7 @@ class Estimator:
         free: Sequence[str] | None = None,
         progress: Progress = lambda done, words: None,
         *,
+        validation: Sequence[Run] = (),
         trust_log: bool = False,
     ) -> Fitted:
         """Fit the free parameters of a vehicle, by default those that its file marks.
@@ -98,6 +101,8 @@ class Estimator:
             Names of the parameters to fit.
         progress : callable
             Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
+        validation : sequence of Run
+            Logs by which the default method decides where to end; `runs` where there are none.
         trust_log : bool
             Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
 
@@ -113,7 +118,10 @@ class Estimator:
             data = data if self.loss == "gaussian" else without_spikes(data)
             model = self.constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
             require_equations(model, data, self.method)
-            return fit_weak_by_run(model, data)
+            weak = fit_weak_by_run(model, data)
+            if self.method != "default":
+                return weak
+            return final_fit(weak, runs, validation or runs, loss=self.loss, progress=progress)
         if self.method in ("prediction-error", "instrumental"):
             return self._by_squares(vehicle, runs, free, progress)
         return fit_output_error(
@@ -308,11 +316,16 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.
     fit = estimator.fit(
-        vehicle, train, progress=lambda done, words: report(0.8 * done, words), trust_log=True
+        vehicle,
+        train,
+        progress=lambda done, words: report(0.8 * done, words),
+        validation=test,
+        trust_log=True,
     )
     report(0.8, "predicting validation data")
     refitted, rest = in_runs(fit, test)
@@ -371,7 +384,7 @@ def fit(
     runs: Sequence[Run],
     validation: Sequence[Run] = (),
     *,
-    method: str = "weak",
+    method: str = "default",
     horizon: float = 5.0,
     loss: LossName = "gaussian",
     equal: Sequence[str] = (),
@@ -388,9 +401,11 @@ def fit(
     runs, validation : sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
-        "weak", "integral", "instrumental", "output_error" or "prediction_error".
+        "default" (the weak form, then output error), "weak", "integral", "instrumental", "output_error" or
+        "prediction_error".
     horizon : float
-        Length of the simulated windows, s.
+        Length of the simulated windows, s; the default method fits over others, from the vehicle's own time
+        constants.
     loss : str
         "gaussian", or "huber" or "student-t" where there are outliers.
     equal : sequence of str

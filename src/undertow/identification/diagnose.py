@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +22,6 @@ from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -47,7 +47,7 @@ from .diagnosis.result import (
     Step,
 )
 from .diagnosis.search import Search, last_fit, search
-from .diagnosis.selection import Selection, select, selected
+from .diagnosis.selection import Selection, Worth, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator, sizes
@@ -88,30 +88,43 @@ class ResultBuilder:
         self.found = found = validated(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        refined = [validator.refined(f) for f in weak]
+        refined = [validator.final(f) for f in weak]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.refined(self.bench.fit(vehicle))[0] if found.freed else self.base
+        self.given = validator.final(self.bench.fit(vehicle))[0] if found.freed else self.base
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
-        scores = self.bench.judge(weak[0]), self.bench.judge(weak[-1])
-        self.judgement: Judgement = self._judged(weak[-1], scores)
+        self._weak = weak
 
-    def _judged(self, last: WeakFit, scores: tuple[Score, Score]) -> Judgement:
+    @cached_property
+    def judgement(self) -> Judgement:
+        """The verdict with its reasons."""
         noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
+        scores = self.bench.judge(self._weak[0]), self.bench.judge(self._weak[-1])
         if self._selection is not None and not residual_is_noise:
             return judge_selection(self.found, scores, noise, self._selection)
         left = Remainder(
             residual_is_noise=residual_is_noise,
             confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
             nearly=residual_is_noise
-            or bool(np.nanmax(noise_ratio(last, self.bench.test)) < self.settings.nearly_noise),
+            or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
             change="" if residual_is_noise else self._change(),
         )
         return judge(self.found, scores, noise, left)
+
+    def worth(self) -> list[Worth]:
+        """What every effect that was added does to predictions, between the fits of the result."""
+        ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
+        return [Worth.of(*pair, self.settings) for pair in pairwise(ahead)]
+
+    def regrade(self, worth: Sequence[Worth]) -> None:
+        """Take over what the effects that were selected are worth in the fits of the result."""
+        if self._selection is not None:
+            graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
+            self._selection = replace(self._selection, graded=graded)
 
     def _change(self) -> str:
         """How the size of the one effect that was found changes in the course of the validation data."""
@@ -296,7 +309,12 @@ class ResultBuilder:
             significant=finding.significant and self.judgement.verdict != "adequate",
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
+            not_named=self._reason(finding.id),
         )
+
+    def _reason(self, effect: str) -> str:
+        claimed = {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
+        return "" if self._selection is None or effect in claimed else self._selection.reasons.get(effect, "")
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
@@ -306,6 +324,20 @@ class ResultBuilder:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
         return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
+
+
+def _confirmed(
+    vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, selection: Selection
+) -> ResultBuilder:
+    """The result with those selected effects that are worth adding in the last fits of all models, too."""
+    builder = ResultBuilder(vehicle, selected(found, selection), validator, known, selection)
+    worth = builder.worth()
+    least = builder.settings.worth
+    lacking = next((i for i, w in enumerate(worth) if not w.enough(least)), None)
+    if lacking is not None:
+        return _confirmed(vehicle, found, validator, known, selection.until(lacking))
+    builder.regrade(worth)
+    return builder
 
 
 def validated(found: Search, validator: SimulationValidator) -> Search:
@@ -486,6 +518,7 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)
@@ -506,8 +539,7 @@ def diagnose(
         if builder.judgement.verdict == "unexplained":
             report(0.92, "adding effects as long as predictions get better")
             selection = select(found, validator, effects)
-            chosen = selected(found, selection)
-            builder = ResultBuilder(vehicle, chosen, validator, effects, selection)
+            builder = _confirmed(vehicle, found, validator, effects, selection)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
         diagnosis = _with_doctor(builder.build(infos, time.perf_counter() - began), examined())

@@ -6,7 +6,7 @@ import logging
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
 from math import inf, isclose
@@ -398,8 +398,25 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle
         signs=table.signs,
         environment=environment,
     )
+    vehicle = replace(vehicle, fitted_to=_fitted_to(table.history, vehicle))
     check_vehicle(vehicle)
     return vehicle, list(statements.differing())
+
+
+def _fitted_to(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> dict[str, frozenset[str]]:
+    """Hashes of the logs that values come from, by the last fit in the history that has them.
+
+    A value whose source names no fit any more was edited since.
+    """
+    found: dict[str, frozenset[str]] = {}
+    for entry in history:
+        logs, covariance = entry.get("logs"), entry.get("covariance")
+        names = covariance.get("parameters") if isinstance(covariance, Mapping) else None
+        if isinstance(logs, list) and isinstance(names, list):
+            read = (log for log in logs if isinstance(log, Mapping) and log.get("role") != "holdout")
+            found |= dict.fromkeys(map(str, names), frozenset(str(log.get("sha256", "")) for log in read))
+    known = {n for n in found if vehicle.parameter_of(n) is not None}
+    return {n: found[n] for n in known if vehicle.value_of(n).source.startswith("fit to ")}
 
 
 def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:

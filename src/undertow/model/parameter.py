@@ -98,6 +98,10 @@ class Parameter:
     arm_of : str
         For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
         force where it is that times a length; empty for all others.
+    within : float
+        Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
+        sqrt(length / g)) that a fit takes for possible where the file states no standard deviation. Places
+        aboard have `Limits.farthest` instead.
     """
 
     unit: str
@@ -113,6 +117,7 @@ class Parameter:
     alone: bool = True
     per_run: bool = False
     arm_of: str = ""
+    within: float = 100.0
     name: str = field(default="", kw_only=True)
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -185,6 +190,8 @@ class DerivativeMatrix:
         Mirror the entries below the diagonal.
     directional : bool
         Whether the entry may differ between forward and backward motion.
+    within : float
+        That of every entry, see `Parameter`.
     """
 
     pattern: str
@@ -194,6 +201,7 @@ class DerivativeMatrix:
     bounds: tuple[float, float] = (-inf, inf)
     symmetric: bool = False
     directional: bool = False
+    within: float = 100.0
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         if effect is None:
@@ -220,6 +228,7 @@ class DerivativeMatrix:
             bounds=self.bounds,
             motion=j if self.directional else None,
             on_left_side=True,
+            within=self.within,
             name=self._name(i, j),
         )
 

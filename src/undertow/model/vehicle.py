@@ -73,6 +73,8 @@ class Vehicle:
         Convention of the vehicle's file: "sname" or "magnitudes".
     environment : mapping
         `rho` in kg/m^3 and `g` in m/s^2.
+    fitted_to : mapping
+        Hashes (sha256) of the logs that values with their standard deviations were fitted to, by name.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Vehicle:
     force_channels: tuple[str, ...] = ()
     signs: str = "sname"
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
+    fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
         parts = {"thrusters": [t.name for t in self.thrusters], "effects": [e.id for e in self.effects]}
@@ -284,6 +287,15 @@ class Vehicle:
         hardware = {f"thrust_{t.name}" for t in thrusters}
         changed = dict(self.values) | {k: v for k, v in values.items() if k not in hardware}
         return replace(self, values=changed, thrusters=thrusters)
+
+    def without_priors_from(self, logs: Iterable[str]) -> Vehicle:
+        """The vehicle without standard deviations of values that were fitted to one of these logs (sha256).
+
+        What a log said once is no prior for another fit to the same log, only a place to begin.
+        """
+        read = {sha256 for sha256 in logs if sha256}
+        known = [name for name, own in self.fitted_to.items() if own & read]
+        return self.with_values({n: replace(self.value_of(n), sigma=None) for n in known})
 
     def with_effect(self, cls: type[Effect], values: Mapping[str, Value]) -> Vehicle:
         """The vehicle with one more effect (or more parameters of one that it has)."""

@@ -23,6 +23,7 @@ from undertow.identification.estimation.adaptation import in_runs
 from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.predictor import predict, predict_each
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
@@ -79,6 +80,7 @@ class Addition:
     given, before, after: error on validation data (1 = noise of the sensors) and prediction ahead: of the
         model as it was given, refitted without the effect, and refitted with it.
     evidence: how strongly the validation data speak for the effect.
+    ahead: error of predicted velocities over the vehicle's horizons without and with it, as shares.
     """
 
     effect: str
@@ -89,6 +91,7 @@ class Addition:
     before: Step
     after: Step
     evidence: Comparison
+    ahead: tuple[float, float]
 
     @property
     def steps(self) -> list[Step]:
@@ -97,14 +100,19 @@ class Addition:
 
     @property
     def helps(self) -> bool:
-        """Whether the error on validation data falls by more than chance and by enough to matter."""
-        return self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
+        """Whether the force on validation data is explained better by more than chance and the motion no
+        worse, or the motion is predicted so much better that it is worth having.
+        """
+        before, after = self.ahead
+        explains = self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
+        return after < (1.0 + NO_WORSE if explains else 1.0 - DEFAULT.worth) * before
 
 
 def set_up_addition(
     vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
 ) -> AdditionSetup:
     """Fit a model as it is, and get ready to judge what is added to it."""
+    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
     train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
@@ -176,7 +184,9 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
 
 
 def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
-    fit, base = (setup.validator.refined(f)[0] for f in (weak, bench.base))
+    # What `fit` ends with, from where it begins: both commands give the same model.
+    fit, base = (setup.validator.final(f)[0] for f in (weak, setup.bench.base))
+    without, with_it = (float(horizon_error([f], setup.test)[0]) for f in (base, fit))
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.values.names)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
@@ -191,6 +201,7 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
         _fitted(setup, [], base, noise),
         _fitted(setup, [candidate.id], fit, noise),
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
+        (without, with_it),
     )
 
 

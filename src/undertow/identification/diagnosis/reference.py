@@ -90,7 +90,7 @@ def predictable(
     """
     vehicle = fit.model.functions.vehicle
     with _one_thread():
-        logs = [_Log(fit, data, settings) for data in (train, test)]
+        logs = _logs(fit, train, test, settings)
         signals = _Signals.common(logs, variables)
         return [_Force(logs, signals, i, settings).result() for i in range(len(vehicle.dof_indices))]
 
@@ -118,7 +118,7 @@ def captured(
         Variables of the effect.
     """
     with _one_thread():
-        logs = [_Log(fit, data, settings) for data in (train, test)]
+        logs = _logs(fit, train, test, settings)
         signals = _Signals.common(logs, variables)
         without = ForceRows(base, test)
         shares, weights = [], []
@@ -215,6 +215,13 @@ class _Log:
         for name, command in along.commands.items():
             values |= {_lagged(name, lag): _filtered(command, step / lag) for lag in self.lags}
         return Along(values, along.commands)
+
+
+def _logs(fit: Fitted, train: WeakData, test: WeakData, settings: ReferenceSettings) -> list[_Log]:
+    """What is learned from and what is judged by, with the same lags, whatever their samples."""
+    learned, judged = (_Log(fit, data, settings) for data in (train, test))
+    judged.lags = learned.lags
+    return [learned, judged]
 
 
 def _filtered(signal: Array, rate: float) -> Array:

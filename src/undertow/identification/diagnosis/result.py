@@ -77,6 +77,7 @@ class Ranked(ResultTable):
 
     Whether a candidate helps by more than chance is judged under a noise model with room for what the best
     model leaves; the errors are in units of the noise of the sensors alone. `sure` puts both together.
+    `not_named` says why a candidate beyond chance is not named.
     """
 
     effect: str
@@ -91,6 +92,7 @@ class Ranked(ResultTable):
     significant: bool
     p_value: float | None = None
     inclusion: float | None = None
+    not_named: str = ""
 
     @property
     def sure(self) -> str:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Measurement
 from undertow.model.vehicle import Vehicle
@@ -23,6 +23,7 @@ from undertow.typing import Array, Index, Progress
 
 from .candidates import Candidate
 from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
+from .parallel import mapped
 from .reference import captured
 from .rounds import Round, try_all
 from .search import Search
@@ -64,9 +65,23 @@ class Worth:
         return cls(falls, largest, tuple(worse))
 
     def enough(self, least: float) -> bool:
-        """Whether predictions over a long horizon get better by as much as matters, and over none worse."""
+        """Whether long predictions get better by as much as matters, and those over no horizon worse."""
         _, *longer = sorted(self.falls)
-        return not self.worse and any(self.falls[h] > 0.0 and self.largest[h] >= least for h in longer)
+        better = all(self.falls[h] >= 0.0 for h in longer)
+        return better and not self.worse and max(self.largest[h] for h in longer) >= least
+
+    def lacking(self, least: float) -> str:
+        """Why it is not worth adding, in words; empty where it is."""
+        if self.enough(least):
+            return ""
+        if self.worse:
+            over = " and ".join(f"{h:g} s" for h in self.worse)
+            return f"makes predictions over {over} worse"
+        longest = max(self.falls)
+        if self.falls[longest] < 0.0:
+            return f"raises the error of predictions over {longest:g} s by {-self.falls[longest]:.0%}"
+        gained = max(self.largest[longest], 0.0)
+        return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
     def something(self, least: float) -> bool:
         """Whether predictions over any horizon get better by as much as matters."""
@@ -212,14 +227,17 @@ def _levels(values: Array, settings: Settings) -> Index:
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
     """Velocities, pose and commands that what an effect adds to the equations depends on.
 
-    Of an effect of the sensors they are the velocities, of one of the actuators the commands.
+    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
+    force depends on none.
     """
     symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
     there = (*base.velocity_names, *base.pose_names, *base.command_names)
     if found := tuple(n for n in there if n in names):
         return found
-    return base.velocity_names if issubclass(candidate.effect, Measurement) else base.command_names
+    if issubclass(candidate.effect, Measurement):
+        return base.velocity_names
+    return base.command_names if candidate.effect.family == "actuation" else ()
 
 
 # --- the selection --------------------------------------------------------------------------------
@@ -242,12 +260,17 @@ class Graded:
 class Selection:
     """Effects that were added one after the other, each because predictions get better with it.
 
-    bench: data and noise model of the last round, on top of all of them.
     rounds: the rounds.
+    reasons: why candidates of the first round that are beyond chance were not chosen in it.
     """
 
-    graded: list[Graded] = field(default_factory=list)
-    rounds: list[Round] = field(default_factory=list)
+    graded: list[Graded]
+    rounds: list[Round]
+    reasons: dict[str, str]
+
+    def until(self, count: int) -> Selection:
+        """The first so many effects."""
+        return replace(self, graded=self.graded[:count])
 
     @property
     def established(self) -> list[Graded]:
@@ -266,27 +289,51 @@ def select(
     return _Selector(found, validator, known, report).run()
 
 
+_NOT_BEST = "others are better in nearly all resamples of the logs"
+
+
 class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
     ) -> None:
         self._found, self._validator, self._known, self._report = found, validator, known, report
         self._settings = found.bench.settings
+        self._reasons: dict[str, str] = {}
 
     def run(self) -> Selection:
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
-            current = self._round([g.chosen for g in graded], rounds)
+            current, best = self._step([g.chosen for g in graded], rounds)
             rounds.append(current)
-            best = self._best(current)
             if best is None:
                 break
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
             if best.doubt:
                 break
-        return Selection(graded, rounds)
+        return Selection(graded, rounds, self._reasons)
+
+    def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
+        """The next round and its best candidate.
+
+        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing else is
+        found, candidates are tried under the noise of the sensors alone; what is beyond chance is beyond that
+        of whole blocks of the logs in both.
+        """
+        current = self._round(chosen, rounds)
+        best = self._best(current, first=not chosen)
+        if best is not None or not np.any(current.bench.base.disturbance):
+            return current, best
+        slow = try_all(current.bench.without_disturbance(), self._known, self._report)
+        best = self._best(slow, first=not chosen)
+        if best is not None:
+            return slow, best
+        seen = {f.id for f in current.findings if f.significant}
+        more = [f for f in slow.findings if f.significant and f.id not in seen]
+        known = {f.id for f in more}
+        others = [f for f in current.findings if f.id not in known]
+        return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
 
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
         """Candidates on top of what was chosen; a round of the search serves where it is the same."""
@@ -299,27 +346,46 @@ class _Selector:
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
         return try_all(replace(bench, base=base), self._known, self._report)
 
-    def _best(self, current: Round) -> Graded | None:
+    def _best(self, current: Round, *, first: bool) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads."""
-        bench = current.bench
-        before = self._validator.squares_ahead(bench.base)
-        helping = {}
-        for finding in (f for f in current.findings if f.significant):
-            worth = Worth.of(before, self._validator.squares_ahead(finding.trial.fit), self._settings)
-            if worth.something(self._settings.worth):
-                helping[finding.id] = finding, worth
-        leading, near = self._leading([f for f, _ in helping.values()], bench)
-        worthy = [f for f in leading if helping[f.id][1].enough(self._settings.worth)]
+        bench, least = current.bench, self._settings.worth
+        found = {f.id: f for f in self._screened(current)}
+        before, *after = self._ahead([bench.base, *(f.trial.fit for f in found.values())])
+        ahead = dict(zip(found, after, strict=True))
+        worth = {i: Worth.of(before, squares, self._settings) for i, squares in ahead.items()}
+        leading, near = self._leading(
+            [f for i, f in found.items() if worth[i].something(least)], ahead, bench
+        )
+        worthy = [f for f in leading if worth[f.id].enough(least)]
+        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
+        if first:
+            reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
+            beyond_chance = (f.id for f in current.findings if f.significant)
+            self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in beyond_chance}
         if not worthy:
             return None
-        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)}
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
         doubt = doubts[chosen.id]
-        return Graded(chosen, [] if doubt else rivals, helping[chosen.id][1], doubt)
+        return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
+
+    def _screened(self, current: Round) -> list[FoundEffect]:
+        """The candidates beyond chance that lead in most resamples as the weak form fits them."""
+        found = [f for f in current.findings if f.significant]
+        most = self._settings.simulated
+        if len(found) <= most:
+            return found
+        squares = [self._validator.squares_ahead(f.trial.fit) for f in found]
+        often = best_in_resamples(squares, self._settings) + [f.inclusion for f in found]
+        return [found[k] for k in np.argsort(-np.nan_to_num(often), kind="stable")[:most]]
+
+    def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
+        """How models predict once each is fitted as the result will be, on all cores."""
+        validator = self._validator
+        return list(mapped(lambda i: validator.squares_ahead(validator.final(fits[i])[0]), len(fits)))
 
     def _leading(
-        self, findings: list[FoundEffect], bench: Bench
+        self, findings: list[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench
     ) -> tuple[list[FoundEffect], list[FoundEffect]]:
         """The candidates of which one is the best in nearly all resamples, the best first; and others that
         the data do not tell from that.
@@ -329,13 +395,15 @@ class _Selector:
         if not findings:
             return [], []
         by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
-        ahead = [self._validator.squares_ahead(f.trial.fit) for f in findings]
-        often = 0.5 * (by_residual + best_in_resamples(ahead, self._settings))
+        by_simulation = best_in_resamples([ahead[f.id] for f in findings], self._settings)
+        often = 0.5 * (by_residual + by_simulation)
         order = np.argsort(-often, kind="stable")
         enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
         leading = [findings[k] for k in order[:enough]]
         others = [findings[k] for k in order[enough:]]
-        return leading, [f for f in others if as_good(leading[0].trial.score, f.trial.score, bench)]
+        best = leading[0].trial.score
+        near = [f for f in others if as_good(best, f.trial.score, bench)]
+        return leading, near[: self._settings.rivals]
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
@@ -347,6 +415,8 @@ class _Selector:
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
         variables = own_variables(finding.trial.candidate, *vehicles)
+        if not variables:
+            return ""
         share = captured(bench.base, fit, bench.train, bench.test, variables)
         if share < self._settings.named_share:
             return (

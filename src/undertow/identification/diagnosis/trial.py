@@ -27,7 +27,8 @@ from undertow.identification.estimation.step import (
     bounded_step,
     bounds_of,
     inverse_of,
-    prior_of,
+    moved,
+    search_prior,
     step_limits,
     within_limits,
 )
@@ -138,9 +139,22 @@ class Bench:
         """The model without any candidate on the validation data."""
         return self.on_test(self.base)
 
+    @cached_property
+    def stated(self) -> dict[str, float]:
+        """Stated values of the free parameters, where the refit of the model as it is moved one of them far.
+
+        That is a sign of something missing, and then the better place to begin from once that is there;
+        otherwise empty.
+        """
+        model = self.base.model
+        if not np.any(moved(model, self.base.p) > self.settings.moved):
+            return {}
+        values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
+        return {n: v for n, v in values.items() if np.isfinite(v)}
+
     def work_out(self) -> None:
         """What all candidates look at, once; processes that share this bench then need not."""
-        for name in ("base_score", "base_on_test", "seen"):
+        for name in ("base_score", "base_on_test", "seen", "stated"):
             getattr(self, name)
 
     def judge(self, fit: WeakFit) -> Score:
@@ -483,10 +497,13 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     """What a candidate promises from its best start, and from the next best one where there are several.
 
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
+    Where the refit of the model as it is ran far away from the stated values, these are a start as well.
     """
     starts = candidate.starts(bench.command_scale, bench.seen)
     if len(starts) > bench.settings.many_starts:
         starts = _promising(candidate, bench, starts)
+    if bench.stated:
+        starts = [*starts, *(bench.stated | start for start in starts)]
     found = sorted((Screened(candidate, bench, start) for start in starts), key=lambda s: s.cost)
     if len(found) == 1:
         return found
@@ -525,7 +542,7 @@ def _promising(
     Parameters keep within their bounds: a negative mass may promise what no mass can do.
     """
     model = candidate.model()
-    bounds, prior, reach = bounds_of(model), prior_of(model), step_limits(model)
+    bounds, prior, reach = bounds_of(model), search_prior(model), step_limits(model)
     costs = []
     for start in starts:
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)

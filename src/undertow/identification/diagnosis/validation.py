@@ -18,7 +18,12 @@ from undertow.identification.estimation.adaptation import factor_of_the_rest, in
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
+from undertow.identification.estimation.output_error import (
+    OutputErrorFit,
+    channel_weights,
+    final_fit,
+    fit_output_error,
+)
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.shooting import Shooting
@@ -262,6 +267,11 @@ class SimulationValidator:
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""
         return Contender(effect_set, *self.refined(effect_set.fit))
+
+    def final(self, weak: WeakFit) -> tuple[Fitted, Array]:
+        """A model as `fit` ends with it, and how it simulates."""
+        fit = self._once("final", weak, lambda fit: final_fit(fit, self.train, self.test))
+        return fit, self.squares(fit)
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
         """A model fitted by output error, and how it simulates; by the weak form where that does better.

@@ -17,7 +17,8 @@ from undertow.typing import Array, Flags
 from .between_runs import BetweenRuns, of_the_vehicle, table_of
 from .by_run import plain
 from .residual import WeakModel
-from .step import at_bounds, estimated, follower_errors, followers, inverse_of, prior_of
+from .scales import scale_directions
+from .step import at_bounds, default_weights, estimated, follower_errors, followers, inverse_of, prior_of
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,11 @@ class IdentifiabilitySettings:
     # unless each is this many standard errors from zero all the same.
     tied: float = 0.95
     untied: float = 10.0
+    # Share of what is known of a parameter from which the default prior holds it, not the data.
+    held: float = 0.5
+    # Relative standard error, all else known, from which the common scale of the forces in a degree of
+    # freedom is not found.
+    scale: float = 0.5
     # Standard deviations of prior and fit together beyond which a value is far from what was stated.
     far: float = 3.0
     # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
@@ -296,6 +302,44 @@ def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
         for name, text in part.items():
             found[name].append(text)
     return found
+
+
+def held_by_size(fit: Fitted) -> list[str]:
+    """Parameters that the default prior, from mass, inertia and length, holds more than the data do."""
+    weight = default_weights(fit.model) ** 2
+    share = weight * np.diag(inverse_of(fit.information + np.diag(weight)))
+    return [n for n, part in zip(fit.model.free, share, strict=True) if part > SETTINGS.held]
+
+
+def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
+    """Degrees of freedom in which no known force fixes a scale, with the parameters that have one in common.
+
+    The logs show ratios of these only; their scale stays as stated.
+    """
+    free, values = fit.model.free, fit.model.values
+    own = [values.names.index(plain(n)) for n in free]
+    found = {}
+    for dof, local in scale_directions(fit.model.functions, values.names, fit.p[: values.size]).items():
+        direction = local[own]
+        if direction @ fit.gram @ direction < SETTINGS.scale**-2:
+            found[dof] = [n for n, change in zip(free, direction, strict=True) if change]
+    return found
+
+
+def notes(fit: Fitted) -> list[str]:
+    """What held a fit where the data do not, in words."""
+    lines = [
+        f"no known force in these logs fixes the scale of {', '.join(names)} ({dof}): they are known up to a "
+        "common factor, which is left as stated"
+        for dof, names in unknown_scales(fit).items()
+    ]
+    held = held_by_size(fit)
+    if held:
+        lines.append(
+            f"{', '.join(held)}: these logs say so little that a weak prior from the vehicle's mass, inertia "
+            "and length holds them near the stated values"
+        )
+    return lines
 
 
 def _unsure(fit: Fitted) -> dict[str, str]:

@@ -14,13 +14,15 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
+from .adaptation import in_runs
 from .data import NOISE, prepare
 from .fitted import Fitted
+from .predictor import Predictor, predict_each
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
 from .step import Constraints, SearchSpace, clustered
-from .weak_form import fit_weak_by_run, free_parameters
-from .windows import Windows, cut
+from .weak_form import WeakFit, fit_weak_by_run, free_parameters
+from .windows import Windows, cut, horizons, prediction_error
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,9 @@ class OutputErrorSettings:
     damping: float = 1e-3
     least_damping: float = 1e-9
     most_damping: float = 1e9
+    # Share by which a fit may predict validation data worse than another and still be as good: what the
+    # noise at the starts of windows makes of it.
+    no_worse: float = 0.01
     # Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber,
     # Robust Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
     huber: float = 1.345
@@ -49,6 +54,7 @@ class OutputErrorSettings:
 
 
 SETTINGS = OutputErrorSettings()
+NO_WORSE = SETTINGS.no_worse
 
 
 @dataclass(frozen=True)
@@ -352,11 +358,78 @@ def fit_output_error(
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
-    model, start = weak_start(constraints.model(vehicle, names), runs, start)
-    p = started(model, start)
-    windows = cut(runs, vehicle, horizon)
+    model, begin = weak_start(constraints.model(vehicle, names), runs, start)
+    return _descended(model, runs, horizon, begin, loss, compiled, progress)
+
+
+def _descended(
+    model: WeakModel,
+    runs: Sequence[Run],
+    horizon: float | None,
+    start: Mapping[str, float],
+    loss: LossName = "gaussian",
+    compiled: bool | None = None,
+    progress: Progress = lambda done, words: None,
+) -> OutputErrorFit:
+    windows = cut(runs, model.functions.vehicle, horizon)
     descent = Descent(model, windows, compiled, progress)
+    p = started(model, start)
     return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
+
+
+def final_fit(
+    weak: WeakFit,
+    runs: Sequence[Run],
+    validation: Sequence[Run],
+    *,
+    loss: LossName = "gaussian",
+    progress: Progress = lambda done, words: None,
+) -> WeakFit | OutputErrorFit:
+    """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
+
+    Windows are a quarter of the slowest time constant at first, then one (see `horizons`): a fit over long
+    windows alone, begun far away, ends in a local minimum. The longest windows are not fitted to, since there
+    disturbances add up that no parameter explains. What is returned is the last of the fits whose
+    `horizon_error` on validation data is no worse than the least of all.
+
+    Parameters
+    ----------
+    weak : WeakFit
+        Where to begin.
+    runs, validation : sequence of Run
+        Logs to fit to and to judge by.
+    loss : str
+        That of `fit_output_error`.
+    """
+    model = weak.model
+    fits: list[WeakFit | OutputErrorFit] = [weak]
+    for k, horizon in enumerate(horizons(model.functions.vehicle, runs)[:2]):
+        progress((1 + k) / 3, f"output error over {horizon:.3g} s")
+        try:
+            fits.append(_descended(model, runs, horizon, fits[-1].values, loss))
+        except UndertowError:  # the simulation of a poor model may diverge
+            break
+    if len(fits) == 1:
+        return weak
+    errors = horizon_error(fits, validation)
+    limit = (1.0 + NO_WORSE) * np.min(errors)
+    return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
+
+
+def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
+    """Error of predicted velocities of fits of one model, (k,), as shares of the motion.
+
+    Geometric mean over windows of the three `horizons`; infinite where a simulation diverges. Runs are judged
+    by what is left of them once they have taught what belongs to them (see `adaptation.in_run`).
+    """
+    functions = fits[0].model.functions
+    predictor, judged = Predictor(functions), [in_runs(fit, validation) for fit in fits]
+    rest = judged[0][1]
+    windows = [cut(rest, functions.vehicle, h) for h in horizons(functions.vehicle, rest)]
+    errors = [
+        [prediction_error(predict_each(vehicles, w, predictor)) for w in windows] for vehicles, _ in judged
+    ]
+    return np.asarray(np.exp(np.mean(np.log(errors), axis=1)))
 
 
 def weak_start(

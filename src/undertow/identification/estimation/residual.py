@@ -16,10 +16,11 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
-from .by_run import LimitsByRun, RunValues
+from .by_run import LimitsByRun, RunValues, plain
 from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
 from .pointwise import Limits, Pointwise
+from .scales import largest_values
 from .test_functions import Entries, kink_delay, meeting, tested
 
 
@@ -223,6 +224,11 @@ class WeakModel:
         if self.values.split:
             return LimitsByRun(self.functions, self.values, dissipative=self._dissipative)
         return Limits(self.functions, self.places, dissipative=self._dissipative)
+
+    @cached_property
+    def largest(self) -> Array:
+        """Largest magnitude of every free parameter that a vehicle of this size allows."""
+        return largest_values(self.functions, [plain(n) for n in self.free])
 
     def with_free(self, free: Sequence[str]) -> WeakModel:
         """The same equations and constraints with other free parameters."""

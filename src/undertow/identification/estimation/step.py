@@ -20,6 +20,7 @@ from .by_run import plain
 from .data import WeakData
 from .pointwise import Cut
 from .residual import Linearised, WeakModel
+from .scales import SETTINGS as SCALES
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,16 @@ PRIOR_WIDTH, NOTHING_SAID = SETTINGS.prior_width, SETTINGS.undetermined
 
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
-    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too."""
+    """Physical bounds of the free parameters, SNAME signs; those of what is tied to one count for it too.
+
+    A vehicle of this mass, inertia and length allows no larger magnitudes, unless a standard deviation is
+    stated that reaches farther.
+    """
     table = np.array([_joint_bounds(model, plain(name)) for name in model.free]).reshape(-1, 2)
-    return table[:, 0], table[:, 1]
+    values = [model.functions.vehicle.value_of(plain(n)) for n in model.free]
+    stated = np.array([abs(v.value) + PRIOR_WIDTH * (v.sigma or 0.0) for v in values])
+    largest = np.maximum(model.largest, stated)
+    return np.maximum(table[:, 0], -largest), np.minimum(table[:, 1], largest)
 
 
 def _joint_bounds(model: WeakModel, name: str) -> tuple[float, float]:
@@ -110,8 +118,36 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
     return centre, weight
 
 
+def search_prior(model: WeakModel) -> tuple[Array, Array]:
+    """Where a search is drawn to, and how much: stated priors, and for the rest a weak one.
+
+    That lies at the stated value, as wide as the size of the vehicle allows. It stops a parameter where the
+    data do not determine it; where they do, it moves it by next to nothing. It is no knowledge, so errors do
+    not contain it.
+    """
+    centre, weight = prior_of(model)
+    weak = default_weights(model)
+    return np.where(weak > 0.0, _values(model), centre), weight + weak
+
+
+def default_weights(model: WeakModel) -> Array:
+    """Weight of the default prior of every free parameter; zero where one is stated, or none follows."""
+    deviation = PRIOR_WIDTH * SCALES.deviation * model.largest
+    return np.where(prior_of(model)[1] > 0.0, 0.0, 1.0 / deviation)
+
+
+def moved(model: WeakModel, p: Array) -> Array:
+    """Distance of the free parameters from what is stated, in standard deviations, stated or by default."""
+    return np.asarray(PRIOR_WIDTH * search_prior(model)[1] * np.abs(p[list(model.places)] - _values(model)))
+
+
+def _values(model: WeakModel) -> Array:
+    """Stated values of the free parameters; zero for a limit that is not there."""
+    return np.nan_to_num([model.functions.vehicle.value_of(plain(n)).value for n in model.free], posinf=0.0)
+
+
 def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
-    """What stated priors add to the sum of squares at these values of the free parameters."""
+    """What priors add to the sum of squares at these values of the free parameters."""
     centre, stiffness = prior
     return float(np.sum((stiffness * (values - centre)) ** 2))
 
@@ -147,7 +183,7 @@ def within_limits(bounds: tuple[Array, Array], now: Array, limits: Array) -> tup
 
 
 class SearchSpace:
-    """Where the free parameters of a model may go, for every estimator: bounds, stated priors, step limits.
+    """Where the free parameters of a model may go, for every estimator: bounds, priors, step limits.
 
     The estimators share the step, its bounds and the priors. How a step is kept short differs, because their
     residuals do: the weak form, nearly linear and cheap, and prediction error, which reestimates the noise
@@ -158,7 +194,7 @@ class SearchSpace:
 
     def __init__(self, model: WeakModel, *, limited: bool = False) -> None:
         self.model, self.places = model, list(model.places)
-        self.bounds, self.prior = bounds_of(model), prior_of(model)
+        self.bounds, self.prior = bounds_of(model), search_prior(model)
         self._limits = step_limits(model) if limited else None
 
     def nearest(self, p: Array) -> Array:
@@ -179,7 +215,7 @@ class SearchSpace:
         return after
 
     def cost(self, p: Array, squares: float) -> float:
-        """A sum of squares with what stated priors add to it."""
+        """A sum of squares with what priors add to it."""
         return squares + prior_cost(self.prior, p[self.places])
 
     def predicted_cost(self, p: Array, step: Array, r: Array) -> float:

@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
-from undertow.identification.estimation.step import bounded_step, bounds_of, prior_of
+from undertow.identification.estimation.step import bounded_step, bounds_of, search_prior
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
@@ -48,7 +48,7 @@ class Refit:
     def __init__(self, rival: RivalModel, truth: RivalModel, *, with_logs: bool) -> None:
         self._model, self._p = rival.model, rival.plant.p
         self._truth, self._true_p = WeakModel(truth.plant.functions, ()), truth.plant.p
-        self._bounds, self._prior = bounds_of(rival.model), prior_of(rival.model)
+        self._bounds, self._prior = bounds_of(rival.model), search_prior(rival.model)
         size = len(rival.known.free)
         logs = rival.known.logs if with_logs else np.zeros((size, size))
         values, vectors = np.linalg.eigh(logs) if size else (np.zeros(0), np.zeros((0, 0)))

@@ -27,6 +27,7 @@ class AddedMass(Wrench):
         "{force} per {motion} acceleration",
         bounds=(-inf, 0),
         directional=True,
+        within=10.0,  # hulls have up to once their own inertia, open frames twice or three times, plates more
     )
 
     def matrix(self) -> sm.Matrix:

@@ -25,6 +25,7 @@ class AddedMassCoupling(Wrench):
         UPPER_TRIANGLE,
         "{force} per {motion} acceleration",
         symmetric=True,
+        within=10.0,  # as the diagonal: off it, the matrix is the smaller part
     )
 
     def wrench(self, s: Signals) -> sm.Matrix:

@@ -1,0 +1,142 @@
+"""What every fit ends with: the same optimum from all commands, no runaway, no prior counted twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import undertow as ut
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
+from tests.identification.surge import M_X, MASS, TRUTH, surge_vehicle
+from tests.quick import first_quick
+from undertow.identification.api import Estimator
+from undertow.identification.diagnosis.addition import add_effect, set_up_addition
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import held_by_size, notes, unknown_scales
+from undertow.identification.estimation.output_error import final_fit, horizon_error
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.model.vehicle import Vehicle
+
+BUNDLED = ("box-hull", "cybership2", "mini-auv", "bluerov2")
+STEP = 0.1
+
+
+def _logs(name: str, count: int = 2, seconds: float = 60.0) -> list[ut.Run]:
+    """Runs of a bundled vehicle under commands that are held for two seconds each, with noise."""
+    vehicle = ut.load_vehicle(name)
+    model, rng = ut.compile(vehicle), np.random.default_rng(7)
+    steps, half = round(seconds / STEP), len(vehicle.pose_names)
+    size = 0.1 * vehicle.value_of("m").value
+    runs = []
+    for i in range(count):
+        u = np.repeat(rng.uniform(-size, size, (steps // 20 + 1, len(model.inputs))), 20, axis=0)[:steps]
+        x = model.simulate(np.zeros(len(model.states)), u, STEP)[:steps, : 2 * half]
+        channels = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=True))
+        noisy = {n: y + 0.005 * np.std(y) * rng.standard_normal(steps) for n, y in channels.items()}
+        commands = dict(zip(vehicle.command_names, u.T, strict=True))
+        runs.append(ut.Run(f"{name} {i}", STEP * np.arange(steps), noisy | commands, sha256=f"{name}{i}"))
+    return runs
+
+
+def _guessed(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with its free parameters a third larger than they are."""
+    free = [n for n, v in vehicle.values.items() if v.estimate and v.value]
+    return vehicle.with_values(
+        {n: replace(vehicle.value_of(n), value=1.3 * vehicle.value_of(n).value) for n in free}
+    )
+
+
+@pytest.mark.parametrize("name", first_quick(BUNDLED))
+def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
+    vehicle, (train, test) = _guessed(ut.load_vehicle(name)), _logs(name)
+    done = ut.fit(vehicle, [train], [test])
+    fit = done.fit
+    setup = set_up_addition(vehicle, [train], [test])
+    added = add_effect(ut.catalogue()["constant_force"], setup)
+    known = {"constant_force": ut.catalogue()["constant_force"]}
+    diagnosed = ut.diagnose(vehicle, [train], [test], known=known).before
+    again = ut.fit(fit.vehicle, [train], [test]).fit
+    assert added.before.prediction == pytest.approx(done.errors[1], rel=1e-3)
+    for parameter, value in fit.values.items():
+        tolerance = 0.2 * fit.standard_errors[parameter]
+        assert setup.validator.final(setup.bench.base)[0].values[parameter] == pytest.approx(value, abs=1e-9)
+        assert diagnosed.value_of(parameter).value == pytest.approx(value, abs=tolerance)
+        assert again.values[parameter] == pytest.approx(value, abs=tolerance)
+
+
+def test_a_fit_is_no_prior_for_another_fit_to_the_same_logs(tmp_path: Path) -> None:
+    source = Path(ut.__file__).parent / "demo_data" / "auv"
+    vehicle = ut.load_vehicle(source / "vehicle.toml")
+    runs = [ut.read_log(source / f"train_{i}.csv.gz", commands=vehicle.command_names) for i in (1, 2)]
+    first = ut.fit(vehicle, runs[:1], runs[1:], method="weak")
+    first.save(source / "vehicle.toml", tmp_path / "fitted.toml")
+    written = ut.load_vehicle(tmp_path / "fitted.toml")
+    (name, *_) = first.fit.model.free
+    assert written.value_of(name).sigma is not None
+    same, other = (written.without_priors_from([run.sha256]) for run in runs)
+    assert same.value_of(name).sigma is None
+    assert same.value_of(name).value == written.value_of(name).value
+    assert other.value_of(name).sigma == written.value_of(name).sigma
+    second = ut.fit(written, runs[:1], runs[1:], method="weak")
+    assert second.stated.value_of(name).sigma is None
+
+
+# --- the size of a vehicle ----------------------------------------------------------------------------------
+@pytest.mark.parametrize("vehicle", first_quick(("mini-auv", "usv", "rov")))
+def test_the_default_prior_does_not_move_what_data_determine(vehicle: str) -> None:
+    case = make_case(vehicle, (), 3, duration=60.0)
+    stated, runs = vehicle_of(case), runs_of(case)[:3]
+    data = prepare(runs, stated)
+    fit = fit_weak(stated, data)
+    free = {n: replace(stated.value_of(n), sigma=1e9) for n in fit.model.free}
+    without = fit_weak(stated.with_values(free), data)
+    for name, value in without.values.items():
+        assert fit.values[name] == pytest.approx(value, abs=0.03 * without.standard_errors[name])
+    assert held_by_size(fit) == []
+    assert notes(fit) == []
+
+
+def test_a_model_that_lacks_the_righting_moment_does_not_run_away() -> None:
+    case = make_case("rov", (), 5, duration=30.0)
+    vehicle, runs = true_vehicle(case), runs_of(case)[:2]
+    level = vehicle.with_values({"S_z": replace(vehicle.value_of("S_z"), value=0.0)})
+    values = fit_weak(level, prepare(runs, level)).values
+    for name, inertia in (("K_pdot", "I_x"), ("M_qdot", "I_y")):
+        assert abs(values[name]) <= 10.001 * vehicle.value_of(inertia).value
+    for name in ("K_p", "M_q"):
+        # By which a rate dies away within a millisecond.
+        assert abs(values[name]) < 1e3 * vehicle.value_of("I_x").value
+
+
+def _coasting() -> ut.Run:
+    """Surge that dies away, m_x u' = -X_u u, with no force on it."""
+    t = np.arange(0.0, 60.0, STEP)
+    u = np.exp(-TRUTH["X_u"] / M_X * t) + 1e-3 * np.random.default_rng(1).standard_normal(len(t))
+    return ut.Run("coasting", t, {"u": u, "tau_X": np.zeros(len(t))}, sha256="c")
+
+
+def test_a_scale_that_no_force_fixes_is_said_and_stays() -> None:
+    stated = surge_vehicle()
+    vehicle = stated.with_values({"X_uabsu": replace(stated.value_of("X_uabsu"), value=0.0, estimate=False)})
+    fit = fit_weak(vehicle, prepare([_coasting()], vehicle))
+    assert unknown_scales(fit) == {"surge": ["X_udot", "X_u"]}
+    assert "no known force in these logs fixes the scale of X_udot, X_u (surge)" in " ".join(notes(fit))
+    inertia = MASS - fit.values["X_udot"]
+    assert -fit.values["X_u"] / inertia == pytest.approx(TRUTH["X_u"] / M_X, rel=0.02)
+    assert fit.values["X_udot"] == pytest.approx(vehicle.value_of("X_udot").value, abs=0.5)
+
+
+# --- the end of a fit ---------------------------------------------------------------------------------------
+def test_output_error_is_kept_where_it_predicts_no_worse() -> None:
+    case = make_case("usv", ("lift",), 4, duration=60.0)
+    vehicle, (*train, test) = vehicle_of(case), runs_of(case)
+    weak = fit_weak(vehicle, prepare(train, vehicle))
+    final = final_fit(weak, train, [test])
+    before, after = (float(horizon_error([fit], [test])[0]) for fit in (weak, final))
+    assert after <= 1.01 * before
+    default = Estimator().fit(vehicle, train, validation=[test])
+    assert default.values == pytest.approx(final.values)

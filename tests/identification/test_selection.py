@@ -1,0 +1,75 @@
+"""What an effect is worth to predictions, and whether it says the same everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from undertow.identification.diagnosis.candidates import possible
+from undertow.identification.diagnosis.selection import Agreement, Worth, best_in_resamples, own_variables
+from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle
+
+
+def test_worth_is_the_fall_of_the_error_over_each_horizon() -> None:
+    before = {1.0: np.full((20, 2), 0.04), 10.0: np.full((20, 2), 0.25)}
+    after = {1.0: before[1.0] * [1.0, 0.81], 10.0: before[10.0] * [1.0, 0.25]}
+    worth = Worth.of(before, after)
+    assert worth.falls[1.0] == pytest.approx(1.0 - 0.9**0.5)
+    assert worth.falls[10.0] == pytest.approx(1.0 - 0.5**0.5)
+    assert worth.largest[10.0] == pytest.approx(0.5)
+    assert worth.worse == ()
+    assert worth.enough(0.4)
+    assert not worth.enough(0.6)
+
+
+def test_what_makes_predictions_over_any_horizon_worse_is_not_worth_adding() -> None:
+    rng = np.random.default_rng(1)
+    before = {h: rng.uniform(0.5, 1.5, (30, 3)) for h in (1.0, 4.0, 16.0)}
+    after = {1.0: before[1.0] * 1.2, 4.0: before[4.0] * 0.3, 16.0: before[16.0] * 0.3}
+    worth = Worth.of(before, after)
+    assert worth.worse == (1.0,)
+    assert worth.something(0.1)
+    assert not worth.enough(0.1)
+
+
+def test_resamples_share_the_lead_between_candidates_that_differ_by_chance_only() -> None:
+    rng = np.random.default_rng(2)
+    errors = rng.uniform(0.5, 1.5, (3, 40, 2))
+    errors[2] *= 3.0
+    share = best_in_resamples([{5.0: e} for e in errors])
+    assert share.sum() == pytest.approx(1.0)
+    assert share[2] == 0.0
+    alone = best_in_resamples([{5.0: errors[0]}, {5.0: 0.8 * errors[0]}])
+    assert alone.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.5])
+def test_spread_between_parts_is_recovered(spread: float) -> None:
+    rng = np.random.default_rng(3)
+    error = rng.uniform(0.02, 0.1, 2000)
+    value = 1.0 + spread * rng.standard_normal(2000) + error * rng.standard_normal(2000)
+    found = Agreement("runs", value, error)
+    assert found.spread == pytest.approx(spread, abs=0.02)
+    assert bool(found.doubt()) is (spread > DEFAULT.size_change)
+
+
+def test_parts_that_are_hardly_known_do_not_speak_against_an_effect() -> None:
+    assert Agreement("runs", np.array([0.5, 1.6, 1.0]), np.array([0.45, 0.45, 0.1])).doubt() == ""
+    assert "50% to 160%" in Agreement("runs", np.array([0.5, 1.6, 1.0]), np.full(3, 0.1)).doubt()
+
+
+def test_variables_of_an_effect_are_those_of_its_equations() -> None:
+    vehicle = load_vehicle("bluerov2")
+    found = {
+        c.id: own_variables(c, c.base, c.vehicle)
+        for c in possible(vehicle, catalogue())
+        if not c.adds_nothing
+    }
+    assert found["constant_force"] == ()
+    assert set(found["cubic_damping"]) == set(vehicle.velocity_names)
+    assert "psi" in found["ocean_current"]
+    assert set(found["thruster_deadband"]) <= {*vehicle.command_names, *vehicle.velocity_names}
+    assert found["velocity_lever_arm"] == vehicle.velocity_names
+    assert not {"x", "y"} & set(found["radiation_memory"])
