@@ -83,6 +83,11 @@ class RunValues:
         return found
 
     @cached_property
+    def behind(self) -> Index:
+        """Place among `names` of the parameter behind every free one."""
+        return np.array([self.names.index(plain(n)) for n in self.free], dtype=np.intp)
+
+    @cached_property
     def places(self) -> tuple[int, ...]:
         """Places of the free parameters in p."""
         after = {name: self.size + i for i, name in enumerate(self.split)}

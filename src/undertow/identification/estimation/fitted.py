@@ -317,10 +317,9 @@ def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
     The logs show ratios of these only; their scale stays as stated.
     """
     free, values = fit.model.free, fit.model.values
-    own = [values.names.index(plain(n)) for n in free]
     found = {}
     for dof, local in scale_directions(fit.model.functions, values.names, fit.p[: values.size]).items():
-        direction = local[own]
+        direction = local[values.behind]
         if direction @ fit.gram @ direction < SETTINGS.scale**-2:
             found[dof] = [n for n, change in zip(free, direction, strict=True) if change]
     return found

@@ -16,7 +16,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
-from .by_run import LimitsByRun, RunValues, plain
+from .by_run import LimitsByRun, RunValues
 from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
 from .pointwise import Limits, Pointwise
@@ -228,7 +228,8 @@ class WeakModel:
     @cached_property
     def largest(self) -> Array:
         """Largest magnitude of every free parameter that a vehicle of this size allows."""
-        return largest_values(self.functions, [plain(n) for n in self.free])
+        own = largest_values(self.functions, self.values.names)
+        return own[self.values.behind]
 
     def with_free(self, free: Sequence[str]) -> WeakModel:
         """The same equations and constraints with other free parameters."""
