@@ -46,6 +46,7 @@ class Wind(Wrench):
         neutral=None,
         logged=True,
         without_log="apparent_wind_speed",
+        per_run=True,
     )
     wind_speed = Parameter(
         "m/s",
@@ -56,6 +57,7 @@ class Wind(Wrench):
         neutral=None,
         logged=True,
         without_log="apparent_wind_speed",
+        per_run=True,
     )
     apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
     apparent_wind_angle = LoggedOnly(
