@@ -128,9 +128,8 @@ class Vehicle:
     def _check_names(self) -> None:
         _refuse_twice(self.degrees_of_freedom, "degrees_of_freedom has '{}' twice: keep one")
         _refuse_twice(self.force_channels, "generalised_forces has '{}' twice: keep one")
-        kinds = {"thruster": self.thrusters, "surface": self.surfaces}
-        for kind, parts in kinds.items():
-            names = [part.name for part in parts]
+        kinds = {"thruster": [t.name for t in self.thrusters], "surface": [s.name for s in self.surfaces]}
+        for kind, names in kinds.items():
             _refuse_twice(names, f"two {kind}s are called '{{}}': rename one")
             for name in (CHANNELS | {*self.inputs}).intersection(names):
                 raise UndertowError(f"{kind} '{name}' has the name of a measured channel: rename it")
