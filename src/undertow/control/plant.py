@@ -58,7 +58,8 @@ class Plant:
     def inputs(self) -> sm.Matrix:
         """What reaches each thruster, in units of its command, then forces known directly, N and N m."""
         forces = [symbol(name) for name in self._composition.forces]
-        return sm.Matrix([*self._composition.signals.actuation, *forces])
+        inputs = [*self._composition.signals.actuation, *forces]
+        return sm.Matrix(len(inputs), 1, inputs)
 
     @cached_property
     def numbers(self) -> dict[sm.Symbol, sm.Expr]:

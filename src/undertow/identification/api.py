@@ -16,11 +16,12 @@ from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
+from .compare.comparison import finite
 from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.result import RunInfo
+from .diagnosis.result import Role, RunInfo, run_info
 from .diagnosis.verdict import estimates
 from .doctor.examine import refuse_impossible
 from .estimation.data import prepare
@@ -41,6 +42,7 @@ from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
 from .planning.separation import plan_separation
+from .report.results import AdditionResult, FitResult, FittedParameter, addition_result, channel_errors
 
 if TYPE_CHECKING:
     import polars as pl
@@ -208,6 +210,22 @@ class Refit:
             schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
         )
 
+    def result(self) -> FitResult:
+        """The fit as it is written to JSON, with what it does to the error in a sentence."""
+        before, after = (finite(error) for error in self.errors)
+        return FitResult(
+            vehicle=self.stated.name,
+            command=self._command,
+            method=self.estimator.method,
+            runs=[run_info(run, role) for role, run in _roles(self.train, self.test)],
+            horizon=self.before.windows.horizon or 0.0,
+            error_before=before,
+            error_after=after,
+            channels=channel_errors(self.before.relative, self.after.relative),
+            parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
+            condition=finite(self.fit.condition),
+        )
+
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""
         rows = self.parameters.iter_rows(named=True)
@@ -274,8 +292,9 @@ def _history(
     }
 
 
-def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
-    return [*(("train", run) for run in train), *(("holdout", run) for run in test)]
+def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
+    roles: tuple[Role, Role] = ("train", "holdout")
+    return [(role, run) for role, runs in zip(roles, (train, test), strict=True) for run in runs]
 
 
 def refit(
@@ -503,6 +522,12 @@ def try_effect(
     ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {wanted.id}")
     return ground, added(wanted, ground, keep_all=keep_all)
+
+
+def result_of(ground: AdditionSetup, addition: Addition) -> AdditionResult:
+    """An addition as it is written to JSON."""
+    runs = [run_info(run, role) for role, run in _roles(ground.train, ground.test)]
+    return addition_result(addition, ground.vehicle, runs)
 
 
 def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:

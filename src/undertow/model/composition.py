@@ -54,7 +54,12 @@ class _Setting(NamedTuple):
 def stated(effect: Wrench) -> sm.ImmutableMatrix:
     """Wrench of an effect as it states it, abbreviations spelled out, shape (6, 1)."""
     s = signals(effect.thrusters, effect.surface_names)
-    return effect.spelled_out(effect.wrench(s), s).as_immutable()
+    wrench = effect.wrench(s)
+    if getattr(wrench, "shape", None) != (6, 1):
+        raise UndertowError(
+            f"effect '{effect.id}': wrench() returns no sympy.Matrix of 6 rows and 1 column: correct it"
+        )
+    return effect.spelled_out(wrench, s).as_immutable()
 
 
 @lru_cache(maxsize=_REMEMBERED)
@@ -361,6 +366,8 @@ def statement_of(effect: Effect, known: Catalogue) -> Statement:
     shared = tuple(p for r in beside for p in lookup(r, known)(effect.thrusters, effect.surfaces).parameters)
     try:
         parts = tuple(p for kind in kinds_of(effect) for p in _BUILDERS[kind](effect, signal_set))
+    except UndertowError:  # says already which line of a file it is
+        raise
     except Exception as error:  # whatever the author's code raises is the author's to mend
         raise UndertowError(f"the physics cannot be stated: {type(error).__name__}: {error}") from error
     for part in parts:

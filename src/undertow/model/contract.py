@@ -492,6 +492,8 @@ def _found(check: str, holds: str, complaints: Iterator[str]) -> list[ContractCh
     findings: list[ContractCheck] = []
     try:
         findings.extend(ContractCheck(check, False, c) for c in complaints)
+    except UndertowError as error:  # says already which line of a file it is
+        findings.append(ContractCheck(check, False, str(error)))
     except Exception as error:  # what SymPy or the author's code cannot do must not hide the other findings
         why = " ".join(str(error).split())
         findings.append(ContractCheck(check, False, f"cannot be worked out: {type(error).__name__}: {why}"))

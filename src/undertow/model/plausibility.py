@@ -284,6 +284,12 @@ def _undamped(vehicle: Vehicle) -> Iterator[str]:
         for i, name in diagonal_entries(effect).items()
         if _given(vehicle, name)
     }
+    for effect, wrench in vehicle.composition.wrenches.items():
+        if effect.family == "damping" and not diagonal_entries(effect):  # of strips, or by lift
+            own = {symbol(p.name) for p in effect.parameters if p.name in vehicle.values}
+            damped |= {
+                i for i, row in zip(vehicle.dof_indices, wrench, strict=True) if row.free_symbols & own
+            }
     for i in vehicle.dof_indices:
         if i not in damped:
             yield f"nothing damps {DOFS[i]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -128,8 +128,12 @@ class Vehicle:
     def _check_names(self) -> None:
         _refuse_twice(self.degrees_of_freedom, "degrees_of_freedom has '{}' twice: keep one")
         _refuse_twice(self.force_channels, "generalised_forces has '{}' twice: keep one")
-        kinds = {"thruster": [t.name for t in self.thrusters], "surface": [s.name for s in self.surfaces]}
-        for kind, names in kinds.items():
+        kinds: dict[str, Sequence[Thruster | Surface]] = {
+            "thruster": self.thrusters,
+            "surface": self.surfaces,
+        }
+        for kind, parts in kinds.items():
+            names = [part.name for part in parts]
             _refuse_twice(names, f"two {kind}s are called '{{}}': rename one")
             for name in (CHANNELS | {*self.inputs}).intersection(names):
                 raise UndertowError(f"{kind} '{name}' has the name of a measured channel: rename it")

@@ -25,7 +25,7 @@ from undertow.identification.estimation.output_error import NO_WORSE, horizon_er
 from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.estimation.windows import prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -44,7 +44,6 @@ class AdditionSetup:
     vehicle: the model as it was given.
     train, test: the logs.
     bench: data, noise and the fitted model without the effect.
-    windows: stretches of the validation logs over which motion is predicted.
     validator: who simulates them.
     """
 
@@ -52,12 +51,15 @@ class AdditionSetup:
     train: list[Run]
     test: list[Run]
     bench: Bench
-    windows: Windows
     validator: SimulationValidator
 
-    def ahead(self, vehicle: Vehicle) -> float:
-        """Velocity error of the prediction ahead on validation data, as a share of the motion."""
-        return float(prediction_error(predict(vehicle, self.windows, compiled=False)))
+    def ahead(self, vehicle: Vehicle) -> dict[str, float]:
+        """Velocity error of predictions on validation data by horizon, in shares of the motion."""
+        return self.validator.ahead(vehicle)
+
+    def prediction(self, vehicle: Vehicle) -> float:
+        """The same over short windows."""
+        return float(prediction_error(predict(vehicle, self.validator.windows, compiled=False)))
 
 
 @dataclass(frozen=True)
@@ -107,10 +109,8 @@ def set_up_addition(
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
-    longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(bench.settings.short_windows, 0.9 * longest))
     validator = SimulationValidator(vehicle, train_runs, test_runs, train.sigma)
-    return AdditionSetup(vehicle, train_runs, test_runs, bench, windows, validator)
+    return AdditionSetup(vehicle, train_runs, test_runs, bench, validator)
 
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
@@ -203,9 +203,10 @@ def _step(
     setup: AdditionSetup, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    r = whitened(at, noise).r
+    r, ahead = whitened(at, noise).r, setup.ahead(vehicle)
     return Step(
         added=added,
         error=error_of(mean_square(r, setup.bench.test)),
-        prediction=setup.ahead(vehicle),
+        prediction=setup.prediction(vehicle),
+        ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )

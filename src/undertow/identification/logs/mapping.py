@@ -39,6 +39,8 @@ class Column(_Strict):
     # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
     # column itself where no other tells: then a value that differs from the row before is new.
     fresh: str | None = Field(default=None, min_length=1)
+    # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
+    noise: str | float | None = None
 
 
 class Channel(_Strict):
@@ -103,7 +105,7 @@ def _spelled(value: Any) -> Any:
 
 
 class LogMapping(_Strict):
-    """A whole mapping file; see the module for an example."""
+    """A whole mapping file."""
 
     schema_: Literal["undertow/mapping/1"] = Field(alias="schema", default="undertow/mapping/1")
     description: str = ""
@@ -114,6 +116,8 @@ class LogMapping(_Strict):
     # time, frames: time base and axes.
     time: Time = Time()
     frames: Frames = Frames()
+    # Disturbance to be expected in each force or moment, rms: X = "0.4 N"; a number is in N or N m.
+    disturbance: dict[Literal["X", "Y", "Z", "K", "M", "N"], str | float] = {}
     # Velocity of the water, where the log has velocities through the water; None: they are over ground.
     water: Water | None = None
     # delimiter, decimal, comment: how the text is written; `comment` is a prefix of lines to skip.

@@ -32,8 +32,8 @@ from undertow.identification.logs.table import (
     seconds,
 )
 from undertow.model.catalogue import catalogue, logged_quantities
-from undertow.model.symbols import MOTION_UNITS, VELOCITY
-from undertow.model.units import scale_offset, si_unit
+from undertow.model.symbols import FORCE, FORCE_UNITS, MOTION_UNITS, VELOCITY
+from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
@@ -147,6 +147,7 @@ def run_of_table(
     there |= {*mapping.channels, *table.columns}
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
+    stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
         read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
@@ -158,6 +159,7 @@ def run_of_table(
         channels=channels,
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+        sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,
     ).slice(*window)
@@ -276,6 +278,26 @@ def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
             column.unit, wanted, of=f"{where}: unit {column.unit!r} of column {name!r}"
         )
     return scale * column.scale, scale * column.offset + offset
+
+
+def _stated_noise(sources: dict[str, Column], mapping: LogMapping, where: str) -> dict[str, float]:
+    """Standard deviations that the mapping file states, by channel."""
+    found = {}
+    for name, column in sources.items():
+        if column.noise is not None:
+            unit = UNITS.get(column.channel) or si_unit(column.unit or "1")
+            given = (
+                f"{column.noise} {column.unit or unit}" if isinstance(column.noise, float) else column.noise
+            )
+            sigma = magnitude(given, unit, f"{where}: noise of column {name!r}")
+            found[turned_name(column.channel, mapping.frames.position)] = sigma
+    return found
+
+
+def stated_disturbance(mapping: LogMapping, where: str = "mapping file") -> dict[str, float]:
+    """Disturbance, rms in N or N m, that a mapping file states, by force (X, Y, Z, K, M, N)."""
+    units = dict(zip(FORCE, FORCE_UNITS, strict=True))
+    return {n: magnitude(v, units[n], f"{where}: disturbance {n}") for n, v in mapping.disturbance.items()}
 
 
 def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
@@ -398,7 +420,7 @@ def on_the_clock(run: Run, names: Iterable[str]) -> Run:
     channels, sigma, notes = dict(run.channels), dict(run.sigma), []
     for name in names:
         t, reports = _reports(run, name)
-        noise = _noise(reports)
+        noise = sigma.get(name) or _noise(reports)
         channels[name] = _between(run.t, t, reports)
         sigma[name] = noise * float(np.sqrt(len(run.t) / len(t)))
         notes.append(
