@@ -249,12 +249,15 @@ class SimulationValidator:
         return self._error(model, self.windows)
 
     def _error(self, model: Fitted | Vehicle, windows: Windows) -> float:
-        if isinstance(model, Vehicle):
-            vehicles = [model] * len(self.test)
-        else:
-            vehicles = in_runs(model, self.test)[0]
+        vehicles = self._vehicles(model)
         predictor = Predictor(vehicles[0], compiled=False)
         return float(prediction_error(predict_each(vehicles, windows, predictor)))
+
+    def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
+        """The model as it is in each validation run."""
+        if isinstance(model, Vehicle):
+            return [model] * len(self.test)
+        return in_runs(model, self.test)[0]
 
     def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
         """Mean square of the error of predicted velocities by horizon, window and velocity, (b, n).
